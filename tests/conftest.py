@@ -1,0 +1,38 @@
+"""Fixtures and options that every test folder shares."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="also run the tests marked slow")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--slow"):
+        return
+    for item in items:
+        if item.get_closest_marker("slow"):
+            item.add_marker(pytest.mark.skip(reason="slow; run with --slow"))
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of real sequences; a test that asks for it is skipped where there is none."""
+    value = os.environ.get("CODECBENCH_DATA")
+    if not value:
+        pytest.skip("CODECBENCH_DATA is not set: no real sequences to read")
+    folder = Path(value)
+    if not folder.is_dir():
+        pytest.fail(f"CODECBENCH_DATA names {folder}, which is not a folder")
+    return folder
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20240607)
