@@ -1,0 +1,299 @@
+"""Rotations, rigid motions and similarities: exponential, logarithm, quaternions, and alignment of point sets.
+
+Conventions of the whole package: matrices act on columns, `a_from_c = a_from_b @ b_from_c`. A rigid motion is a (4, 4)
+matrix [[R, t], [0, 1]], a similarity a (4, 4) matrix [[s R, t], [0, 1]] with s > 0. Tangent vectors hold the
+translational part first: (v, w) in se(3), (v, w, sigma) in sim(3), where s = exp(sigma).
+
+Every function here is compiled by numba and may be called from other compiled code, except `umeyama`, which checks
+what it is given first; `align_points` is its kernel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE_RAD = 0.3  # below it the closed forms lose digits to cancellation, and short series take over
+
+
+@njit(cache=True)
+def skew(vector: Array) -> Array:
+    """Return the (3, 3) matrix [v]x with [v]x u = v x u."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -vector[2], vector[1], -vector[0]
+    out[1, 0], out[2, 0], out[2, 1] = vector[2], -vector[1], vector[0]
+    return out
+
+
+@njit(cache=True)
+def so3_exp(rotation_vector: Array) -> Array:
+    """Return the (3, 3) rotation about a (3,) vector by its length in radians (Rodrigues' formula)."""
+    out = np.empty((3, 3))
+    so3_exp_into(rotation_vector[0], rotation_vector[1], rotation_vector[2], out)
+    return out
+
+
+@njit(cache=True)
+def so3_exp_into(x: float, y: float, z: float, out: Array) -> None:
+    """Write `so3_exp((x, y, z))` into `out` (3, 3), without allocating."""
+    theta2 = x * x + y * y + z * z
+    if theta2 < 1e-8:
+        a = 1.0 - theta2 / 6.0
+        b = 0.5 - theta2 / 24.0
+    else:
+        theta = math.sqrt(theta2)
+        a = math.sin(theta) / theta
+        half = math.sin(0.5 * theta)
+        b = 2.0 * half * half / theta2
+    out[0, 0], out[1, 1], out[2, 2] = 1.0 - b * (y * y + z * z), 1.0 - b * (x * x + z * z), 1.0 - b * (x * x + y * y)
+    out[0, 1], out[1, 0] = b * x * y - a * z, b * x * y + a * z
+    out[0, 2], out[2, 0] = b * x * z + a * y, b * x * z - a * y
+    out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x
+
+
+@njit(cache=True)
+def so3_log(rotation: Array) -> Array:
+    """Return the (3,) rotation vector of a (3, 3) rotation, of length 0..pi; exact to rounding up to pi itself."""
+    quaternion = quaternion_from_rotation(rotation)
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    length = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if length < 1e-12 else 2.0 * math.atan2(length, w) / length
+    return np.array([factor * x, factor * y, factor * z])
+
+
+@njit(cache=True)
+def quaternion_from_rotation(rotation: Array) -> Array:
+    """Return the unit quaternion (x, y, z, w), w >= 0, of a (3, 3) rotation (Shepperd 1978: largest pivot)."""
+    r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
+    out = np.empty(4)
+    trace = r00 + r11 + r22
+    if trace >= r00 and trace >= r11 and trace >= r22:
+        out[0] = rotation[2, 1] - rotation[1, 2]
+        out[1] = rotation[0, 2] - rotation[2, 0]
+        out[2] = rotation[1, 0] - rotation[0, 1]
+        out[3] = 1.0 + trace
+    else:
+        i = 0
+        if r11 > r00:
+            i = 1
+        if r22 > r00 and r22 > r11:
+            i = 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i] = 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k]
+        out[j] = rotation[i, j] + rotation[j, i]
+        out[k] = rotation[i, k] + rotation[k, i]
+        out[3] = rotation[k, j] - rotation[j, k]
+    length = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + out[3] * out[3])
+    sign = -1.0 if out[3] < 0.0 else 1.0
+    for i in range(4):
+        out[i] *= sign / length
+    return out
+
+
+@njit(cache=True)
+def rotation_from_quaternion(quaternion: Array) -> Array:
+    """Return the (3, 3) rotation of a quaternion (x, y, z, w) of any non-zero length."""
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - scale * (y * y + z * z), scale * (x * y - z * w), scale * (x * z + y * w)
+    out[1, 0], out[1, 1], out[1, 2] = scale * (x * y + z * w), 1.0 - scale * (x * x + z * z), scale * (y * z - x * w)
+    out[2, 0], out[2, 1], out[2, 2] = scale * (x * z - y * w), scale * (y * z + x * w), 1.0 - scale * (x * x + y * y)
+    return out
+
+
+@njit(cache=True)
+def orthonormalize(rotation: Array) -> Array:
+    """Return the rotation nearest to a (3, 3) matrix that rounding has taken slightly out of SO(3)."""
+    return rotation_from_quaternion(quaternion_from_rotation(rotation))
+
+
+@njit(cache=True)
+def _power_integral(exponent: float, power: int) -> float:
+    """Integral of tau^power exp(exponent tau) over 0..1, by its Taylor series."""
+    term, total = 1.0, 1.0 / (power + 1)
+    for n in range(1, 100):
+        term *= exponent / n
+        total += term / (n + power + 1)
+        if abs(term) < 1e-18:
+            break
+    return total
+
+
+@njit(cache=True)
+def sim3_translation_factor(rotation_vector: Array, log_scale: float) -> Array:
+    """Return W (3, 3) with t = W v: the integral of exp(tau (sigma I + [w]x)) over 0..1 (Strasdat 2012, appendix)."""
+    theta = math.sqrt(rotation_vector[0] ** 2 + rotation_vector[1] ** 2 + rotation_vector[2] ** 2)
+    a = _power_integral(log_scale, 0) if abs(log_scale) < 1e-2 else math.expm1(log_scale) / log_scale
+    if theta < _SMALL_ANGLE_RAD:  # sin and cos expanded in theta, integrated term by term
+        b, c, power = 0.0, 0.0, 1.0
+        for k in range(6):
+            b += power / math.gamma(2.0 * k + 2.0) * _power_integral(log_scale, 2 * k + 1)
+            c += power / math.gamma(2.0 * k + 3.0) * _power_integral(log_scale, 2 * k + 2)
+            power *= -theta * theta
+    else:
+        scale, square = math.exp(log_scale), log_scale * log_scale + theta * theta
+        sine, cosine = math.sin(theta), math.cos(theta)
+        b = (scale * (log_scale * sine - theta * cosine) + theta) / (theta * square)
+        c = (a - (scale * (log_scale * cosine + theta * sine) - log_scale) / square) / (theta * theta)
+    cross = skew(rotation_vector)
+    return a * np.eye(3) + b * cross + c * (cross @ cross)
+
+
+@njit(cache=True)
+def sim3_exp(tangent: Array) -> Array:
+    """Return the (4, 4) similarity of a (7,) tangent vector (v, w, sigma)."""
+    out = np.eye(4)
+    out[:3, :3] = math.exp(tangent[6]) * so3_exp(tangent[3:6])
+    out[:3, 3] = sim3_translation_factor(tangent[3:6], tangent[6]) @ np.ascontiguousarray(tangent[:3])
+    return out
+
+
+@njit(cache=True)
+def sim3_log(similarity: Array) -> Array:
+    """Return the (7,) tangent vector (v, w, sigma) of a (4, 4) similarity."""
+    out = np.empty(7)
+    scale = sim3_scale(similarity)
+    out[3:6] = so3_log(similarity[:3, :3] / scale)
+    out[6] = math.log(scale)
+    factor = sim3_translation_factor(out[3:6], out[6])
+    out[:3] = np.linalg.solve(factor, np.ascontiguousarray(similarity[:3, 3]))
+    return out
+
+
+@njit(cache=True)
+def sim3_scale(similarity: Array) -> float:
+    """Return the scale of a (4, 4) similarity: the length of its first column."""
+    return math.sqrt(similarity[0, 0] ** 2 + similarity[1, 0] ** 2 + similarity[2, 0] ** 2)
+
+
+@njit(cache=True)
+def sim3_from_parts(scale: float, rotation: Array, translation: Array) -> Array:
+    """Return the (4, 4) similarity x -> scale rotation x + translation."""
+    out = np.eye(4)
+    out[:3, :3] = scale * rotation
+    out[:3, 3] = translation
+    return out
+
+
+@njit(cache=True)
+def sim3_to_parts(similarity: Array) -> tuple[float, Array, Array]:
+    """Return scale, rotation (3, 3) and translation (3,) of a (4, 4) similarity."""
+    scale = sim3_scale(similarity)
+    return scale, similarity[:3, :3] / scale, similarity[:3, 3].copy()
+
+
+@njit(cache=True)
+def sim3_compose(a_from_b: Array, b_from_c: Array) -> Array:
+    """Return `a_from_c` (4, 4), written out: twice as fast as a general product of small matrices."""
+    out = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = a_from_b[i, 0] * b_from_c[0, j] + a_from_b[i, 1] * b_from_c[1, j] + a_from_b[i, 2] * b_from_c[2, j]
+        out[i, 3] += a_from_b[i, 3]
+    out[3, 3] = 1.0
+    return out
+
+
+@njit(cache=True)
+def sim3_inverse(similarity: Array) -> Array:
+    """Return the inverse of a (4, 4) similarity (or rigid motion)."""
+    square = similarity[0, 0] ** 2 + similarity[1, 0] ** 2 + similarity[2, 0] ** 2
+    out = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = similarity[j, i] / square
+    for i in range(3):
+        for j in range(3):
+            out[i, 3] -= out[i, j] * similarity[j, 3]
+    out[3, 3] = 1.0
+    return out
+
+
+@njit(cache=True)
+def sim3_adjoint(similarity: Array) -> Array:
+    """Return Ad (7, 7) with S exp(x) = exp(Ad x) S."""
+    scale, rotation, translation = sim3_to_parts(similarity)
+    out = np.zeros((7, 7))
+    out[:3, :3] = scale * rotation
+    out[:3, 3:6] = skew(translation) @ rotation
+    out[:3, 6] = -translation
+    out[3:6, 3:6] = rotation
+    out[6, 6] = 1.0
+    return out
+
+
+@njit(cache=True)
+def se3_exp(tangent: Array) -> Array:
+    """Return the (4, 4) rigid motion of a (6,) tangent vector (v, w)."""
+    extended = np.zeros(7)
+    extended[:6] = tangent
+    return sim3_exp(extended)
+
+
+@njit(cache=True)
+def se3_log(motion: Array) -> Array:
+    """Return the (6,) tangent vector (v, w) of a (4, 4) rigid motion."""
+    return sim3_log(motion)[:6]
+
+
+@njit(cache=True)
+def se3_inverse(motion: Array) -> Array:
+    """Return the inverse of a (4, 4) rigid motion, by transposition."""
+    out = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = motion[j, i]
+            out[i, 3] -= motion[j, i] * motion[j, 3]
+    out[3, 3] = 1.0
+    return out
+
+
+@njit(cache=True)
+def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[float, Array, Array]:
+    """Return scale, rotation, translation that minimise sum |a - (s R b + t)|^2; see `umeyama`, which checks first."""
+    count = points_a.shape[0]
+    mean_a, mean_b = np.zeros(3), np.zeros(3)
+    for i in range(count):
+        mean_a += points_a[i] / count
+        mean_b += points_b[i] / count
+    covariance, variance_b = np.zeros((3, 3)), 0.0
+    for i in range(count):
+        for j in range(3):
+            centred_b = points_b[i, j] - mean_b[j]
+            variance_b += centred_b * centred_b
+            for k in range(3):
+                covariance[k, j] += (points_a[i, k] - mean_a[k]) * centred_b
+    u, singular, vt = np.linalg.svd(covariance)
+    if np.linalg.det(u) * np.linalg.det(vt) < 0.0:  # the nearest orthogonal matrix is a reflection
+        u[:, 2] *= -1.0
+        singular[2] *= -1.0
+    rotation = u @ vt
+    scale = singular.sum() / variance_b if with_scale and variance_b > 0.0 else 1.0
+    return scale, rotation, mean_a - scale * (rotation @ mean_b)
+
+
+def umeyama(points_a: Array, points_b: Array, with_scale: bool = True) -> tuple[float, Array, Array]:
+    """Return (scale, rotation (3, 3), translation (3,)) of the similarity `a_from_b` nearest to pairs of points.
+
+    `points_a`, `points_b` (N, 3), N >= 3: the same points in two frames, a = s R b + t. Without scale, s is 1.
+    Raises ValueError for fewer than three pairs, values that are not finite, or points on one line.
+    Source: Umeyama, PAMI 13(4), 1991, equations 38-42, doi:10.1109/34.88573.
+    """
+    points_a = np.ascontiguousarray(points_a, dtype=np.float64)
+    points_b = np.ascontiguousarray(points_b, dtype=np.float64)
+    if points_a.shape != points_b.shape or points_a.ndim != 2 or points_a.shape[1] != 3 or len(points_a) < 3:
+        raise ValueError(f"umeyama: got shapes {points_a.shape} and {points_b.shape}; both must be (N, 3), N >= 3")
+    if not (np.isfinite(points_a).all() and np.isfinite(points_b).all()):
+        raise ValueError("umeyama: a coordinate is not finite")
+    for name, points in (("points_a", points_a), ("points_b", points_b)):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if spread[1] <= 1e-9 * max(spread[0], float(np.abs(points).max()) * 1e-3):
+            raise ValueError(f"umeyama: {name} lie on one line, so the rotation about it is undetermined")
+    scale, rotation, translation = align_points(points_a, points_b, with_scale)
+    return float(scale), rotation, translation
