@@ -1,0 +1,80 @@
+"""The codec contract. One class a codec; an instance is one setting.
+
+A codec is stateless between frames and silent about time and quality: others measure. Its bitstream is
+self-contained: `decode` gets bytes and nothing else, so no table, shape or quality may reach the decoder
+outside the bytes that are counted.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+
+P = TypeVar("P", bound=Params)
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a codec can do, checked before anything runs.
+
+    channels: layouts that `encode` takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
+    lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
+    counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
+    thread_safe: one instance may encode and decode from several threads at once.
+    in_memory: False for codecs that must go through files.
+    """
+
+    channels: tuple[int, ...] = (1, 3)
+    lossless: bool = False
+    counts_operations: bool = False
+    thread_safe: bool = True
+    in_memory: bool = True
+
+
+class Codec(ABC, Generic[P]):
+    """Base class of codecs.
+
+    Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
+    change, so that stored cells are recomputed; `params_type`; `capabilities`.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+    params_type: ClassVar[type[Params]]
+    capabilities: ClassVar[Capabilities]
+
+    def __init__(self, params: P) -> None:
+        """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
+        self.params = params
+
+    @classmethod
+    def create(cls, **values: Any) -> Self:
+        """An instance from keyword parameters: `Jpeg.create(quality=10)`."""
+        return cls(cls.params_type(**values))  # type: ignore[arg-type]
+
+    @abstractmethod
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        """The bitstream of one image, which is left untouched.
+
+        Raises ImageError for an image outside `capabilities`. Equal images give equal bytes.
+        """
+
+    @abstractmethod
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        """The image of a bitstream that any instance of this class encoded, from the bytes alone.
+
+        Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
+        """
+
+    def is_lossless(self) -> bool:
+        """Whether this setting returns the very pixels that went in."""
+        return self.capabilities.lossless
+
+    def libraries(self) -> dict[str, str]:
+        """Foreign libraries whose version can change the bytes, as name -> version. Recorded with every run."""
+        return {}

@@ -1,0 +1,202 @@
+"""The evaluator contract: what is measured, on what, and how it is declared.
+
+Three kinds differ in what they are handed: a FrameEvaluator one coded frame at a time, a SequenceEvaluator
+the whole coded sequence in order, a CodecEvaluator the codec itself (to time or trace it). All yield
+Measurements of metrics that the class declared; an undeclared one fails the cell.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
+
+import numpy as np
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Frame, Sequence
+
+P = TypeVar("P", bound=Params)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A quantity that an evaluator measures.
+
+    name: ends in its unit where it has one (`psnr_gray_db`). unit: `dB`, `bytes`, `1` for pure numbers.
+    better: which direction a codec author wants, `neither` where there is none.
+    aggregates: how the wide table summarises it over frames and repeats, in `codecbench.statistics` names.
+    """
+
+    name: str
+    unit: str
+    better: Literal["higher", "lower", "neither"]
+    summary: str
+    aggregates: tuple[str, ...] = ("mean",)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One value of one metric; `frame` and `stage` where it belongs to one.
+
+    A stage is `encode` or `decode`, or one of their parts: `encode/dct`. A value may be infinite (identical
+    images) but a NaN must come with a reason: it then is a missing value and never a number.
+    """
+
+    metric: str
+    value: float
+    frame: int | None = None
+    stage: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class CodedFrame:
+    """A frame beside what became of it."""
+
+    original: Frame
+    bitstream: bytes = field(repr=False)
+    decoded: Image = field(repr=False)
+
+    @cached_property
+    def size_bytes(self) -> int:
+        return len(self.bitstream)
+
+
+class CodedSequence(Protocol):
+    """All frames of a sequence under one codec setting; frames are read and decoded as they are asked for."""
+
+    @property
+    def sequence(self) -> Sequence: ...
+
+    @property
+    def codec(self) -> Codec[Any]: ...
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[CodedFrame]: ...
+
+    def frame(self, index: int) -> CodedFrame: ...
+
+    def size_bytes(self, index: int) -> int:
+        """Size of one frame's bitstream, without decoding it."""
+        ...
+
+
+@dataclass(frozen=True)
+class PluginUse:
+    """Another plugin that an evaluator runs, so that its version enters the identity of the cell."""
+
+    kind: Kind
+    name: str
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+class PluginSource(Protocol):
+    """Where an evaluator gets the plugins that it declared in `uses`."""
+
+    def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any: ...
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a cell may use besides what it measures.
+
+    rng: seeded from the cell's identity. repeat: 0-based. artifacts: an existing folder; files written there
+    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`.
+    """
+
+    rng: np.random.Generator
+    repeat: int
+    artifacts: Path
+    plugins: PluginSource
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished cell as another may look at it: its repeat, its measurements, and its artifacts' folder."""
+
+    repeat: int
+    measurements: tuple[Measurement, ...]
+    artifacts: Path
+
+    def value(self, metric: str) -> float:
+        """The value of a metric measured once; NaN where it is missing."""
+        return next((m.value for m in self.measurements if m.metric == metric), float("nan"))
+
+
+class Evaluator(ABC, Generic[P]):
+    """Base of the three kinds of evaluator; subclass one of those.
+
+    metrics: everything that `evaluate` and `compare` may yield. needs: what the sequence must have.
+    exclusive: nothing else may run on the machine meanwhile.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+    params_type: ClassVar[type[Params]]
+    metrics: ClassVar[tuple[Metric, ...]]
+    needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
+    exclusive: ClassVar[bool] = False
+
+    def __init__(self, params: P) -> None:
+        self.params = params
+
+    @classmethod
+    def create(cls, **values: Any) -> Self:
+        """An instance from keyword parameters: `Timing.create(repeats=5)`."""
+        return cls(cls.params_type(**values))  # type: ignore[arg-type]
+
+    @property
+    def repeats(self) -> int:
+        """How many cells this evaluator makes of each sequence and setting; each is told its `repeat`."""
+        return 1
+
+    @property
+    def uses(self) -> tuple[PluginUse, ...]:
+        """Other plugins that the result depends on."""
+        return ()
+
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        """The parameters that determine one repeat.
+
+        Override where a parameter lists the repeats, so that a longer list recomputes nothing.
+        """
+        return self.params.identity()
+
+    def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        """Measurements that need the raw codec's outcomes on the same sequence; made when tables are built.
+
+        `baseline` is empty where the matrix has no raw codec: yield NaN with that reason, or nothing.
+        """
+        return iter(())
+
+
+class FrameEvaluator(Evaluator[P]):
+    """Looks at one frame at a time."""
+
+    @abstractmethod
+    def evaluate(self, coded: CodedFrame) -> Iterator[Measurement]:
+        """Measurements of one frame; the engine fills in which frame it was."""
+
+
+class SequenceEvaluator(Evaluator[P]):
+    """Looks at a whole coded sequence in order."""
+
+    @abstractmethod
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        """Measurements of the sequence, or of its frames with `frame` set."""
+
+
+class CodecEvaluator(Evaluator[P]):
+    """Runs the codec itself; never sees cached bitstreams."""
+
+    @abstractmethod
+    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        """Measurements of the codec at work on the sequence."""

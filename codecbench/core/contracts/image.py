@@ -1,0 +1,64 @@
+"""Images: what they are, how they are checked, and the one way in which colour becomes gray."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import ImageError
+
+Image: TypeAlias = NDArray[np.uint8]
+"""(H, W) gray or (H, W, 3) RGB, uint8, row-major, H and W at least 1. Never BGR."""
+
+MAX_PIXELS = 1 << 26
+"""67 Mpixel: what a decoder allocates for at the most, whatever a header says."""
+
+
+def check_image(image: Image, channels: tuple[int, ...] = (1, 3)) -> Image:
+    """Return `image` as a C-contiguous array after checking it.
+
+    `channels` names the layouts that the caller takes: 1 for (H, W), 3 for (H, W, 3).
+    Raises ImageError for anything that is not a uint8 array of an allowed layout with at least one pixel.
+    """
+    if not isinstance(image, np.ndarray):
+        raise ImageError(f"an image is a numpy array, got {type(image).__name__}")
+    if image.dtype != np.uint8:
+        raise ImageError(f"an image has dtype uint8, got {image.dtype}")
+    count = channel_count(image)
+    if count not in channels:
+        raise ImageError(f"image has {count} channel(s); allowed here: {', '.join(map(str, channels))}")
+    if image.size == 0:
+        raise ImageError(f"image of shape {image.shape} has no pixels")
+    return np.ascontiguousarray(image)
+
+
+def channel_count(image: Image) -> int:
+    """1 for a (H, W) image, 3 for a (H, W, 3) image; ImageError for any other shape."""
+    if image.ndim == 2:
+        return 1
+    if image.ndim == 3 and image.shape[2] == 3:
+        return 3
+    raise ImageError(f"an image has shape (H, W) or (H, W, 3), got {image.shape}")
+
+
+def gray_from_image(image: Image) -> Image:
+    """The (H, W) gray picture of an image: itself, or BT.601 luma of RGB as OpenCV computes it.
+
+    Every score and every tracker in codecbench uses this function, because file readers' own gray modes
+    differ from it on half the pixels and Rec. 709 weights on nearly all.
+    """
+    if channel_count(image) == 1:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def png_bytes(image: Image) -> bytes:
+    """The image as a PNG file (OpenCV's encoder at its default effort), the yardstick of `cr_percent`."""
+    stored = image if channel_count(image) == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, buffer = cv2.imencode(".png", stored)
+    if not done:
+        raise ImageError(f"OpenCV could not write an image of shape {image.shape} as PNG")
+    return buffer.tobytes()

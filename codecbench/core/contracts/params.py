@@ -1,0 +1,47 @@
+"""Parameters of plugins: one pydantic model a plugin, which is its schema, its validation and its identity."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationInfo
+
+
+class Params(BaseModel):
+    """Base of every plugin's parameters: immutable, no unknown names, no silent conversions between kinds.
+
+    The JSON form of an instance is part of the identity of every cell that uses it, so two spellings of the
+    same setting must validate to equal instances.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    def identity(self) -> dict[str, Any]:
+        """What distinguishes this setting, as JSON types. Override to leave out what cannot change a result."""
+        return self.model_dump(mode="json")
+
+
+class NoParams(Params):
+    """For plugins that have nothing to set."""
+
+
+def _expand(value: Any) -> Any:
+    if not isinstance(value, str | Path):
+        return value
+    text = os.path.expandvars(str(value))
+    if "${" in text:
+        missing = text[text.index("${") :].split("}")[0] + "}"
+        raise ValueError(f"environment variable {missing} is not set")
+    return os.path.expanduser(text)
+
+
+def _anchor(path: Path, info: ValidationInfo) -> Path:
+    folder = (info.context or {}).get("folder")
+    return path if path.is_absolute() or folder is None else Path(folder) / path
+
+
+PathParam = Annotated[Path, BeforeValidator(_expand), AfterValidator(_anchor)]
+"""A path in a matrix: `~` and `${VAR}` expand; a relative path starts at the folder of the matrix file,
+which validation receives as `context={"folder": ...}`."""

@@ -1,0 +1,114 @@
+"""Sequences of frames and the datasets that open them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image, png_bytes
+from codecbench.core.contracts.params import Params
+
+P = TypeVar("P", bound=Params)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with Brown-Conrady distortion; lengths in pixels, pixel centres at integers.
+
+    distortion: k1, k2, p1, p2, k3, as OpenCV orders them; all zero for rectified images.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera poses over time.
+
+    timestamps_s: (N,) seconds, strictly increasing. world_from_camera: (N, 4, 4) rigid transforms, metres.
+    """
+
+    timestamps_s: NDArray[np.float64]
+    world_from_camera: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.timestamps_s)
+
+    @property
+    def positions_world(self) -> NDArray[np.float64]:
+        """(N, 3) camera centres in metres."""
+        return self.world_from_camera[:, :3, 3]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture: its index in the sequence as opened, its time in seconds, its pixels."""
+
+    index: int
+    timestamp_s: float
+    image: Image = field(repr=False)
+
+    @cached_property
+    def png_size_bytes(self) -> int:
+        """Size of this frame as PNG, computed once however many settings ask."""
+        return len(png_bytes(self.image))
+
+
+class Sequence(ABC):
+    """Frames in order, read one at a time, with whatever is known about the camera and its true path.
+
+    Attributes that every sequence sets: `name`, unique within a matrix; `timestamps_s` (N,) strictly
+    increasing; `frame_rate_hz`, nominal; `channels`, 1 or 3; `camera` and `ground_truth` or None;
+    `fingerprint`, a hex digest of everything that determines the frames, the camera and the ground truth:
+    two sequences with equal fingerprints are interchangeable.
+    """
+
+    name: str
+    timestamps_s: NDArray[np.float64]
+    frame_rate_hz: float
+    channels: int
+    camera: Camera | None
+    ground_truth: Trajectory | None
+    fingerprint: str
+
+    def __len__(self) -> int:
+        return len(self.timestamps_s)
+
+    @abstractmethod
+    def read(self, index: int) -> Frame:
+        """Frame `index` in 0..len-1. Raises DatasetError, naming the file, where it cannot be read."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.read(index) for index in range(len(self)))
+
+
+class Dataset(ABC, Generic[P]):
+    """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened."""
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+    params_type: ClassVar[type[Params]]
+
+    def __init__(self, params: P) -> None:
+        self.params = params
+
+    @classmethod
+    def create(cls, **values: Any) -> Self:
+        """An instance from keyword parameters: `Tum.create(path="...")`."""
+        return cls(cls.params_type(**values))  # type: ignore[arg-type]
+
+    @abstractmethod
+    def open(self) -> Sequence:
+        """Check what is there and return the sequence. Raises DatasetError with file and line."""

@@ -1,0 +1,98 @@
+"""The SLAM contract: frames and a camera in, a SlamRun out. A backend never sees ground truth or codecs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
+
+P = TypeVar("P", bound=Params)
+
+FrameState = Literal["not_initialized", "tracked", "lost", "refused"]
+"""`refused`: the backend could not look at the frame at all (another size, say); the reason says why."""
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """What happened to one frame. inliers: map points that support its pose. map_id: which map it is in."""
+
+    index: int
+    timestamp_s: float
+    state: FrameState
+    inliers: int = 0
+    keyframe: bool = False
+    map_id: int = 0
+    reason: str = ""
+    elapsed_ms: float = float("nan")
+
+
+@dataclass(frozen=True)
+class LoopEvent:
+    """A loop that was closed: at which frame, onto which earlier keyframe's frame, with how many matches."""
+
+    frame: int
+    matched_frame: int
+    inliers: int
+    merged_maps: bool = False
+
+
+@dataclass(frozen=True)
+class SlamRun:
+    """What a backend made of a sequence. Positions are in the map's own unit: monocular scale is free.
+
+    frames: one entry a frame given. trajectory: every tracked frame of the largest map, after all
+    corrections (the paper's "optimised"). trajectory_before_loops: the same frames as tracked, before loop
+    closing moved them (the paper's "estimated"). keyframe_indices: (K,) frame indices. points_world: (M, 3).
+    maps: number of maps that were started and kept.
+    """
+
+    frames: tuple[TrackedFrame, ...]
+    trajectory: Trajectory
+    trajectory_before_loops: Trajectory
+    keyframe_indices: NDArray[np.int64]
+    points_world: NDArray[np.float64]
+    loops: tuple[LoopEvent, ...]
+    maps: int
+
+
+class SlamBackend(ABC, Generic[P]):
+    """A monocular SLAM system."""
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+    params_type: ClassVar[type[Params]]
+    deterministic: ClassVar[bool]
+    architectures: ClassVar[frozenset[Literal["cta", "atc"]]]
+
+    def __init__(self, params: P) -> None:
+        """Keep the setting; raise Unsupported, with the command that mends it, where a library is missing."""
+        self.params = params
+
+    @classmethod
+    def create(cls, **values: Any) -> Self:
+        """An instance from keyword parameters."""
+        return cls(cls.params_type(**values))  # type: ignore[arg-type]
+
+    @abstractmethod
+    def run(
+        self,
+        frames: Iterable[Frame],
+        camera: Camera,
+        *,
+        seed: int,
+        keyframe_image: Callable[[int], Image] | None = None,
+    ) -> SlamRun:
+        """Track all frames in order.
+
+        `keyframe_image` makes it analyze-then-compress: given a frame index it returns the decoded image
+        that mapping and loop closing see when that frame becomes a keyframe. Losing track is a state with a
+        reason, not an exception; SlamError is for input that no frame of can be used.
+        """

@@ -1,0 +1,135 @@
+"""The camera: pinhole projection with Brown-Conrady distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with Brown-Conrady distortion.
+
+    `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels, pixel centres at integers; `distortion` is k1, k2, p1, p2, k3
+    (zeros when left out). Raises ValueError for sizes below 1, focal lengths not above 0 and numbers not finite.
+    Source: Brown, Photometric Engineering 37(8), 1971, in OpenCV's order of coefficients.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"Camera: size {self.width}x{self.height} has a side below 1")
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not all(math.isfinite(number) for number in numbers):
+            raise ValueError(f"Camera: calibration {numbers} holds a number that is not finite")
+        if self.fx <= 0.0 or self.fy <= 0.0:
+            raise ValueError(f"Camera: focal lengths {self.fx}, {self.fy} are not above 0")
+        if len(self.distortion) > 5:
+            raise ValueError(f"Camera: {len(self.distortion)} distortion coefficients; k1, k2, p1, p2, k3 are read")
+        padded = tuple(float(k) for k in self.distortion) + (0.0,) * (5 - len(self.distortion))
+        object.__setattr__(self, "distortion", padded)
+
+    @cached_property
+    def intrinsics(self) -> Floats:
+        """fx, fy, cx, cy as an array (4,)."""
+        return np.array([self.fx, self.fy, self.cx, self.cy])
+
+    @cached_property
+    def matrix(self) -> Floats:
+        """The calibration matrix K (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        return any(k != 0.0 for k in self.distortion)
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """x_min, y_min, x_max, y_max of the undistorted image (4,), pixels."""
+        if not self.is_distorted:
+            return np.array([0.0, 0.0, self.width - 1.0, self.height - 1.0])
+        columns = np.linspace(0.0, self.width - 1.0, 33)
+        rows = np.linspace(0.0, self.height - 1.0, 33)
+        x, y = np.meshgrid(columns, rows)
+        pixels = self.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+    def undistort(self, pixels: Floats) -> Floats:
+        """Where `pixels` (N, 2) would lie without distortion (N, 2)."""
+        pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+        if not self.is_distorted:
+            return pixels.copy()
+        return np.asarray(_undistort(pixels, self.intrinsics, np.array(self.distortion)))
+
+    def distort(self, pixels: Floats) -> Floats:
+        """Where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
+        pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+        return np.asarray(_distort(pixels, self.intrinsics, np.array(self.distortion)))
+
+    def project(self, points_camera: Floats) -> Floats:
+        """Undistorted pixels (N, 2) of `points_camera` (N, 3)."""
+        scaled = points_camera[:, :2] / points_camera[:, 2:]
+        return np.asarray(scaled * self.intrinsics[:2] + self.intrinsics[2:])
+
+
+@njit(cache=True)
+def _distort_normalized(x: float, y: float, k: Any) -> Any:
+    """Distorted normalised coordinates, and the Jacobian of x_d, y_d by x, y."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4]))  # d radial / d(r2 / 2): times x or y
+    xd = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x)
+    yd = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y
+    xx = radial + x * slope * x + 2.0 * k[2] * y + 6.0 * k[3] * x
+    xy = x * slope * y + 2.0 * k[2] * x + 2.0 * k[3] * y
+    yy = radial + y * slope * y + 6.0 * k[2] * y + 2.0 * k[3] * x
+    return xd, yd, xx, xy, yy
+
+
+@njit(cache=True)
+def _distort(pixels: Any, intrinsics: Any, k: Any) -> Any:
+    fx, fy, cx, cy = intrinsics
+    distorted = np.empty_like(pixels)
+    for i in range(len(pixels)):
+        xd, yd, _, _, _ = _distort_normalized((pixels[i, 0] - cx) / fx, (pixels[i, 1] - cy) / fy, k)
+        distorted[i, 0] = xd * fx + cx
+        distorted[i, 1] = yd * fy + cy
+    return distorted
+
+
+@njit(cache=True)
+def _undistort(pixels: Any, intrinsics: Any, k: Any) -> Any:
+    """Newton's method on the distortion; 20 steps are ample, most pixels need four."""
+    fx, fy, cx, cy = intrinsics
+    undistorted = np.empty_like(pixels)
+    for i in range(len(pixels)):
+        target_x = (pixels[i, 0] - cx) / fx
+        target_y = (pixels[i, 1] - cy) / fy
+        x, y = target_x, target_y
+        for _ in range(20):
+            xd, yd, xx, xy, yy = _distort_normalized(x, y, k)
+            ex, ey = xd - target_x, yd - target_y
+            determinant = xx * yy - xy * xy
+            if ex * ex + ey * ey < 1e-24 or abs(determinant) < 1e-9:
+                break
+            x -= (yy * ex - xy * ey) / determinant
+            y -= (xx * ey - xy * ex) / determinant
+        undistorted[i, 0] = x * fx + cx
+        undistorted[i, 1] = y * fy + cy
+    return undistorted

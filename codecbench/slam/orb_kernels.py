@@ -1,0 +1,107 @@
+"""The inner loops of feature extraction."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from codecbench.slam.orb_pattern import ORB_PATTERN
+from codecbench.slam.thresholds import PATCH_RADIUS_PX
+
+_RADIUS = PATCH_RADIUS_PX
+_HALF_WIDTHS = np.array([int(math.sqrt(_RADIUS * _RADIUS - v * v) + 0.5) for v in range(_RADIUS + 1)])
+
+
+@njit(cache=True)
+def select_evenly(corners: Any, responses: Any, quota: int, height: int, width: int, border: int) -> Any:
+    """Indices of at most `quota` corners (N, 2), spread over the level, in reading order.
+
+    The level is divided into about `quota` square cells. Corners are taken by their rank within their cell, the
+    strongest of every cell first; the rank that does not fit whole is taken by response. Ties go to reading order.
+    """
+    inner_width, inner_height = width - 2 * border, height - 2 * border
+    if inner_width < 1 or inner_height < 1 or quota < 1:
+        return np.empty(0, np.int64)
+    side = max(math.sqrt(inner_width * inner_height / quota), 1.0)
+    columns = int(inner_width / side) + 1
+    inside = np.empty(len(corners), np.int64)
+    cells = np.empty(len(corners), np.int64)
+    count = 0
+    for i in range(len(corners)):
+        x, y = corners[i, 0] - border, corners[i, 1] - border
+        if 0 <= x < inner_width and 0 <= y < inner_height:
+            inside[count] = i
+            cells[count] = int(y / side) * columns + int(x / side)
+            count += 1
+    inside, cells = inside[:count], cells[:count]
+    if count <= quota:
+        return inside
+    order = np.argsort(-responses[inside], kind="mergesort")
+    filled = np.zeros((int(inner_height / side) + 1) * columns, np.int64)
+    ranks = np.empty(count, np.int64)
+    for k in order:
+        ranks[k] = filled[cells[k]]
+        filled[cells[k]] += 1
+    by_rank = order[np.argsort(ranks[order], kind="mergesort")]
+    return inside[np.sort(by_rank[:quota])]
+
+
+@njit(cache=True)
+def orient_patches(level: Any, corners: Any) -> Any:
+    """Direction (N,), radians in -pi..pi, from each corner to the intensity centroid of its disc (ORB, equation 3)."""
+    angles = np.empty(len(corners))
+    for i in range(len(corners)):
+        x, y = corners[i, 0], corners[i, 1]
+        m10 = 0
+        m01 = 0
+        for u in range(-_RADIUS, _RADIUS + 1):
+            m10 += u * np.int64(level[y, x + u])
+        for v in range(1, _RADIUS + 1):
+            width = _HALF_WIDTHS[v]
+            row = 0
+            for u in range(-width, width + 1):
+                above, below = np.int64(level[y - v, x + u]), np.int64(level[y + v, x + u])
+                row += below - above
+                m10 += u * (below + above)
+            m01 += v * row
+        angles[i] = math.atan2(float(m01), float(m10))
+    return angles
+
+
+@njit(cache=True)
+def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
+    """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
+    descriptors = np.zeros((len(corners), 32), np.uint8)
+    for i in range(len(corners)):
+        x, y = corners[i, 0], corners[i, 1]
+        c, s = math.cos(angles[i]), math.sin(angles[i])
+        for byte in range(32):
+            value = 0
+            for bit in range(8):
+                k = byte * 8 + bit
+                x1, y1, x2, y2 = ORB_PATTERN[k, 0], ORB_PATTERN[k, 1], ORB_PATTERN[k, 2], ORB_PATTERN[k, 3]
+                first = blurred[y + round(x1 * s + y1 * c), x + round(x1 * c - y1 * s)]
+                second = blurred[y + round(x2 * s + y2 * c), x + round(x2 * c - y2 * s)]
+                if first < second:
+                    value |= 1 << bit
+            descriptors[i, byte] = value
+    return descriptors
+
+
+@njit(cache=True)
+def index_cells(pixels: Any, grid: Any, cell_px: float) -> Any:
+    """Starts (cells + 1,) and members (N,) of the cells of `grid`; features outside go to the nearest cell."""
+    columns, rows = int(grid[2]), int(grid[3])
+    starts = np.zeros(columns * rows + 1, np.int64)
+    cells = np.empty(len(pixels), np.int64)
+    for i in range(len(pixels)):
+        column = min(max(int((pixels[i, 0] - grid[0]) / cell_px), 0), columns - 1)
+        row = min(max(int((pixels[i, 1] - grid[1]) / cell_px), 0), rows - 1)
+        cells[i] = row * columns + column
+        starts[cells[i] + 1] += 1
+    for k in range(columns * rows):
+        starts[k + 1] += starts[k]
+    return starts, np.argsort(cells, kind="mergesort")

@@ -1,0 +1,170 @@
+"""Every threshold of the SLAM, in one place: name, unit, meaning, source.
+
+The values are the same for every sequence. *ORB-SLAM* stands for Mur-Artal, Montiel, Tardos, "ORB-SLAM: a Versatile
+and Accurate Monocular SLAM System", IEEE T-RO 31(5), 2015, doi:10.1109/TRO.2015.2463671; *ORB* for Rublee, Rabaud,
+Konolige, Bradski, ICCV 2011; *own* for values measured with this code.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# Statistics -----------------------------------------------------------------------------------------------------
+CHI2_95_1DOF: Final = 3.841
+"""Chi-square at 95 %, one degree of freedom: squared epipolar distance over sigma squared (ORB-SLAM III-E)."""
+CHI2_95_2DOF: Final = 5.991
+"""Chi-square at 95 %, two degrees of freedom: squared reprojection error over sigma squared (ORB-SLAM III-E)."""
+CHI2_99_2DOF: Final = 9.210
+"""Chi-square at 99 %, two degrees of freedom: outliers of a Sim(3) alignment (ORB-SLAM VII-B)."""
+
+# Features -------------------------------------------------------------------------------------------------------
+FAST_THRESHOLD: Final = 20
+"""Gray levels: contrast of a FAST corner at first try (ORB-SLAM V-A)."""
+FAST_THRESHOLD_LOW: Final = 7
+"""Gray levels: contrast where the first try finds too few corners (own)."""
+FAST_CANDIDATES_PER_FEATURE: Final = 1.5
+"""Candidates for each feature wanted of a level; with fewer, the level is searched at the low threshold (own)."""
+PATCH_RADIUS_PX: Final = 15
+"""Level pixels: radius of the disc whose centroid gives a feature its orientation (ORB section 3.2)."""
+BORDER_PX: Final = 19
+"""Level pixels: no feature nearer to the border; the turned test pattern reaches 13 * sqrt(2) = 18.4 (ORB)."""
+BLUR_SIGMA_PX: Final = 2.0
+"""Level pixels: smoothing before the binary tests, kernel of 7 pixels (ORB section 4)."""
+
+# Descriptors, in bits of 256 --------------------------------------------------------------------------------------
+HAMMING_HIGH: Final = 100
+"""Largest distance of a match that a predicted position supports (ORB-SLAM V)."""
+HAMMING_LOW: Final = 50
+"""Largest distance of a match that appearance alone, or an epipolar line, supports (ORB-SLAM V)."""
+ROTATION_BINS: Final = 30
+"""Bins of the histogram of orientation differences: 12 degrees each (ORB-SLAM V)."""
+ROTATION_PEAKS: Final = 3
+"""Peaks of that histogram whose matches are kept (ORB-SLAM V)."""
+
+# Initialisation ---------------------------------------------------------------------------------------------------
+INIT_MIN_FEATURES: Final = 100
+"""Features: fewer in a frame and it cannot start or finish an initialisation (ORB-SLAM IV)."""
+INIT_MIN_MATCHES: Final = 100
+"""Matches: fewer between the two frames and the reference frame is replaced (ORB-SLAM IV)."""
+INIT_WINDOW_PX: Final = 100.0
+"""Pixels: half side of the window in which a match is searched between the two frames (own)."""
+INIT_RATIO: Final = 0.9
+"""Best over second-best distance of such a match (own)."""
+INIT_RANSAC_ITERATIONS: Final = 200
+"""Samples of eight matches, shared by homography and fundamental matrix (ORB-SLAM IV)."""
+INIT_HOMOGRAPHY_SHARE: Final = 0.45
+"""S_H / (S_H + S_F) above which the homography is chosen (ORB-SLAM IV, equation 4)."""
+INIT_MIN_PARALLAX_DEG: Final = 1.0
+"""Degrees: parallax that the INIT_PARALLAX_RANK-th best point must reach (ORB-SLAM IV)."""
+INIT_PARALLAX_RANK: Final = 50
+"""Points: see INIT_MIN_PARALLAX_DEG (own)."""
+INIT_MIN_POINTS: Final = 50
+"""Points: fewer triangulated by the winning motion and the initialisation is refused (own)."""
+INIT_WINNER_SHARE: Final = 0.9
+"""Of the inliers: share of points that the winning motion must triangulate (own)."""
+INIT_RIVAL_SHARE: Final = 0.7
+"""Of the winner's points: a rival motion with more makes the start ambiguous (ORB-SLAM IV: one clear winner)."""
+INIT_MAX_FRAMES: Final = 90
+"""Frames: age at which the reference frame is replaced though it still matches (own)."""
+
+# Tracking -----------------------------------------------------------------------------------------------------------
+TRACK_WINDOW_PX: Final = 15.0
+"""Pixels at the finest level: search radius round a position that the motion model predicts (own)."""
+TRACK_WINDOW_WIDE_PX: Final = 30.0
+"""Pixels at the finest level: second try."""
+TRACK_MIN_MATCHES: Final = 20
+"""Matches: fewer by the motion model and the wide window, then the reference keyframe, is tried (ORB-SLAM V-B)."""
+TRACK_MIN_INLIERS: Final = 10
+"""Points: fewer after optimisation and a first guess of the pose is refused (own)."""
+KEYFRAME_MIN_MATCHES: Final = 15
+"""Matches: fewer with the reference keyframe and it cannot give a pose (own)."""
+KEYFRAME_RATIO: Final = 0.7
+"""Best over second-best distance of such a match (own)."""
+LOCAL_WINDOW_PX: Final = 4.0
+"""Pixels at the finest level: search radius of a local map point seen obliquely (own)."""
+LOCAL_WINDOW_FRONTAL_PX: Final = 2.5
+"""Pixels at the finest level: search radius of a local map point seen as before (own)."""
+FRONTAL_COSINE: Final = 0.998
+"""Cosine between viewing ray and mean viewing ray above which a point is seen as before (own)."""
+VIEWING_COSINE: Final = 0.5
+"""Cosine between viewing ray and mean viewing ray below which a point is not searched: 60 degrees (ORB-SLAM V-D)."""
+LOCAL_RATIO: Final = 0.8
+"""Best over second-best distance, where both lie on one level, of a local map match (own)."""
+LOCAL_KEYFRAMES: Final = 80
+"""Keyframes: largest local map (own)."""
+LOCAL_MIN_INLIERS: Final = 30
+"""Points: fewer in the local map and the frame is lost (own)."""
+RELOCALIZED_MIN_INLIERS: Final = 50
+"""Points: the same for the frame that relocalises (ORB-SLAM V-C)."""
+MAX_VELOCITY_GAP: Final = 5.0
+"""Frame intervals: beyond this gap the motion model is not trusted (own)."""
+LOST_FOR_GOOD_S: Final = 3.0
+"""Seconds: lost this long, a new map is started (own)."""
+SMALL_MAP_KEYFRAMES: Final = 5
+"""Keyframes: a map with no more is abandoned the moment it is lost (own)."""
+
+# Keyframe decision --------------------------------------------------------------------------------------------------
+KEYFRAME_MIN_INLIERS: Final = 50
+"""Points: a frame with fewer makes no keyframe unless tracking is about to fail (ORB-SLAM V-E)."""
+KEYFRAME_MAX_SHARE: Final = 0.9
+"""Of the reference keyframe's points: a frame with more makes no keyframe (ORB-SLAM V-E)."""
+KEYFRAME_MAX_INTERVAL_S: Final = 1.0
+"""Seconds: with no keyframe for so long, one is made as soon as the view has changed (ORB-SLAM V-E)."""
+KEYFRAME_REFERENCE_OBSERVATIONS: Final = 3
+"""Keyframes: a reference point counts in that share once so many keyframes see it (own)."""
+
+# Mapping ------------------------------------------------------------------------------------------------------------
+TRIANGULATION_NEIGHBORS: Final = 20
+"""Keyframes: covisible ones in which a new keyframe's free features are searched (own)."""
+TRIANGULATION_MAX_COSINE: Final = 0.9998
+"""Cosine between two rays above which their point is too uncertain: 1.15 degrees (own)."""
+TRIANGULATION_MIN_BASELINE: Final = 0.01
+"""Of the median depth: shorter baselines are not used (own)."""
+EPIPOLE_RADIUS_PX: Final = 10.0
+"""Pixels at the finest level: no match nearer to the epipole, where depth is undetermined (own)."""
+SCALE_CONSISTENCY: Final = 1.5
+"""Times the level factor: how far the ratio of distances may leave the ratio of feature scales (own)."""
+POINT_MIN_FOUND_SHARE: Final = 0.25
+"""Of the frames in which a new point should be visible: it must be found in so many (ORB-SLAM VI-B)."""
+POINT_MIN_OBSERVATIONS: Final = 3
+"""Keyframes: a new point must be seen by so many once POINT_TRIAL_KEYFRAMES have passed (ORB-SLAM VI-B)."""
+POINT_TRIAL_KEYFRAMES: Final = 2
+"""Keyframes: see POINT_MIN_OBSERVATIONS (ORB-SLAM VI-B)."""
+POINT_PROBATION_KEYFRAMES: Final = 3
+"""Keyframes: age at which a point is no longer on probation (ORB-SLAM VI-B)."""
+FUSE_WINDOW_PX: Final = 3.0
+"""Pixels at the finest level: search radius for duplicates of a point (own)."""
+REDUNDANT_SHARE: Final = 0.9
+"""Of a keyframe's points: so many seen by three others at the same or a finer scale make it redundant (VI-E)."""
+REDUNDANT_OBSERVATIONS: Final = 3
+"""Keyframes: see REDUNDANT_SHARE (ORB-SLAM VI-E)."""
+COVISIBLE_MIN_POINTS: Final = 15
+"""Points: shared by two keyframes that are neighbours in the covisibility graph (ORB-SLAM III-D)."""
+LOCAL_BUNDLE_KEYFRAMES: Final = 20
+"""Keyframes: free ones in a local bundle adjustment (own; keeps a step bounded)."""
+LOCAL_BUNDLE_FIXED: Final = 30
+"""Keyframes: fixed ones in a local bundle adjustment, those that see most of its points (own)."""
+
+# Relocalisation and loops ---------------------------------------------------------------------------------------------
+RELOCALIZATION_CANDIDATES: Final = 8
+"""Keyframes: tried for a lost frame (own)."""
+RELOCALIZATION_RATIO: Final = 0.75
+"""Best over second-best distance of a match with a candidate (own)."""
+RELOCALIZATION_ITERATIONS: Final = 300
+"""RANSAC samples for the pose of a lost frame (own)."""
+PNP_ERROR_PX: Final = 4.0
+"""Pixels at the finest level: inliers of that pose (own)."""
+LOOP_CONSISTENT_KEYFRAMES: Final = 3
+"""Keyframes in a row whose candidates must be consistent (ORB-SLAM VII-A)."""
+LOOP_MIN_GAP_KEYFRAMES: Final = 10
+"""Keyframes: no loop is closed so soon after another one (own)."""
+LOOP_MIN_MATCHES: Final = 20
+"""Matches: fewer with a candidate and no similarity is sought (ORB-SLAM VII-B)."""
+LOOP_MIN_INLIERS: Final = 20
+"""Matches: inliers that a similarity needs (ORB-SLAM VII-B)."""
+LOOP_MIN_PROJECTED: Final = 40
+"""Matches: found by projecting the loop side's points, for the loop to be accepted (own)."""
+LOOP_RANSAC_ITERATIONS: Final = 300
+"""RANSAC samples of three matches (own)."""
+ESSENTIAL_MIN_WEIGHT: Final = 100
+"""Points: shared by keyframes that an essential-graph edge joins (ORB-SLAM III-D)."""
