@@ -1,0 +1,117 @@
+"""The nouns of a plan: which settings of which plugins meet on which sequence."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from codecbench.core.contracts.hooks import Kind
+
+
+@dataclass(frozen=True)
+class PluginSetting:
+    """One plugin with one set of parameters, validated.
+
+    params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
+    same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one.
+    """
+
+    kind: Kind
+    name: str
+    version: str
+    params: dict[str, Any] = field(default_factory=dict)
+    label: str = ""
+
+    def identity(self) -> list[Any]:
+        return [self.kind, self.name, self.version, self.params]
+
+
+@dataclass(frozen=True)
+class SequenceEntry:
+    """A sequence of the matrix, opened once while planning."""
+
+    name: str
+    dataset: PluginSetting
+    fingerprint: str
+    frames: int
+    channels: int
+    has_camera: bool
+    has_ground_truth: bool
+
+
+@dataclass(frozen=True)
+class CodingJob:
+    """All frames of a sequence under one codec setting. Its id is the name of its file of bitstreams."""
+
+    id: str
+    sequence: SequenceEntry
+    codec: PluginSetting
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One sequence x one codec setting x one evaluator x one repeat.
+
+    id: hash of everything that can change the result. job_id: the coding job whose bitstreams it reads, or
+    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None.
+    """
+
+    id: str
+    sequence: SequenceEntry
+    codec: PluginSetting
+    evaluator: PluginSetting
+    repeat: int
+    seed: int
+    exclusive: bool
+    job_id: str | None
+    unsupported: str | None = None
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """The `run:` section of a matrix. None of it can change a result but `seed`, which enters every cell."""
+
+    workers: int
+    timeout_s: float
+    memory_mb: int
+    seed: int
+    executor: PluginSetting
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a matrix asks for, in the order in which tables show it."""
+
+    name: str
+    matrix_text: str
+    run: RunSettings
+    sequences: tuple[SequenceEntry, ...]
+    jobs: tuple[CodingJob, ...]
+    cells: tuple[Cell, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The plan as JSON types; `plan_from_json` reads it back."""
+        return asdict(self)
+
+
+def plan_from_json(value: dict[str, Any]) -> Plan:
+    """The plan that `as_json` wrote. Raises KeyError or TypeError for anything else."""
+    sequences = tuple(_sequence(entry) for entry in value["sequences"])
+    run = {**value["run"], "executor": PluginSetting(**value["run"]["executor"])}
+    return Plan(
+        name=value["name"],
+        matrix_text=value["matrix_text"],
+        run=RunSettings(**run),
+        sequences=sequences,
+        jobs=tuple(CodingJob(**_parts(job, "codec")) for job in value["jobs"]),
+        cells=tuple(Cell(**_parts(cell, "codec", "evaluator")) for cell in value["cells"]),
+    )
+
+
+def _sequence(value: dict[str, Any]) -> SequenceEntry:
+    return SequenceEntry(**{**value, "dataset": PluginSetting(**value["dataset"])})
+
+
+def _parts(value: dict[str, Any], *settings: str) -> dict[str, Any]:
+    parts = {**value, "sequence": _sequence(value["sequence"])}
+    return parts | {name: PluginSetting(**value[name]) for name in settings}
