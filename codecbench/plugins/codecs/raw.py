@@ -1,0 +1,62 @@
+"""The pixels as they are: the baseline of every comparison, and the template to copy for a new codec.
+
+A bitstream, little-endian:
+
+    bytes  content
+    4      magic `RAW1`
+    1      channels: 1 gray, 3 RGB
+    4      width
+    4      height
+    ...    height x width x channels pixels, row by row
+    4      CRC-32 of everything before it
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.errors import BitstreamError, ImageError
+from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
+from codecbench.core.contracts.params import NoParams
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+
+_MAGIC = b"RAW1"
+_HEADER = struct.Struct("<4sBII")
+_CRC = struct.Struct("<I")
+
+
+class Raw(Codec[NoParams]):
+    """Identity: what a picture costs, and what a task makes of it, without any compression."""
+
+    name = "raw"
+    version = "1"
+    params_type = NoParams
+    capabilities = Capabilities(lossless=True)
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        image = check_image(image)
+        height, width = image.shape[:2]
+        if height * width > MAX_PIXELS:
+            raise ImageError(f"raw: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels that a decoder takes")
+        content = _HEADER.pack(_MAGIC, channel_count(image), width, height) + image.tobytes()
+        return content + _CRC.pack(zlib.crc32(content))
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        if len(bitstream) < _HEADER.size + _CRC.size:
+            raise BitstreamError(f"raw: {len(bitstream)} bytes cannot hold a header and a checksum")
+        magic, channels, width, height = _HEADER.unpack_from(bitstream)
+        if magic != _MAGIC or channels not in (1, 3):
+            raise BitstreamError(f"raw: not a raw bitstream (magic {magic!r}, {channels} channels)")
+        expected = _HEADER.size + width * height * channels + _CRC.size
+        if not 0 < width * height <= MAX_PIXELS or len(bitstream) != expected:
+            raise BitstreamError(f"raw: {width}x{height}x{channels} needs {expected} bytes, got {len(bitstream)}")
+        (crc,) = _CRC.unpack_from(bitstream, len(bitstream) - _CRC.size)
+        if crc != zlib.crc32(memoryview(bitstream)[: -_CRC.size]):
+            raise BitstreamError("raw: checksum mismatch, the bitstream is damaged")
+        shape = (height, width) if channels == 1 else (height, width, channels)
+        pixels = np.frombuffer(bitstream, np.uint8, width * height * channels, _HEADER.size)
+        return pixels.reshape(shape).copy()
