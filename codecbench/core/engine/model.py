@@ -22,6 +22,9 @@ class PluginSetting:
     params: dict[str, Any] = field(default_factory=dict)
     label: str = ""
 
+    def __hash__(self) -> int:
+        return hash((self.kind, self.name, self.version, self.label))
+
     def identity(self) -> list[Any]:
         return [self.kind, self.name, self.version, self.params]
 
@@ -66,6 +69,10 @@ class Cell:
     job_id: str | None
     unsupported: str | None = None
 
+    def tail(self) -> tuple[Any, ...]:
+        """What is the cell's own: its fields after the settings, in order."""
+        return self.repeat, self.seed, self.exclusive, self.job_id, self.unsupported
+
 
 @dataclass(frozen=True)
 class RunSettings:
@@ -90,28 +97,45 @@ class Plan:
     cells: tuple[Cell, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The plan as JSON types; `plan_from_json` reads it back."""
-        return asdict(self)
+        """The plan as JSON types; `plan_from_json` reads it back.
+
+        Cells name their sequence and settings by position, so that a plan of 100,000 cells stays small.
+        """
+        settings: dict[PluginSetting, int] = {}
+        positions = {entry.name: position for position, entry in enumerate(self.sequences)}
+
+        def position(setting: PluginSetting) -> int:
+            return settings.setdefault(setting, len(settings))
+
+        jobs = [[job.id, positions[job.sequence.name], position(job.codec)] for job in self.jobs]
+        cells = [
+            (cell.id, positions[cell.sequence.name], position(cell.codec), position(cell.evaluator), *cell.tail())
+            for cell in self.cells
+        ]
+        return {
+            "name": self.name,
+            "matrix_text": self.matrix_text,
+            "run": asdict(self.run),
+            "sequences": [asdict(entry) for entry in self.sequences],
+            "settings": [asdict(setting) for setting in settings],
+            "jobs": jobs,
+            "cells": cells,
+        }
 
 
 def plan_from_json(value: dict[str, Any]) -> Plan:
-    """The plan that `as_json` wrote. Raises KeyError or TypeError for anything else."""
-    sequences = tuple(_sequence(entry) for entry in value["sequences"])
+    """The plan that `as_json` wrote. Raises KeyError, TypeError, ValueError or IndexError for anything else."""
+    sequences = [SequenceEntry(**{**one, "dataset": PluginSetting(**one["dataset"])}) for one in value["sequences"]]
+    settings = [PluginSetting(**one) for one in value["settings"]]
     run = {**value["run"], "executor": PluginSetting(**value["run"]["executor"])}
     return Plan(
         name=value["name"],
         matrix_text=value["matrix_text"],
         run=RunSettings(**run),
-        sequences=sequences,
-        jobs=tuple(CodingJob(**_parts(job, "codec")) for job in value["jobs"]),
-        cells=tuple(Cell(**_parts(cell, "codec", "evaluator")) for cell in value["cells"]),
+        sequences=tuple(sequences),
+        jobs=tuple(CodingJob(id_, sequences[at], settings[codec]) for id_, at, codec in value["jobs"]),
+        cells=tuple(
+            Cell(id_, sequences[at], settings[codec], settings[evaluator], *rest)
+            for id_, at, codec, evaluator, *rest in value["cells"]
+        ),
     )
-
-
-def _sequence(value: dict[str, Any]) -> SequenceEntry:
-    return SequenceEntry(**{**value, "dataset": PluginSetting(**value["dataset"])})
-
-
-def _parts(value: dict[str, Any], *settings: str) -> dict[str, Any]:
-    parts = {**value, "sequence": _sequence(value["sequence"])}
-    return parts | {name: PluginSetting(**value[name]) for name in settings}
