@@ -1,0 +1,75 @@
+"""The command line. Each command is a module of its own, imported when it is used, so that help is instant."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+COMMANDS = {
+    "run": ("codecbench.cli.run:run", "Run a matrix: every codec setting on every sequence, evaluated."),
+    "plan": ("codecbench.cli.plan:plan", "Show what a run would do, what is cached and what is unsupported."),
+    "list": ("codecbench.cli.list:list_plugins", "List installed plugins."),
+    "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
+    "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are called, not when help is shown."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        target, _ = COMMANDS[name]
+        module, _, attribute = target.partition(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        return command
+
+    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+
+    def resolve_command(self, context: click.Context, args: list[str]) -> Any:
+        try:
+            return super().resolve_command(context, args)
+        except click.UsageError as error:
+            import difflib
+
+            near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
+            if near:
+                error.message += f" Did you mean '{near[0]}'?"
+            raise
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="codecbench")
+def cli() -> None:
+    """Benchmark image codecs by what they do to the task that reads the pictures."""
+
+
+def main() -> None:
+    """Entry point: errors that codecbench raises on purpose are messages, not tracebacks."""
+    from codecbench.core.contracts.errors import CodecbenchError
+
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Exit as done:
+        sys.exit(done.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        click.echo("stopped; what is finished is kept, and the same command goes on from there", err=True)
+        sys.exit(130)
+    except CodecbenchError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(141)

@@ -1,0 +1,74 @@
+"""`codecbench list` and `codecbench schema`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.registry import Plugin, Registry, installed
+
+_PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
+
+
+@click.command("list")
+@click.argument("kinds", nargs=-1, type=click.Choice([*_PLURALS, "slam-backends"]))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
+def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
+    """List installed plugins: all, or those of the KINDS given."""
+    registry = installed()
+    wanted = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)
+    plugins = {kind: registry.plugins(kind) for kind in wanted}
+    if as_json:
+        click.echo(json.dumps(_rows(plugins, registry), indent=2))
+        return
+    for kind, found in plugins.items():
+        click.secho(f"{kind.replace('_', ' ')}s", bold=True)
+        width = max((len(plugin.offer.name) for plugin in found), default=0)
+        for plugin in found:
+            click.echo(f"  {plugin.offer.name:<{width}}  {plugin.offer.summary}{_remark(plugin)}")
+        if not found:
+            click.echo("  none")
+    for problem in registry.problems:
+        click.secho(f"problem: {problem}", fg="yellow", err=True)
+
+
+def _remark(plugin: Plugin) -> str:
+    origin = "" if plugin.distribution.startswith("codecbench ") else f"  [{plugin.distribution}]"
+    missing = plugin.missing
+    return origin + (f"\n      not available: {missing}" if missing else "")
+
+
+def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, Any]:
+    rows: dict[str, Any] = {
+        f"{kind}s": [
+            {
+                "name": plugin.offer.name,
+                "summary": plugin.offer.summary,
+                "target": plugin.offer.target,
+                "distribution": plugin.distribution,
+                "missing": plugin.missing,
+            }
+            for plugin in found
+        ]
+        for kind, found in plugins.items()
+    }
+    rows["problems"] = [str(problem) for problem in registry.problems]
+    return rows
+
+
+@click.command()
+@click.argument("plugin", required=False)
+def schema(plugin: str | None) -> None:
+    """Print JSON Schema: of a whole matrix, or of the parameters of one PLUGIN.
+
+    An editor that is given the schema completes and checks a matrix as it is typed. Where plugins of two kinds
+    share a name, write KIND:NAME (codec:raw).
+    """
+    from codecbench.core.engine.schema import matrix_schema, plugin_schema
+
+    registry = installed()
+    value = plugin_schema(registry, plugin) if plugin else matrix_schema(registry)
+    click.echo(json.dumps(value, indent=2))
