@@ -9,10 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.slam.linear_systems import solve_symmetric
+from codecbench.slam.thresholds import CHI2_95_2DOF
 from codecbench.slam.transforms import Array, orthonormalize, so3_exp_into
-
-CHI2_95_2DOF = 5.991  # chi-square, 2 degrees of freedom, 95 %: error of an inlier in units of its sigma, squared
-CHI2_99_2DOF = 9.210  # the same at 99 %
 
 _ROUNDS = 4
 _ROBUST_ROUNDS = 2  # then the outliers are out, and Huber's kernel would only slow the convergence
