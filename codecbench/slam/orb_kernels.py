@@ -12,6 +12,8 @@ from codecbench.slam.orb_pattern import ORB_PATTERN
 from codecbench.slam.thresholds import PATCH_RADIUS_PX
 
 _RADIUS = PATCH_RADIUS_PX
+_PATTERN_X = np.ascontiguousarray(ORB_PATTERN.reshape(512, 2)[:, 0]).astype(np.float64)
+_PATTERN_Y = np.ascontiguousarray(ORB_PATTERN.reshape(512, 2)[:, 1]).astype(np.float64)
 _HALF_WIDTHS = np.array([int(math.sqrt(_RADIUS * _RADIUS - v * v) + 0.5) for v in range(_RADIUS + 1)])
 
 
@@ -74,19 +76,23 @@ def orient_patches(level: Any, corners: Any) -> Any:
 @njit(cache=True)
 def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
     """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
-    descriptors = np.zeros((len(corners), 32), np.uint8)
+    descriptors = np.empty((len(corners), 32), np.uint8)
+    stride = blurred.shape[1]
+    flat = blurred.reshape(-1)
+    offsets = np.empty(512, np.int64)
     for i in range(len(corners)):
-        x, y = corners[i, 0], corners[i, 1]
+        center = corners[i, 1] * stride + corners[i, 0]
         c, s = math.cos(angles[i]), math.sin(angles[i])
+        for k in range(512):  # floor by truncation: 64 keeps the argument above zero
+            row = np.int64(_PATTERN_X[k] * s + _PATTERN_Y[k] * c + 64.5) - 64
+            column = np.int64(_PATTERN_X[k] * c - _PATTERN_Y[k] * s + 64.5) - 64
+            offsets[k] = center + row * stride + column
         for byte in range(32):
             value = 0
             for bit in range(8):
-                k = byte * 8 + bit
-                x1, y1, x2, y2 = ORB_PATTERN[k, 0], ORB_PATTERN[k, 1], ORB_PATTERN[k, 2], ORB_PATTERN[k, 3]
-                first = blurred[y + round(x1 * s + y1 * c), x + round(x1 * c - y1 * s)]
-                second = blurred[y + round(x2 * s + y2 * c), x + round(x2 * c - y2 * s)]
-                if first < second:
-                    value |= 1 << bit
+                k = 2 * (8 * byte + bit)
+                darker = flat[np.uint64(offsets[k])] < flat[np.uint64(offsets[k + 1])]
+                value |= np.int64(darker) << bit
             descriptors[i, byte] = value
     return descriptors
 

@@ -156,15 +156,13 @@ class _Curve:
 
 
 def _curve(rates: ArrayLike, qualities: ArrayLike, side: str) -> _Curve:
-    rates, qualities = np.asarray(rates, dtype=np.float64), np.asarray(qualities, dtype=np.float64)
-    if rates.shape != qualities.shape or rates.ndim != 1:
-        raise ValueError(
-            f"{side}: rates and qualities must be two lists of one length; got {rates.shape}, {qualities.shape}"
-        )
-    failed = np.isnan(qualities)
-    rates, qualities = rates[~failed], qualities[~failed]
-    order = np.lexsort((qualities, rates))
-    return _Curve(side, rates[order], qualities[order], int(failed.sum()))
+    x, y = np.asarray(rates, dtype=np.float64), np.asarray(qualities, dtype=np.float64)
+    if x.shape != y.shape or x.ndim != 1:
+        raise ValueError(f"{side}: rates and qualities must be two lists of one length; got {x.shape}, {y.shape}")
+    failed = np.isnan(y)
+    x, y = x[~failed], y[~failed]
+    order = np.lexsort((y, x))
+    return _Curve(side, x[order], y[order], int(failed.sum()))
 
 
 def _poor(overlap: float, low: float, high: float) -> str:

@@ -8,9 +8,7 @@ _HERE = "codecbench.plugins.codecs"
 
 
 def _imagecodecs(name: str, target: str, summary: str) -> Offer:
-    return Offer(
-        name, f"{_HERE}.imagecodecs:{target}", summary, requires=("imagecodecs",), extra="codecbench[codecs]"
-    )
+    return Offer(name, f"{_HERE}.imagecodecs:{target}", summary, requires=("imagecodecs",), extra="codecbench[codecs]")
 
 
 @hookimpl
