@@ -1,0 +1,52 @@
+"""Image files in memory through OpenCV, with RGB on our side and BGR on its."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from codecbench.core.contracts.errors import BitstreamError, ImageError
+from codecbench.core.contracts.image import Image, channel_count
+
+
+def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> bytes:
+    """The image as a file of the format that `extension` (`.jpg`) names.
+
+    `options` alternate OpenCV's IMWRITE_* flags and their values. Raises ImageError where OpenCV refuses.
+    """
+    stored = image if channel_count(image) == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    try:
+        done, buffer = cv2.imencode(extension, stored, [int(option) for option in options])
+    except cv2.error as error:
+        raise ImageError(f"OpenCV cannot write shape {image.shape} as {extension}: {error}") from error
+    if not done:
+        raise ImageError(f"OpenCV cannot write shape {image.shape} as {extension}")
+    return buffer.tobytes()
+
+
+def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
+    """The gray or RGB image in a file whose header promises `shape`; EXIF orientation is not applied.
+
+    Raises BitstreamError where OpenCV finds no image or another shape.
+    """
+    try:
+        stored = cv2.imdecode(np.frombuffer(bitstream, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise BitstreamError(f"{name}: OpenCV cannot read the file: {error}") from error
+    if stored is None or stored.shape != shape or stored.dtype != np.uint8:
+        got = "nothing" if stored is None else f"{stored.dtype} of shape {stored.shape}"
+        raise BitstreamError(f"{name}: the header promises uint8 of shape {shape}, OpenCV read {got}")
+    pixels = stored if stored.ndim == 2 else cv2.cvtColor(stored, cv2.COLOR_BGR2RGB)
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def library_versions(row: str, library: str) -> dict[str, str]:
+    """OpenCV's version and that of the library that one row (`JPEG`) of its build information names."""
+    versions = {"opencv": cv2.__version__}
+    line = re.search(rf"^\s*{row}:\s*(.+)$", cv2.getBuildInformation(), re.MULTILINE)
+    version = re.search(r"\(ver ([^)]+)\)", line[1]) if line else None
+    versions[library] = version[1] if version else "unknown"
+    return versions

@@ -1,0 +1,105 @@
+"""PNG (ISO/IEC 15948) through OpenCV: lossless, every chunk with its CRC."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Annotated
+
+import cv2
+from pydantic import Field
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.errors import BitstreamError, ImageError
+from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
+from codecbench.core.contracts.params import Params
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.plugins.codecs.opencv import library_versions, read_image, write_image
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_CHUNK = struct.Struct(">I4s")
+_CRC = struct.Struct(">I")
+_HEADER = struct.Struct(">IIBBBBB")
+_GRAY, _RGB = 0, 2
+_MAX_DEFLATE_RATIO = 1032  # a deflate stream cannot expand more (RFC 1951: 258 bytes from two bits)
+
+
+class PngParams(Params):
+    """`effort`: zlib level 0 (none) to 9 (smallest); left out, OpenCV's fast default."""
+
+    effort: Annotated[int, Field(ge=0, le=9)] | None = None
+
+
+class Png(Codec[PngParams]):
+    """The lossless yardstick: `cr_percent` is relative to this codec at its defaults."""
+
+    name = "png"
+    version = "1"
+    params_type = PngParams
+    capabilities = Capabilities(lossless=True)
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        image = check_image(image)
+        if image.shape[0] * image.shape[1] > MAX_PIXELS:
+            raise ImageError(f"png: an image of shape {image.shape} exceeds the {MAX_PIXELS} pixels of a decoder")
+        effort = self.params.effort
+        return write_image(image, ".png", () if effort is None else (cv2.IMWRITE_PNG_COMPRESSION, effort))
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        return read_image(bitstream, _checked_shape(bitstream), "png")
+
+    def libraries(self) -> dict[str, str]:
+        return library_versions("PNG", "libpng")
+
+
+def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
+    """The shape that a PNG file promises, once every chunk and its CRC has been checked.
+
+    Takes what `encode` writes: 8 bits, gray or RGB, not interlaced, nothing after the end.
+    """
+    if bitstream[: len(_SIGNATURE)] != _SIGNATURE:
+        raise BitstreamError(f"png: no PNG signature in {bitstream[:8]!r}")
+    shape: tuple[int, ...] | None = None
+    compressed_bytes, position, kind = 0, len(_SIGNATURE), b""
+    while kind != b"IEND":
+        kind, content, position = _read_chunk(bitstream, position)
+        if (kind == b"IHDR") != (shape is None):
+            raise BitstreamError(f"png: chunk {kind!r} where IHDR must come first and once")
+        if kind == b"IHDR":
+            shape = _shape_from_header(content)
+        elif kind == b"IDAT":
+            compressed_bytes += len(content)
+        elif kind != b"IEND":
+            raise BitstreamError(f"png: unexpected chunk {kind!r}; only IHDR, IDAT and IEND are read")
+    if position != len(bitstream):
+        raise BitstreamError(f"png: {len(bitstream) - position} bytes after the end")
+    assert shape is not None
+    row_bytes = 1 + shape[1] * (3 if len(shape) == 3 else 1)
+    if shape[0] * row_bytes > _MAX_DEFLATE_RATIO * compressed_bytes:
+        raise BitstreamError(f"png: {compressed_bytes} compressed bytes cannot hold an image of shape {shape}")
+    return shape
+
+
+def _read_chunk(bitstream: bytes, position: int) -> tuple[bytes, memoryview, int]:
+    """The type and content of the chunk at `position`, and where the next one starts."""
+    overhead = _CHUNK.size + _CRC.size
+    if position + overhead > len(bitstream):
+        raise BitstreamError(f"png: ends inside a chunk at byte {position}")
+    length, kind = _CHUNK.unpack_from(bitstream, position)
+    if position + overhead + length > len(bitstream):
+        raise BitstreamError(f"png: chunk {kind!r} at byte {position} is cut short")
+    end = position + _CHUNK.size + length
+    if zlib.crc32(memoryview(bitstream)[position + 4 : end]) != _CRC.unpack_from(bitstream, end)[0]:
+        raise BitstreamError(f"png: checksum mismatch in chunk {kind!r} at byte {position}")
+    return kind, memoryview(bitstream)[position + _CHUNK.size : end], end + _CRC.size
+
+
+def _shape_from_header(content: memoryview) -> tuple[int, ...]:
+    if len(content) != _HEADER.size:
+        raise BitstreamError(f"png: IHDR has {len(content)} bytes, not {_HEADER.size}")
+    width, height, depth, colour, compression, filtering, interlace = _HEADER.unpack(content)
+    if depth != 8 or colour not in (_GRAY, _RGB) or compression or filtering or interlace:
+        raise BitstreamError(f"png: depth {depth}, colour type {colour}, interlace {interlace}; 8, 0 or 2, 0 are read")
+    if not 0 < width * height <= MAX_PIXELS:
+        raise BitstreamError(f"png: {width}x{height} is not within 1..{MAX_PIXELS} pixels")
+    return (height, width) if colour == _GRAY else (height, width, 3)
