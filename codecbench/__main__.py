@@ -1,0 +1,5 @@
+"""`python -m codecbench` is `codecbench`."""
+
+from codecbench.cli import main
+
+main()

@@ -1,0 +1,30 @@
+"""Distributions made on the spot: a module beside the metadata that pip would have written for it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+THIRD_PARTY = Path(__file__).parent.parent / "third_party"
+
+
+def install_source(site: Path, name: str, version: str, source: str) -> None:
+    """Put a one-module plugin distribution into the folder `site`."""
+    module = name.replace("-", "_")
+    (site / f"{module}.py").write_text(source)
+    register(site, name, version, module)
+
+
+def install_posterize(site: Path) -> None:
+    """Put the example distribution into the folder `site`."""
+    package = THIRD_PARTY / "posterize" / "codecbench_posterize"
+    shutil.copytree(package, site / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+    register(site, "codecbench-posterize", "0.3.0", package.name)
+
+
+def register(site: Path, name: str, version: str, module: str) -> None:
+    """Write the metadata that makes `module` an entry point of codecbench."""
+    info = site / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "entry_points.txt").write_text(f"[codecbench]\n{module} = {module}\n")

@@ -1,0 +1,120 @@
+"""Plugins come in through entry points; a bad one is named and harms nobody."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from distributions import install_posterize, install_source
+
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.hooks import KINDS
+from codecbench.core.engine.registry import installed
+
+OFFER = """
+from codecbench import Offer, hookimpl
+
+@hookimpl
+def codecbench_{hook}():
+    return [Offer({name!r}, {target!r}, "a test", requires={requires!r}, extra={extra!r})]
+"""
+
+
+def offer(hook: str = "codecs", name: str = "mine", target: str = "json:JSONEncoder", **more: object) -> str:
+    return OFFER.format(
+        hook=hook, name=name, target=target, requires=more.get("requires", ()), extra=more.get("extra", "")
+    )
+
+
+def listed(site: Path) -> dict[str, list[dict[str, str]]]:
+    """What `codecbench list` says where `site` is installed too."""
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    command = [sys.executable, "-m", "codecbench", "list", "--json"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+    return json.loads(done.stdout)
+
+
+def names(plugins: list[dict[str, str]]) -> list[str]:
+    return [plugin["name"] for plugin in plugins]
+
+
+def test_our_own_plugins_come_through_the_same_door_without_problems() -> None:
+    registry = installed()
+    assert registry.problems == []
+    for kind in KINDS:
+        assert registry.plugins(kind), kind
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_offer_of_ours_that_is_available_loads(kind: str) -> None:
+    registry = installed()
+    for plugin in registry.plugins(kind):  # type: ignore[arg-type]
+        if plugin.missing is None:
+            assert registry.load(plugin.kind, plugin.offer.name).name == plugin.offer.name
+
+
+def test_a_third_party_codec_shows_up(tmp_path: Path) -> None:
+    install_posterize(tmp_path)
+    row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "posterize")
+    assert row["distribution"] == "codecbench-posterize 0.3.0"
+    assert row["missing"] is None
+
+
+def test_listing_imports_no_codec(tmp_path: Path) -> None:
+    code = "import sys; from codecbench.cli import cli; cli(['list'], standalone_mode=False)"
+    check = "; print(*[m for m in ('numpy', 'cv2', 'numba', 'pandas') if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code + check], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stderr.strip() == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import nothing_of_this_name", "does not import: ModuleNotFoundError"),
+        ("raise RuntimeError('broken on purpose')", "broken on purpose"),
+        ("x = 1", "implements no hook"),
+        (offer("codec"), "codecbench_codec, which is not a hook; did you mean codecbench_codecs?"),
+        (offer(name="raw"), "codec 'raw' is already offered by codecbench"),
+        (offer(name="Not A Name"), "is not of the form"),
+        (offer(target="no_colon"), "is not package.module:Class"),
+        (offer().replace("[Offer", "['x', Offer"), "returned 'x'; it returns a list of Offer"),
+        (offer().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
+    ],
+)
+def test_a_bad_distribution_is_reported_and_the_rest_works(tmp_path: Path, source: str, words: str) -> None:
+    install_source(tmp_path, "bad-plugin", "1.2", source)
+    install_posterize(tmp_path)
+    rows = listed(tmp_path)
+    assert [problem for problem in rows["problems"] if words in problem and "bad-plugin 1.2" in problem], rows[
+        "problems"
+    ]
+    assert {"raw", "jpeg", "posterize"} <= set(names(rows["codecs"]))
+    assert next(row for row in rows["codecs"] if row["name"] == "raw")["distribution"].startswith("codecbench ")
+
+
+def test_a_plugin_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
+    install_source(tmp_path, "needy", "1", offer(requires=("nothing_of_this_name",), extra="needy[all]"))
+    row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")
+    assert "pip install 'needy[all]'" in str(row["missing"])
+
+
+def test_unknown_names_are_answered_with_the_nearest() -> None:
+    with pytest.raises(PluginError, match="did you mean 'jpeg2000'"):
+        installed().find("codec", "jpg2000")
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [("json:JSONEncoder", "not a subclass of codecbench.Codec"), ("no_such_module_here:Thing", "does not import")],
+)
+def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path, target: str, words: str) -> None:
+    install_source(tmp_path, "liar", "1", offer(target=target))
+    code = "from codecbench.core.engine.registry import installed; installed().load('codec', 'mine')"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert words in done.stderr
+    assert "liar 1" in done.stderr
