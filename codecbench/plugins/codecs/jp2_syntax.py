@@ -1,0 +1,114 @@
+"""The boxes and markers of a JP2 file, as far as our own files use them (ITU-T T.800 annexes A and I)."""
+
+from __future__ import annotations
+
+import struct
+
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.image import MAX_PIXELS
+
+MAX_JP2_PIXELS = MAX_PIXELS // 4
+"""OpenJPEG holds a picture in planes of 32-bit numbers, twice."""
+
+_BOXES = (b"jP  ", b"ftyp", b"jp2h", b"jp2c")
+_SIGNATURE = b"\r\n\x87\n"
+SOC, SIZ, COD, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
+_SIZ = struct.Struct(">HIIIIIIIIH")
+_COD = struct.Struct(">BBHBBBBBB")
+_IHDR = struct.Struct(">IIHBBBB")
+_SOT = struct.Struct(">HIBB")
+_EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
+_DEFAULT_BLOCKS = (4, 4, 0)  # 64x64 code blocks, no special coding
+_MAX_DECOMPOSITIONS = 5
+
+
+def checked_shape(bitstream: bytes) -> tuple[int, ...]:
+    """The shape that a JP2 file promises, once its structure has been checked from end to end.
+
+    Takes what our encoder writes: four boxes, one tile in one part, one layer, 8-bit components without
+    subsampling, default precincts and code blocks. Raises BitstreamError for anything else.
+    """
+    boxes = _read_boxes(bitstream, 0, len(bitstream))
+    if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
+        raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")
+    inner = _read_boxes(bitstream, boxes[2][1], boxes[2][2])
+    if [kind for kind, _, _ in inner] != [b"ihdr", b"colr"] or inner[0][2] - inner[0][1] != _IHDR.size:
+        raise BitstreamError("jpeg2000: the JP2 header must hold one image header and one colour box")
+    height, width, channels, depth, compression, *_ = _IHDR.unpack_from(bitstream, inner[0][1])
+    if channels not in (1, 3) or depth != _EIGHT_BITS or compression != _WAVELET_COMPRESSION:
+        raise BitstreamError(f"jpeg2000: {channels} components, depth field {depth}; 1 or 3 of 8 bits are read")
+    if not 0 < height * width <= MAX_JP2_PIXELS:
+        raise BitstreamError(f"jpeg2000: {width}x{height} is not within 1..{MAX_JP2_PIXELS} pixels")
+    _check_codestream(bitstream, boxes[3][1], width, height, channels)
+    return (height, width) if channels == 1 else (height, width, channels)
+
+
+def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int, int]]:
+    """Type, start and end of the contents of the boxes that fill `start` to `end`."""
+    boxes = []
+    while start < end:
+        if end - start < 8:
+            raise BitstreamError(f"jpeg2000: {end - start} stray bytes at {start}; the file is cut or damaged")
+        length, kind = struct.unpack_from(">I4s", bitstream, start)
+        if not 8 <= length <= end - start:
+            raise BitstreamError(f"jpeg2000: box {kind!r} at byte {start} claims {length} bytes of {end - start}")
+        boxes.append((kind, start + 8, start + length))
+        start += length
+    return boxes
+
+
+def _check_codestream(bitstream: bytes, start: int, width: int, height: int, channels: int) -> None:
+    """Check main header, tile-part header and end of the codestream that runs from `start` to the end."""
+    if bitstream[start : start + 2] != SOC.to_bytes(2, "big"):
+        raise BitstreamError("jpeg2000: the codestream does not start with SOC")
+    position, seen = start + 2, []
+    while True:
+        code, content = _read_marker_segment(bitstream, position)
+        seen.append(code)
+        if code == SIZ:
+            _check_size(content, width, height, channels)
+        elif code == COD:
+            _check_coding_style(content, channels)
+        elif code == SOT:
+            break
+        elif code not in (QCD, COM):
+            raise BitstreamError(f"jpeg2000: marker {code:04X} at byte {position} is not one that we write")
+        position += 4 + len(content)
+    if seen[0] != SIZ or any(seen.count(code) != 1 for code in (SIZ, COD, QCD)):
+        raise BitstreamError("jpeg2000: the main header needs SIZ first, and COD and QCD once")
+    if len(content) != _SOT.size:
+        raise BitstreamError(f"jpeg2000: SOT has {len(content)} bytes")
+    tile, length, part, parts = _SOT.unpack(content)
+    ends = position + length == len(bitstream) - 2 and bitstream[-2:] == EOC.to_bytes(2, "big")
+    if not ends or (tile, part, parts) != (0, 0, 1):
+        raise BitstreamError(f"jpeg2000: tile {tile}, part {part} of {parts}, does not end with the file")
+    if bitstream[position + 12 : position + 14] != SOD.to_bytes(2, "big"):
+        raise BitstreamError("jpeg2000: no SOD after the tile-part header")
+
+
+def _read_marker_segment(bitstream: bytes, position: int) -> tuple[int, bytes]:
+    if position + 4 > len(bitstream):
+        raise BitstreamError(f"jpeg2000: ends inside the header at byte {position}")
+    code, length = struct.unpack_from(">HH", bitstream, position)
+    if length < 2 or position + 2 + length > len(bitstream):
+        raise BitstreamError(f"jpeg2000: marker {code:04X} at byte {position} claims {length} bytes")
+    return code, bitstream[position + 4 : position + 2 + length]
+
+
+def _check_size(content: bytes, width: int, height: int, channels: int) -> None:
+    if len(content) != _SIZ.size + 3 * channels:
+        raise BitstreamError(f"jpeg2000: SIZ has {len(content)} bytes for {channels} components")
+    _, *numbers = _SIZ.unpack_from(content)
+    components = content[_SIZ.size :]
+    if numbers != [width, height, 0, 0, width, height, 0, 0, channels] or components != b"\x07\x01\x01" * channels:
+        raise BitstreamError(f"jpeg2000: SIZ {numbers} is not one tile of {width}x{height}x{channels}")
+
+
+def _check_coding_style(content: bytes, channels: int) -> None:
+    if len(content) != _COD.size:
+        raise BitstreamError(f"jpeg2000: COD has {len(content)} bytes, not {_COD.size}")
+    style, progression, layers, colour_transform, levels, *blocks, wavelet = _COD.unpack(content)
+    if (style, progression, layers, *blocks) != (0, 0, 1, *_DEFAULT_BLOCKS) or colour_transform != (channels == 3):
+        raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that we write")
+    if levels > _MAX_DECOMPOSITIONS or wavelet > 1:
+        raise BitstreamError(f"jpeg2000: {levels} decompositions of wavelet {wavelet}; at most 5 of 0 or 1 are read")
