@@ -7,11 +7,15 @@ Missing values (NaN) are left out; an aggregate of nothing is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from codecbench.core.contracts.evaluator import Measurement, Metric
 
 Values = NDArray[np.float64]
 
@@ -122,3 +126,22 @@ def aggregate(name: str, values: Values) -> float:
     function = AGGREGATES[name]
     present = values[~np.isnan(values)]
     return function(present) if len(present) else float("nan")
+
+
+def summarise(samples: Iterable[Measurement], metrics: Iterable[Metric]) -> dict[tuple[str, str, str], float]:
+    """The declared aggregates of per-frame measurements, by (metric, stage, aggregate).
+
+    Where values are infinite, their number is added as the aggregate `infinite`.
+    """
+    declared = {metric.name: metric.aggregates for metric in metrics}
+    values: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for one in samples:
+        values[one.metric, one.stage or ""].append(one.value)
+    found: dict[tuple[str, str, str], float] = {}
+    for (name, stage), series in values.items():
+        array = np.array(series, dtype=np.float64)
+        for how in declared[name]:
+            found[name, stage, how] = aggregate(how, array)
+        if any(map(math.isinf, series)):
+            found[name, stage, "infinite"] = aggregate("infinite", array)
+    return found

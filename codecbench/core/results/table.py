@@ -1,0 +1,199 @@
+"""The uniform tables of a run: tidy, one row a measurement, and wide, one row a codec setting on a sequence."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.engine.aggregate import aggregate
+from codecbench.core.engine.model import Cell, PluginSetting
+
+TIDY_COLUMNS: Final = (
+    "sequence", "codec", "setting", "evaluator", "metric", "unit",
+    "frame", "stage", "repeat", "value", "status", "reason",
+)  # fmt: skip
+
+_TEXT: Final = ("sequence", "codec", "setting", "evaluator", "metric", "unit", "stage", "status", "reason")
+_OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
+"""What becomes of a per-repeat aggregate over frames when there are several repeats; the median otherwise."""
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """A cell beside what became of it, as tables need it.
+
+    measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
+    aggregates over the frames of this repeat, by (metric, stage, aggregate). frames: reads the samples of
+    single frames, a DataFrame of metric, frame, stage, value, reason. metrics: what the evaluator declares.
+    """
+
+    cell: Cell
+    status: str
+    reason: str
+    measurements: tuple[Measurement, ...]
+    summaries: dict[tuple[str, str, str], float]
+    metrics: dict[str, Metric]
+    frames: Callable[[], pd.DataFrame]
+
+
+def shown(setting: PluginSetting) -> str:
+    """What tables call a setting of an evaluator: its name, and its label where it has several settings."""
+    return f"{setting.name}({setting.label})" if setting.label else setting.name
+
+
+def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
+    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS.
+
+    A cell that gave none is one row with its status and reason and no metric. Missing values are NaN with a
+    reason. Text columns are categorical, so that millions of samples fit in memory.
+    """
+    parts = [_rows(result) for result in results]
+    if not parts:
+        return pd.DataFrame({name: pd.Series(dtype="object") for name in TIDY_COLUMNS})
+    columns: dict[str, Any] = {}
+    for name in TIDY_COLUMNS:
+        values = [part[name] for part in parts]
+        columns[name] = _joined_text(values) if name in _TEXT else np.concatenate(values)
+    table = pd.DataFrame(columns)
+    table["frame"] = table["frame"].astype("Int32")
+    return table
+
+
+def wide(results: Iterable[CellResult]) -> pd.DataFrame:
+    """One row for each sequence and codec setting; columns `evaluator.metric[.stage].aggregate`.
+
+    An aggregate is taken over the frames of each repeat, and over repeats the median is taken (the mean for
+    `mean` and `sum`); a metric measured once a repeat is aggregated over the repeats. `status` is `ok` where
+    every cell of the row is, else it counts those that are not; `reason` is the first of their reasons.
+    """
+    rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
+    for result in results:
+        cell = result.cell
+        rows[cell.sequence.name, cell.codec.name, cell.codec.label].append(result)
+    table = []
+    for (sequence, codec, setting), members in rows.items():
+        row: dict[str, Any] = {"sequence": sequence, "codec": codec, "setting": setting}
+        row |= _verdict(members)
+        row |= _summarised(members)
+        table.append(row)
+    return pd.DataFrame(table, columns=_column_order(table))
+
+
+def _rows(result: CellResult) -> dict[str, Any]:
+    """The tidy rows of one cell as columns; constant text is given once and repeated when columns are joined."""
+    frames = result.frames() if result.status == "ok" else pd.DataFrame()
+    own = result.measurements
+    count = len(own) + len(frames)
+    cell = result.cell
+    once = {
+        "sequence": cell.sequence.name,
+        "codec": cell.codec.name,
+        "setting": cell.codec.label,
+        "evaluator": shown(cell.evaluator),
+        "status": result.status,
+    }
+    count = max(count, 1)
+    columns: dict[str, Any] = {name: (np.zeros(count, np.int32), [text]) for name, text in once.items()}
+    columns["repeat"] = np.full(count, cell.repeat, np.int32)
+    if not (own or len(frames)):
+        blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
+        columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
+        return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
+    metric = _chained(_codes([one.metric for one in own]), frames, "metric")
+    codes, names = metric
+    columns["metric"] = metric
+    columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
+    columns["stage"] = _chained(_codes([one.stage for one in own]), frames, "stage")
+    columns["reason"] = _chained(_codes([one.reason for one in own]), frames, "reason")
+    own_frames = np.full(len(own), np.nan)
+    own_values = np.array([one.value for one in own], dtype=np.float64)
+    has_frames = len(frames) > 0
+    columns["frame"] = np.concatenate([own_frames, frames["frame"].to_numpy(np.float64)]) if has_frames else own_frames
+    columns["value"] = np.concatenate([own_values, frames["value"].to_numpy(np.float64)]) if has_frames else own_values
+    return columns
+
+
+def _codes(texts: list[str | None]) -> tuple[np.ndarray, list[str]]:
+    """Texts as positions in a list of distinct texts; -1 for none."""
+    names: dict[str, int] = {}
+    codes = [-1 if text is None else names.setdefault(text, len(names)) for text in texts]
+    return np.array(codes, np.int32), list(names)
+
+
+def _chained(own: tuple[np.ndarray, list[str]], frames: pd.DataFrame, column: str) -> tuple[np.ndarray, list[str]]:
+    """Own texts followed by a text column of the frames' samples."""
+    if not len(frames):
+        return own
+    codes, names = own
+    series = frames[column].astype("category")
+    more = series.cat.codes.to_numpy(np.int32)
+    shifted = np.where(more < 0, -1, more + len(names)).astype(np.int32)
+    return np.concatenate([codes, shifted]), names + [str(name) for name in series.cat.categories]
+
+
+def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
+    names: dict[str, int] = {}
+    joined = []
+    for codes, texts in parts:
+        lookup = np.array([names.setdefault(text, len(names)) for text in texts] + [-1], np.int32)
+        joined.append(lookup[codes])
+    return pd.Categorical.from_codes(np.concatenate(joined), categories=pd.Index(list(names), dtype=object))
+
+
+def _verdict(members: list[CellResult]) -> dict[str, str]:
+    bad = [member for member in members if member.status != "ok"]
+    if not bad:
+        return {"status": "ok", "reason": ""}
+    counts: dict[str, int] = {}
+    for member in bad:
+        word = f"{shown(member.cell.evaluator)} {member.status}"
+        counts[word] = counts.get(word, 0) + 1
+    status = ", ".join(word if count == 1 else f"{word} ({count} repeats)" for word, count in counts.items())
+    return {"status": status, "reason": bad[0].reason}
+
+
+def _summarised(members: list[CellResult]) -> dict[str, float]:
+    """The wide columns of one row."""
+    by_evaluator: dict[str, list[CellResult]] = defaultdict(list)
+    for member in members:
+        if member.status == "ok":
+            by_evaluator[shown(member.cell.evaluator)].append(member)
+    columns: dict[str, float] = {}
+    for evaluator, repeats in by_evaluator.items():
+        for name, value in _over_repeats(repeats):
+            columns[f"{evaluator}.{name}"] = value
+    return columns
+
+
+def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
+    metrics = {name: metric for repeat in repeats for name, metric in repeat.metrics.items()}
+    per_repeat: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    single: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for repeat in repeats:
+        for key, value in repeat.summaries.items():
+            per_repeat[key].append(value)
+        for one in repeat.measurements:
+            single[one.metric, one.stage or ""].append(one.value)
+    for (name, stage, how), values in per_repeat.items():
+        yield _column(name, stage, how), aggregate(_OVER_REPEATS.get(how, "median"), np.array(values))
+    for (name, stage), values in single.items():
+        for how in metrics[name].aggregates if name in metrics else ("mean",):
+            if len(values) > 1 or how in ("mean", "median"):
+                yield _column(name, stage, how), aggregate(how, np.array(values))
+
+
+def _column(metric: str, stage: str, how: str) -> str:
+    return f"{metric}.{stage}.{how}" if stage else f"{metric}.{how}"
+
+
+def _column_order(rows: list[dict[str, Any]]) -> list[str]:
+    """Every column of any row, in order of first appearance, with the verdict last."""
+    seen = dict.fromkeys(name for row in rows for name in row)
+    tail = ("status", "reason")
+    return [name for name in seen if name not in tail] + [name for name in tail if rows]
