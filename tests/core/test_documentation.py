@@ -15,7 +15,9 @@ ROOT = Path(__file__).parent.parent.parent
 DOCS = ROOT / "docs"
 
 
-@pytest.mark.parametrize("name", ["pyproject.toml", "codecbench_posterize/__init__.py", "codecbench_posterize/codec.py"])
+@pytest.mark.parametrize(
+    "name", ["pyproject.toml", "codecbench_posterize/__init__.py", "codecbench_posterize/codec.py"]
+)
 def test_the_tutorial_shows_the_package_that_is_tested(name: str) -> None:
     assert (THIRD_PARTY / "posterize" / name).read_text() in (DOCS / "writing-a-codec.md").read_text()
 

@@ -31,7 +31,8 @@ class Metric:
 
     name: ends in its unit where it has one (`psnr_gray_db`). unit: `dB`, `bytes`, `1` for pure numbers.
     better: which direction a codec author wants, `neither` where there is none.
-    aggregates: how the wide table summarises it over frames and repeats, in `codecbench.statistics` names.
+    aggregates: how the wide table summarises it over frames and repeats; names as in `codecbench table --help`.
+    repeatable: equal code on equal input gives equal values; False for times, which are compared statistically.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Metric:
     better: Literal["higher", "lower", "neither"]
     summary: str
     aggregates: tuple[str, ...] = ("mean",)
+    repeatable: bool = True
 
 
 @dataclass(frozen=True)
