@@ -1,0 +1,1 @@
+"""What the block-transform codecs share: tables, the 8x8 DCT, the quantiser, planes and colour."""
