@@ -1,0 +1,135 @@
+"""Baseline JPEG (ITU-T T.81) from instrumented kernels, by a real factor on the quantisation table.
+
+The factor multiplies the whole table, as in Salih & Vasarhelyi: q = round(C / (M qf)). A file holds whole
+steps only, so M qf is rounded to 1..65535. The stages are those of `dct/` (the level shift of T.81 A.3.1 is
+part of the transform) and `huffman`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.errors import ImageError
+from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
+from codecbench.core.contracts.params import Params
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.plugins.codecs.dct import tables
+from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
+from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr
+from codecbench.plugins.codecs.dct.planes import cropped, padded, planes_from_image
+from codecbench.plugins.codecs.jfif.markers import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
+from codecbench.plugins.codecs.jpeg_qf.interchange import CodedPicture, read_file, write_file
+from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, write_scan
+from codecbench.plugins.codecs.jpeg_qf.scan_layout import scan_layout
+from codecbench.plugins.codecs.jpeg_qf.upsampling import enlarged
+
+_SHIFT = 128.0
+_MAX_STEP = 65535
+_LUMA, _CHROMA = 0, 1
+_TABLES = {
+    "paper": (tables.PAPER, tables.modified(tables.CHROMINANCE)),
+    "standard": (tables.LUMINANCE, tables.CHROMINANCE),
+}
+
+
+class JpegQfParams(Params):
+    """`qf` multiplies the quantisation table (the paper: 5 to 100). `table`: T.81's tables K.1 and K.2 (`standard`), or
+    the same with the first six zigzag entries 1 (`paper`). `color`: what becomes of an RGB image; gray ones stay
+    gray. `optimize`: Huffman tables made for the image (T.81 K.2) instead of the example ones.
+    """
+
+    qf: Annotated[float, Field(gt=0, le=1000)] = 5.0
+    table: Literal["paper", "standard"] = "paper"
+    color: Literal["gray", "ycbcr444", "ycbcr420"] = "ycbcr444"
+    optimize: bool = False
+
+
+class JpegQf(Codec[JpegQfParams]):
+    """The paper's JPEG as a real JFIF file that any decoder reads."""
+
+    name = "jpeg_qf"
+    version = "1"
+    params_type = JpegQfParams
+    capabilities = Capabilities(counts_operations=True)
+
+    def __init__(self, params: JpegQfParams) -> None:
+        super().__init__(params)
+        self._quantisers = [_steps(table, params.qf) for table in _TABLES[params.table]]
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        image = check_image(image)
+        header = self._header(image)
+        planes = planes_from_image(image, self.params.color, trace)
+        blocks = np.concatenate(
+            [
+                blocks_from_plane(
+                    padded(plane, 8 * component.h, trace),
+                    _natural(self._quantisers[component.table]),
+                    _SHIFT,
+                    trace=trace,
+                )
+                for plane, component in zip(planes, header.components, strict=True)
+            ]
+        )
+        selectors = tuple((component.table, component.table) for component in header.components)
+        huffman_tables, scan_data = write_scan(blocks, scan_layout(header), selectors, self.params.optimize, trace)
+        quantisers = {component.table: self._quantisers[component.table] for component in header.components}
+        return write_file(CodedPicture(header, quantisers, huffman_tables, selectors, 0, scan_data))
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        picture = read_file(bitstream)
+        header, layout = picture.header, scan_layout(picture.header)
+        blocks = read_scan(picture, layout, trace)
+        planes, first = [], 0
+        for component, part, (rows, columns) in zip(header.components, _part_shapes(header), layout.grids, strict=True):
+            last = first + rows * columns
+            steps = _natural(picture.quantisers[component.table])
+            plane = plane_from_blocks(blocks[first:last], (8 * rows, 8 * columns), steps, _SHIFT, trace=trace)
+            planes.append(cropped(plane, part, trace))
+            first = last
+        if len(planes) == 1:
+            return planes[0]
+        luma = header.components[0]
+        image: Image = np.empty(header.shape, np.uint8)
+        with trace.stage("inverse_color_transform") as run:
+            chroma = [enlarged(plane, luma.h, luma.v, planes[0].shape, run) for plane in planes[1:]]
+            run(rgb_from_ycbcr, planes[0], *chroma, image)
+        return image
+
+    def _header(self, image: Image) -> FrameHeader:
+        height, width = image.shape[:2]
+        if max(height, width) > MAX_SIDE or height * width > MAX_PIXELS:
+            raise ImageError(f"jpeg_qf: {width}x{height} exceeds {MAX_SIDE} a side or {MAX_PIXELS} pixels")
+        if channel_count(image) == 1 or self.params.color == "gray":
+            return FrameHeader(SOF_BASELINE, width, height, (Component(1, 1, 1, _LUMA),))
+        factor = 2 if self.params.color == "ycbcr420" else 1
+        chroma = (Component(2, 1, 1, _CHROMA), Component(3, 1, 1, _CHROMA))
+        return FrameHeader(SOF_BASELINE, width, height, (Component(1, factor, factor, _LUMA), *chroma))
+
+
+def _steps(table: tables.Table, factor: float) -> NDArray[np.uint16]:
+    """Whole quantisation steps (64,) in zigzag order."""
+    steps = np.clip(np.floor(table.astype(np.float64) * factor + 0.5), 1, _MAX_STEP)
+    return steps.reshape(64)[tables.ZIGZAG].astype(np.uint16)
+
+
+def _natural(steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+    natural = np.empty(64, np.float32)
+    natural[tables.ZIGZAG] = steps
+    return natural
+
+
+def _part_shapes(header: FrameHeader) -> list[tuple[int, int]]:
+    """(height, width) of what the image covers of each component's plane."""
+    luma = header.components[0]
+    if len(header.components) == 1:
+        return [(header.height, header.width)]
+    return [
+        (-(-header.height * component.v // luma.v), -(-header.width * component.h // luma.h))
+        for component in header.components
+    ]

@@ -1,0 +1,268 @@
+"""The entropy-coded segment of a sequential scan: Huffman coding of quantised blocks (ITU-T T.81 annex F).
+
+Blocks are rows of an (N, 64) array of coefficients in zigzag order. `order` (N,) says which row is coded
+when, and `pattern` (M,) which component, of M blocks of an MCU, each belongs to. `selectors` (components, 2)
+are the DC and AC tables of each component.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codecbench.core.instrument.kernel import kernel
+
+OK, CUT_SHORT, BAD_CODE, BAD_RUN, BAD_SIZE, OUT_OF_RANGE, LEFT_OVER, BAD_RESTART = range(8)
+REASONS = {
+    CUT_SHORT: "the scan ends before its last block",
+    BAD_CODE: "bits that are no Huffman code",
+    BAD_RUN: "a run of zeros leaves its block",
+    BAD_SIZE: "a coefficient has more bits than baseline allows",
+    OUT_OF_RANGE: "a DC coefficient leaves its range",
+    LEFT_OVER: "bytes are left over after the last block",
+    BAD_RESTART: "restart markers are missing, misplaced or out of order",
+}
+MAX_BLOCK_BYTES = 2 * (16 + 11 + 63 * (16 + 10)) // 8 + 2
+"""Of one block, every code of the greatest length and every byte stuffed."""
+PADDING_BYTES = 8
+"""Zeros after unstuffed data, which the bit reader may look at but not take."""
+_END_OF_BLOCK, _SIXTEEN_ZEROS = 0x00, 0xF0
+_MAX_DC_SIZE, _MAX_AC_SIZE = 11, 10
+_MAX_DC = 2047
+
+
+@kernel
+def bit_size(value):  # type: ignore[no-untyped-def]
+    """Bits of the magnitude of a coefficient: SSSS of T.81 tables F.1 and F.2."""
+    size = 0
+    magnitude = abs(value)
+    while magnitude > 0:
+        magnitude >>= 1
+        size += 1
+    return size
+
+
+@kernel
+def count_symbols(blocks, order, pattern, selectors, frequencies):  # type: ignore[no-untyped-def]
+    """Add how often each symbol will be coded to `frequencies` (2 classes, 2 tables, 256)."""
+    predictions = np.zeros(selectors.shape[0], np.int64)
+    for i in range(order.shape[0]):
+        block = order[i]
+        component = pattern[i % pattern.shape[0]]
+        dc, ac = selectors[component, 0], selectors[component, 1]
+        value = np.int64(blocks[block, 0])
+        frequencies[0, dc, bit_size(value - predictions[component])] += 1
+        predictions[component] = value
+        zeros = 0
+        for k in range(1, 64):
+            value = np.int64(blocks[block, k])
+            if value == 0:
+                zeros += 1
+                continue
+            while zeros > 15:
+                frequencies[1, ac, _SIXTEEN_ZEROS] += 1
+                zeros -= 16
+            frequencies[1, ac, (zeros << 4) | bit_size(value)] += 1
+            zeros = 0
+        if zeros > 0:
+            frequencies[1, ac, _END_OF_BLOCK] += 1
+
+
+@kernel
+def put_bits(output, state, value, count):  # type: ignore[no-untyped-def]
+    """Append the low `count` bits of `value`; `state` holds pending bits, their number and the bytes written.
+
+    A byte FF is followed by 00 (T.81 F.1.2.3).
+    """
+    pending = (state[0] << count) | value
+    bits = state[1] + count
+    written = state[2]
+    while bits >= 8:
+        bits -= 8
+        byte = (pending >> bits) & 0xFF
+        output[written] = byte
+        written += 1
+        if byte == 0xFF:
+            output[written] = 0
+            written += 1
+    state[0] = pending & ((1 << bits) - 1)
+    state[1] = bits
+    state[2] = written
+
+
+@kernel
+def put_symbol(output, state, code, length, value, size):  # type: ignore[no-untyped-def]
+    """Append a Huffman code and the `size` low bits of a coefficient, of one less if negative (T.81 F.1.2.1)."""
+    low = value if value >= 0 else value - 1
+    put_bits(output, state, (np.int64(code) << size) | (low & ((1 << size) - 1)), np.int64(length) + size)
+
+
+@kernel
+def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # type: ignore[no-untyped-def]
+    """Write the entropy-coded segment into `output`, large enough for the worst case; returns its bytes."""
+    predictions = np.zeros(selectors.shape[0], np.int64)
+    state = np.zeros(3, np.int64)
+    for i in range(order.shape[0]):
+        block = order[i]
+        component = pattern[i % pattern.shape[0]]
+        dc, ac = selectors[component, 0], selectors[component, 1]
+        value = np.int64(blocks[block, 0])
+        difference = value - predictions[component]
+        predictions[component] = value
+        size = bit_size(difference)
+        put_symbol(output, state, codes[0, dc, size], lengths[0, dc, size], difference, size)
+        zeros = 0
+        for k in range(1, 64):
+            value = np.int64(blocks[block, k])
+            if value == 0:
+                zeros += 1
+                continue
+            while zeros > 15:
+                put_bits(
+                    output, state, np.int64(codes[1, ac, _SIXTEEN_ZEROS]), np.int64(lengths[1, ac, _SIXTEEN_ZEROS])
+                )
+                zeros -= 16
+            size = bit_size(value)
+            symbol = (zeros << 4) | size
+            put_symbol(output, state, codes[1, ac, symbol], lengths[1, ac, symbol], value, size)
+            zeros = 0
+        if zeros > 0:
+            put_bits(output, state, np.int64(codes[1, ac, _END_OF_BLOCK]), np.int64(lengths[1, ac, _END_OF_BLOCK]))
+    if state[1] > 0:
+        put_bits(output, state, np.int64(0x7F) >> (state[1] - 1), 8 - state[1])  # filled up with ones
+    return state[2]
+
+
+@kernel
+def unstuff(data, output, ends):  # type: ignore[no-untyped-def]
+    """Take stuffed zeros and restart markers out of `data`.
+
+    `ends` receives where each interval ends in `output`; the last is the end of it all. Returns the number of
+    intervals, or minus BAD_RESTART where markers are more than `ends` has room for or out of order.
+    """
+    written, intervals, i = 0, 0, 0
+    while i < data.shape[0]:
+        byte = data[i]
+        i += 1
+        if byte == 0xFF and i < data.shape[0]:
+            following = data[i]
+            i += 1
+            if following != 0:
+                if intervals + 1 >= ends.shape[0] or following != 0xD0 + (intervals & 7):
+                    return -BAD_RESTART
+                ends[intervals] = written
+                intervals += 1
+                continue
+        output[written] = byte
+        written += 1
+    ends[intervals] = written
+    return intervals + 1
+
+
+@kernel
+def peek(data, bit):  # type: ignore[no-untyped-def]
+    """The 16 bits that start at bit `bit` of `data`."""
+    i = bit >> 3
+    three = (np.int64(data[i]) << 16) | (np.int64(data[i + 1]) << 8) | np.int64(data[i + 2])
+    return (three >> (8 - (bit & 7))) & 0xFFFF
+
+
+@kernel
+def next_symbol(window, lookahead, max_codes, offsets, symbols):  # type: ignore[no-untyped-def]
+    """Length << 8 | symbol of the code that 16 bits start with, or -1 for none (T.81 F.2.2.3)."""
+    found = np.int64(lookahead[window >> 8])
+    if found != 0:
+        return found
+    for length in range(9, 17):
+        code = window >> (16 - length)
+        if code <= max_codes[length]:
+            return (length << 8) | np.int64(symbols[code + offsets[length]])
+    return np.int64(-1)
+
+
+@kernel
+def extended(window, size):  # type: ignore[no-untyped-def]
+    """The coefficient whose `size` bits a window of 16 starts with (T.81 F.2.2.1, EXTEND)."""
+    if size == 0:
+        return np.int64(0)
+    value = window >> (16 - size)
+    if value < (1 << (size - 1)):
+        value -= (1 << size) - 1
+    return value
+
+
+@kernel
+def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-untyped-def]
+    """Read one block at `bit`: its DC difference into block[0] and its AC; returns the next bit or minus an error.
+
+    `block` (64,) must be zero. No bit at or after `limit` is taken.
+    """
+    lookahead, max_codes, offsets, symbols = tables
+    found = next_symbol(peek(data, bit), lookahead[0, dc], max_codes[0, dc], offsets[0, dc], symbols[0, dc])
+    size = found & 0xFF
+    if found < 0:
+        return -BAD_CODE
+    if size > _MAX_DC_SIZE:
+        return -BAD_SIZE
+    bit += found >> 8
+    if bit + size > limit:
+        return -CUT_SHORT
+    block[0] = extended(peek(data, bit), size)
+    bit += size
+    k = 1
+    while k < 64:
+        found = next_symbol(peek(data, bit), lookahead[1, ac], max_codes[1, ac], offsets[1, ac], symbols[1, ac])
+        if found < 0:
+            return -BAD_CODE
+        zeros, size = (found >> 4) & 15, found & 15
+        bit += found >> 8
+        if bit + size > limit:
+            return -CUT_SHORT
+        if size == 0:
+            if zeros != 15:
+                break
+            k += 16
+            continue
+        k += zeros
+        if k > 63:
+            return -BAD_RUN
+        if size > _MAX_AC_SIZE:
+            return -BAD_SIZE
+        block[k] = extended(peek(data, bit), size)
+        bit += size
+        k += 1
+    if k > 64:
+        return -BAD_RUN
+    return bit
+
+
+@kernel
+def decode_scan(data, ends, interval_blocks, order, pattern, selectors, tables, blocks):  # type: ignore[no-untyped-def]
+    """Read all blocks of unstuffed `data` into `blocks`, which must be zero; returns OK or an error code.
+
+    Predictions start anew, and bits at a byte, every `interval_blocks` blocks; `ends` (intervals,) are where
+    in `data` intervals end. `data` has PADDING_BYTES more behind the last end.
+    """
+    predictions = np.zeros(selectors.shape[0], np.int64)
+    interval, bit = 0, np.int64(0)
+    limit = ends[0] * 8
+    for i in range(order.shape[0]):
+        if i > 0 and i % interval_blocks == 0:
+            if limit - bit >= 8:
+                return LEFT_OVER
+            bit = limit
+            interval += 1
+            limit = ends[interval] * 8
+            for component in range(predictions.shape[0]):
+                predictions[component] = 0
+        component = pattern[i % pattern.shape[0]]
+        block = blocks[order[i]]
+        bit = decode_block(data, bit, limit, tables, selectors[component, 0], selectors[component, 1], block)
+        if bit < 0:
+            return -bit
+        predictions[component] += block[0]
+        if abs(predictions[component]) > _MAX_DC:
+            return OUT_OF_RANGE
+        block[0] = predictions[component]
+    if limit - bit >= 8:
+        return LEFT_OVER
+    return OK

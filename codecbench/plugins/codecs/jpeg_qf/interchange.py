@@ -1,0 +1,207 @@
+"""The JFIF file around a sequential Huffman-coded scan, written and read (ITU-T T.81 annex B, JFIF 1.02).
+
+Our files are ordinary JFIF files with one addition that other decoders skip: an APP15 segment, `CRC` and a
+zero byte, then a big-endian CRC-32 of all other bytes of the file. That a file must have it is said twice
+more, by the horizontal and the vertical density (equal, so that pixels are square), and either is enough to
+make the decoder insist: damage to the mark alone cannot switch the check off.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.plugins.codecs.jfif.markers import (
+    APP0,
+    APP14,
+    APP15,
+    DHT,
+    DQT,
+    DRI,
+    SOF_BASELINE,
+    SOF_EXTENDED,
+    SOS,
+    Component,
+    FrameHeader,
+    Segment,
+    check_plausible,
+    read_frame_header,
+    read_segments,
+)
+from codecbench.plugins.codecs.jpeg_qf.huffman_tables import HuffmanTable
+
+_DENSITY = 0x4342
+_JFIF = struct.Struct(">5sBBBHHBB")
+_CRC_MARK = b"CRC\0"
+_CRC_BYTES = 4
+_SEQUENTIAL = bytes((0, 63, 0))  # spectral selection 0..63, no successive approximation
+
+
+@dataclass(frozen=True)
+class CodedPicture:
+    """Everything that a file says: frame header, tables, and the entropy-coded segment.
+
+    quantisers: (64,) steps in zigzag order, by destination. huffman_tables: by class (0 DC, 1 AC) and
+    destination. selectors: DC and AC destination of each component. restart_interval: in MCUs, 0 for none.
+    """
+
+    header: FrameHeader
+    quantisers: dict[int, NDArray[np.uint16]]
+    huffman_tables: dict[tuple[int, int], HuffmanTable]
+    selectors: tuple[tuple[int, int], ...]
+    restart_interval: int
+    scan_data: bytes
+
+
+def write_file(picture: CodedPicture) -> bytes:
+    """The picture as a JFIF file, baseline where its steps fit 8 bits.
+
+    Steps over 255 are written with 16 bits in an extended sequential frame, as libjpeg does and reads them,
+    although T.81 B.2.4.1 reserves 16 bits for 12-bit samples.
+    """
+    header = picture.header
+    wide = any(steps.max() > 255 for steps in picture.quantisers.values())
+    frame = struct.pack(">BHHB", 8, header.height, header.width, len(header.components))
+    scan = bytes([len(header.components)])
+    for component, (dc, ac) in zip(header.components, picture.selectors, strict=True):
+        frame += bytes((component.id, component.h << 4 | component.v, component.table))
+        scan += bytes((component.id, dc << 4 | ac))
+    quantisers = b"".join(
+        bytes([wide << 4 | destination]) + steps.astype(">u2" if wide else "u1").tobytes()
+        for destination, steps in picture.quantisers.items()
+    )
+    huffman = b"".join(
+        bytes([kind << 4 | destination]) + table.lengths + table.symbols
+        for (kind, destination), table in picture.huffman_tables.items()
+    )
+    before = b"\xff\xd8" + _segment(APP0, _JFIF.pack(b"JFIF\0", 1, 2, 0, _DENSITY, _DENSITY, 0, 0))
+    before += struct.pack(">BBH", 0xFF, APP15, 2 + len(_CRC_MARK) + _CRC_BYTES) + _CRC_MARK
+    after = _segment(DQT, quantisers) + _segment(SOF_EXTENDED if wide else SOF_BASELINE, frame)
+    after += _segment(DHT, huffman) + _segment(SOS, scan + _SEQUENTIAL) + picture.scan_data + b"\xff\xd9"
+    return before + zlib.crc32(after, zlib.crc32(before)).to_bytes(_CRC_BYTES, "big") + after
+
+
+def _segment(code: int, content: bytes) -> bytes:
+    return struct.pack(">BBH", 0xFF, code, 2 + len(content)) + content
+
+
+def read_file(bitstream: bytes) -> CodedPicture:
+    """What a sequential Huffman-coded JPEG file of one scan says; its checksum is verified if it is one of ours.
+
+    Raises BitstreamError for other kinds of JPEG (progressive, arithmetic, lossless, several scans, 12 bits,
+    RGB components) and for anything inconsistent.
+    """
+    segments = read_segments(bitstream, "jpeg_qf")
+    _check_crc(bitstream, segments)
+    header = read_frame_header(segments, "jpeg_qf")
+    if header.code not in (SOF_BASELINE, SOF_EXTENDED):
+        raise BitstreamError(f"jpeg_qf: frame type FF{header.code:02X}; only sequential Huffman-coded frames are read")
+    codes = [segment.code for segment in segments]
+    if codes.count(SOS) != 1 or codes[-1] != SOS:
+        raise BitstreamError(f"jpeg_qf: {codes.count(SOS)} scans; files of one scan at the end are read")
+    check_plausible(header, segments, "jpeg_qf")
+    quantisers: dict[int, NDArray[np.uint16]] = {}
+    huffman_tables: dict[tuple[int, int], HuffmanTable] = {}
+    restart_interval = 0
+    for segment in segments:
+        if segment.code == DQT:
+            quantisers |= _read_quantisers(segment.content)
+        elif segment.code == DHT:
+            huffman_tables |= _read_huffman_tables(segment.content)
+        elif segment.code == DRI:
+            restart_interval = _read_restart_interval(segment.content)
+        elif segment.code == APP14:
+            _check_adobe(segment.content)
+    selectors = _read_scan_header(segments[-1].content, header.components)
+    picture = CodedPicture(header, quantisers, huffman_tables, selectors, restart_interval, segments[-1].scan_data)
+    _check_tables_and_sampling(picture)
+    return picture
+
+
+def _check_crc(bitstream: bytes, segments: list[Segment]) -> None:
+    """Verify the checksum of a file that has one or says that it must have one."""
+    marks = [s for s in segments if s.code == APP15 and s.content.startswith(_CRC_MARK)]
+    ours = any(
+        _DENSITY in _JFIF.unpack(s.content)[4:6]
+        for s in segments
+        if s.code == APP0 and len(s.content) == _JFIF.size and s.content.startswith(b"JFIF\0")
+    )
+    if not marks and not ours:
+        return
+    if len(marks) != 1 or len(marks[0].content) != len(_CRC_MARK) + _CRC_BYTES:
+        raise BitstreamError("jpeg_qf: the checksum segment of one of our files is missing or damaged")
+    start = marks[0].offset + len(_CRC_MARK)
+    view = memoryview(bitstream)
+    crc = zlib.crc32(view[start + _CRC_BYTES :], zlib.crc32(view[:start]))
+    if crc.to_bytes(_CRC_BYTES, "big") != bitstream[start : start + _CRC_BYTES]:
+        raise BitstreamError("jpeg_qf: checksum mismatch, the file is damaged")
+
+
+def _read_quantisers(content: bytes) -> dict[int, NDArray[np.uint16]]:
+    quantisers, position = {}, 0
+    while position < len(content):
+        precision, destination = content[position] >> 4, content[position] & 15
+        steps = content[position + 1 : position + 1 + 64 * (1 + precision)]
+        if precision > 1 or destination > 3 or len(steps) != 64 * (1 + precision):
+            raise BitstreamError(f"jpeg_qf: a quantisation table for {destination} of precision {precision} is broken")
+        quantisers[destination] = np.frombuffer(steps, ">u2" if precision else np.uint8).astype(np.uint16)
+        if quantisers[destination].min() == 0:
+            raise BitstreamError("jpeg_qf: a quantisation step is zero")
+        position += 1 + len(steps)
+    return quantisers
+
+
+def _read_huffman_tables(content: bytes) -> dict[tuple[int, int], HuffmanTable]:
+    tables, position = {}, 0
+    while position < len(content):
+        kind, destination = content[position] >> 4, content[position] & 15
+        lengths = content[position + 1 : position + 17]
+        symbols = content[position + 17 : position + 17 + sum(lengths)]
+        if kind > 1 or destination > 3:
+            raise BitstreamError(f"jpeg_qf: a Huffman table of class {kind} for {destination} cannot be")
+        tables[kind, destination] = HuffmanTable(lengths, symbols)
+        position += 17 + len(symbols)
+    return tables
+
+
+def _read_restart_interval(content: bytes) -> int:
+    if len(content) != 2:
+        raise BitstreamError(f"jpeg_qf: DRI has {len(content)} bytes, not 2")
+    return int.from_bytes(content, "big")
+
+
+def _check_adobe(content: bytes) -> None:
+    if content.startswith(b"Adobe") and len(content) == 12 and content[11] != 1:
+        raise BitstreamError(f"jpeg_qf: Adobe colour transform {content[11]}; only gray and YCbCr are read")
+
+
+def _read_scan_header(content: bytes, components: tuple[Component, ...]) -> tuple[tuple[int, int], ...]:
+    """DC and AC destinations of each component of the frame, all of which must be in the scan, in order."""
+    count = len(components)
+    if len(content) != 1 + 2 * count + len(_SEQUENTIAL) or content[0] != count:
+        raise BitstreamError(f"jpeg_qf: the scan does not hold the {count} component(s) of the frame")
+    if content[-3:] != _SEQUENTIAL or list(content[1:-3:2]) != [component.id for component in components]:
+        raise BitstreamError("jpeg_qf: the scan header does not fit a sequential frame")
+    selectors = tuple((byte >> 4, byte & 15) for byte in content[2:-3:2])
+    if any(max(pair) > 3 for pair in selectors):
+        raise BitstreamError(f"jpeg_qf: Huffman table destinations {selectors} are not within 0..3")
+    return selectors
+
+
+def _check_tables_and_sampling(picture: CodedPicture) -> None:
+    components = picture.header.components
+    for component, (dc, ac) in zip(components, picture.selectors, strict=True):
+        if component.table not in picture.quantisers:
+            raise BitstreamError(f"jpeg_qf: quantisation table {component.table} is not defined")
+        if (0, dc) not in picture.huffman_tables or (1, ac) not in picture.huffman_tables:
+            raise BitstreamError(f"jpeg_qf: Huffman table DC {dc} or AC {ac} is not defined")
+    sampling = tuple((component.h, component.v) for component in components)
+    if len(components) == 3 and (sampling[0] not in ((1, 1), (2, 1), (2, 2)) or sampling[1:] != ((1, 1), (1, 1))):
+        raise BitstreamError(f"jpeg_qf: sampling factors {sampling}; 4:4:4, 4:2:2 and 4:2:0 are read")
+    if len(components) == 3 and [component.id for component in components] == list(b"RGB"):
+        raise BitstreamError("jpeg_qf: RGB components; only gray and YCbCr are read")
