@@ -1,0 +1,110 @@
+"""Plans: the right cells, identities that change exactly when results can, and reasons for what cannot be done."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import plain_plugins
+import pytest
+
+from codecbench.core.contracts.errors import MatrixError
+from codecbench.core.engine.matrix import read_matrix
+from codecbench.core.engine.model import Plan, plan_from_json
+from codecbench.core.engine.plan import make_plan
+from codecbench.core.engine.registry import Registry
+
+MATRIX = """
+version: 1
+sequences:
+  - {use: ramp, params: {frames: 4}}
+codecs:
+  - {use: shift, params: {bits: {grid: [0, 3]}}}
+evaluators: [error, stopwatch]
+"""
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    ours = EntryPoint("executors", "codecbench.plugins.executors", "codecbench")
+    return Registry([EntryPoint("plain", "plain_plugins", "codecbench"), ours])
+
+
+@pytest.fixture
+def plan(tmp_path: Path, registry: Registry):  # type: ignore[no-untyped-def]
+    def make(text: str = MATRIX) -> Plan:
+        path = tmp_path / "matrix.yaml"
+        path.write_text(text)
+        return make_plan(read_matrix(path, registry), registry)
+
+    return make
+
+
+def test_every_combination_is_a_cell_and_coding_is_shared(plan) -> None:  # type: ignore[no-untyped-def]
+    made = plan()
+    assert [(c.codec.label, c.evaluator.name, c.repeat) for c in made.cells] == [
+        *[("bits=0", "error", 0), ("bits=0", "stopwatch", 0), ("bits=0", "stopwatch", 1)],
+        *[("bits=3", "error", 0), ("bits=3", "stopwatch", 0), ("bits=3", "stopwatch", 1)],
+    ]
+    assert [job.codec.label for job in made.jobs] == ["bits=0", "bits=3"]
+    assert {cell.job_id for cell in made.cells if cell.evaluator.name == "error"} == {job.id for job in made.jobs}
+    assert all(cell.job_id is None and cell.exclusive for cell in made.cells if cell.evaluator.name == "stopwatch")
+    assert len({cell.id for cell in made.cells}) == len({cell.seed for cell in made.cells}) == 6
+
+
+def ids(made: Plan) -> dict[tuple[str, str, int], str]:
+    return {(cell.codec.label, cell.evaluator.name, cell.repeat): cell.id for cell in made.cells}
+
+
+def test_identities_ignore_what_cannot_change_a_result(plan) -> None:  # type: ignore[no-untyped-def]
+    before = ids(plan())
+    renamed = MATRIX.replace("use: ramp,", "use: ramp, name: other,") + "run: {workers: 1, timeout_s: 5}\nname: x\n"
+    assert ids(plan(renamed)) == before
+    assert ids(plan(MATRIX.replace("[error, stopwatch]", "[stopwatch, error]"))) == before
+
+
+def test_a_longer_list_of_repeats_keeps_those_there_were(plan) -> None:  # type: ignore[no-untyped-def]
+    before = ids(plan())
+    more = ids(plan(MATRIX.replace("stopwatch]", "{use: stopwatch, params: {rounds: 3}}]")))
+    assert before.items() <= more.items()
+    assert len(more) == len(before) + 2
+
+
+def test_identities_change_with_versions_parameters_frames_and_seed(plan, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    before = set(ids(plan()).values())
+    assert not before & set(ids(plan(MATRIX.replace("frames: 4", "frames: 5"))).values())
+    assert not before & set(ids(plan(MATRIX + "run: {seed: 1}\n")).values())
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "version", "2")
+    kept = before & set(ids(plan()).values())
+    assert len(kept) == 4
+    monkeypatch.setattr(plain_plugins.Shift, "version", "2")
+    assert not before & set(ids(plan()).values())
+
+
+def test_what_cannot_be_computed_here_says_why(plan) -> None:  # type: ignore[no-untyped-def]
+    text = MATRIX.replace("evaluators: [error", "  - absent\n  - uninstalled\nevaluators: [camera, error")
+    reasons = {(c.codec.name, c.evaluator.name): c.unsupported for c in plan(text).cells}
+    assert reasons["shift", "error"] is None
+    assert "needs a calibrated camera; ramp has none" in reasons["shift", "camera"]
+    assert "apt install libabsent" in reasons["absent", "error"]
+    assert "pip install 'nothing'" in reasons["uninstalled", "error"]
+    colour = plan(MATRIX.replace("frames: 4", "frames: 4, channels: 3"))
+    assert "takes gray frames; ramp has 3 channel(s)" in colour.cells[0].unsupported
+    assert colour.jobs == ()
+
+
+def test_sequences_that_do_not_open_are_reported_at_their_place(plan) -> None:  # type: ignore[no-untyped-def]
+    text = MATRIX.replace("  - {use: ramp", "  - {use: ramp, params: {broken: true}}\n  - {use: ramp")
+    with pytest.raises(MatrixError, match=r"matrix\.yaml:4:5: sequences\[0\]: ramp\.txt:3: broken on purpose"):
+        plan(text)
+
+
+def test_sequences_of_one_name_are_told_apart(plan) -> None:  # type: ignore[no-untyped-def]
+    two = MATRIX.replace("{frames: 4}", "{frames: {grid: [4, 5]}}")
+    assert [entry.name for entry in plan(two).sequences] == ["ramp", "ramp frames=5"]
+
+
+def test_a_plan_survives_json(plan) -> None:  # type: ignore[no-untyped-def]
+    made = plan(MATRIX.replace("evaluators: [error", "  - absent\nevaluators: [error"))
+    assert plan_from_json(json.loads(json.dumps(made.as_json()))) == made
