@@ -1,0 +1,23 @@
+"""The evaluators that ship with codecbench, as references: nothing heavy is imported until a cell needs it."""
+
+from __future__ import annotations
+
+from codecbench.core.contracts.hooks import Offer, hookimpl
+
+_HERE = "codecbench.plugins.evaluators."
+
+
+@hookimpl
+def codecbench_evaluators() -> list[Offer]:
+    return [
+        Offer("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
+        Offer("features", _HERE + "features:Features", "what a feature-based tracker would lose"),
+        Offer("timing", _HERE + "timing:Timing", "encode and decode time per frame, wall and CPU"),
+        Offer("operations", _HERE + "operations:Operations", "operations per stage, in the paper's seven classes"),
+        Offer(
+            "trajectory",
+            _HERE + "trajectory:TrajectoryEvaluator",
+            "what SLAM on the decoded frames makes of the camera's path",
+            requires=("evo",),
+        ),
+    ]

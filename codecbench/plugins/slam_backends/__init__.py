@@ -1,0 +1,21 @@
+"""The SLAM backends that ship with codecbench, as references."""
+
+from __future__ import annotations
+
+from codecbench.core.contracts.hooks import Offer, hookimpl
+
+_HERE = "codecbench.plugins.slam_backends."
+
+
+@hookimpl
+def codecbench_slam_backends() -> list[Offer]:
+    return [
+        Offer("orb", _HERE + "orb:Orb", "codecbench's own monocular ORB-SLAM: deterministic, one thread"),
+        Offer(
+            "orbslam3",
+            _HERE + "orbslam3:OrbSlam3",
+            "ORB-SLAM3 in a child process, paced at the frame rate of the sequence",
+            requires=("pyorbslam3",),
+            extra="codecbench[orbslam3]",
+        ),
+    ]

@@ -1,0 +1,5 @@
+"""Rate and picture quality, frame by frame."""
+
+from codecbench.plugins.evaluators.quality.evaluator import Quality
+
+__all__ = ["Quality"]

@@ -1,0 +1,82 @@
+"""The `quality` evaluator: what each frame costs and how much of it is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import ClassVar
+
+from codecbench.core.contracts.evaluator import (
+    CodedFrame,
+    CodedSequence,
+    Context,
+    Measurement,
+    Metric,
+    SequenceEvaluator,
+)
+from codecbench.core.contracts.image import channel_count, gray_from_image
+from codecbench.core.contracts.params import NoParams
+from codecbench.plugins.evaluators.quality.psnr import psnr_db
+from codecbench.plugins.evaluators.quality.ssim import (
+    MULTISCALE_SIDE,
+    WINDOW_SIDE,
+    multiscale_similarity,
+    similarity,
+)
+
+
+class Quality(SequenceEvaluator[NoParams]):
+    """Rate, PSNR and structural similarity of every frame. docs/metrics.md defines each metric.
+
+    It looks at whole sequences only to know the frame rate, which `bitrate_kbps` needs.
+    """
+
+    name = "quality"
+    version = "1"
+    params_type = NoParams
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        Metric("size_bytes", "bytes", "lower", "size of the frame's bitstream, headers and tables included"),
+        Metric("rate_bpp", "bit/px", "lower", "bits of bitstream per pixel, whatever the number of channels"),
+        Metric("bitrate_kbps", "kbit/s", "lower", "rate of the frame at the sequence's nominal frame rate"),
+        Metric("compression_ratio", "1", "higher", "bytes of raw samples over bytes of bitstream"),
+        Metric("cr_percent", "%", "higher", "share saved against the PNG of the same frame; negative if larger"),
+        Metric("psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal pictures"),
+        Metric("psnr_rgb_db", "dB", "higher", "PSNR over all three channels; colour frames only"),
+        Metric("ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated"),
+        Metric("ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the picture"),
+        Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray"),
+    )
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        frame_rate_hz = coded.sequence.frame_rate_hz
+        for position, frame in enumerate(coded):
+            for name, value, reason in (*_rate(frame, frame_rate_hz), *_fidelity(frame)):
+                yield Measurement(name, value, frame=position, reason=reason)
+
+
+def _rate(coded: CodedFrame, frame_rate_hz: float) -> Iterator[tuple[str, float, str | None]]:
+    image, size = coded.original.image, coded.size_bytes
+    yield "size_bytes", float(size), None
+    yield "rate_bpp", 8.0 * size / (image.shape[0] * image.shape[1]), None
+    yield "bitrate_kbps", 8e-3 * size * frame_rate_hz, None
+    yield "compression_ratio", image.nbytes / size, None
+    yield "cr_percent", 100.0 * (1.0 - size / coded.original.png_size_bytes), None
+
+
+def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:
+    original, decoded = coded.original.image, coded.decoded
+    gray, decoded_gray = gray_from_image(original), gray_from_image(decoded)
+    yield "psnr_gray_db", psnr_db(gray, decoded_gray), None
+    if channel_count(original) == 3:
+        yield "psnr_rgb_db", psnr_db(original, decoded), None
+    finest = similarity(gray, decoded_gray)
+    yield "ssim_matlab", finest.full, None
+    yield "ssim_wang", finest.inner, _too_small(finest.inner, gray.shape, WINDOW_SIDE)
+    multiscale = multiscale_similarity(gray, decoded_gray, finest)
+    yield "ms_ssim", multiscale, _too_small(multiscale, gray.shape, MULTISCALE_SIDE)
+
+
+def _too_small(value: float, shape: tuple[int, ...], side: int) -> str | None:
+    if not math.isnan(value):
+        return None
+    return f"the frame is {shape[1]}x{shape[0]}; the window needs at least {side}x{side}"
