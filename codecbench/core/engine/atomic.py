@@ -1,0 +1,95 @@
+"""Files and folders that are complete or absent: written beside their place, then renamed into it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+
+def write_file(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Put `content` at `path`, replacing what was there in one step.
+
+    `durable` also waits until the disk has it, which costs milliseconds and survives a power cut. Raises
+    OSError (disk full, read-only) and then leaves `path` as it was.
+    """
+    with open_whole(path, durable=durable) as stream:
+        stream.write(content)
+
+
+@contextmanager
+def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
+    """A file to write that appears at `path` when the block ends well, and not at all when it does not."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".new-", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            yield stream
+            stream.flush()
+            if durable:
+                os.fsync(stream.fileno())
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    if durable:
+        _sync_folder(path.parent)
+
+
+def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
+    """Put a folder of files at `path`, replacing what was there.
+
+    A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
+    try:
+        new.chmod(0o755)
+        for name, content in contents.items():
+            _write_plain(new / name, content, durable)
+        if path.exists():
+            remove_folder(path)
+        os.rename(new, path)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    if durable:
+        _sync_folder(path.parent)
+
+
+def remove_folder(path: Path) -> None:
+    """Remove a folder so that no reader ever sees half of it."""
+    old = Path(tempfile.mkdtemp(prefix=".old-", dir=path.parent))
+    os.rename(path, old / "removed")
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def sweep(folder: Path) -> None:
+    """Delete what interrupted writers left in `folder`. Only for the one process that may write there."""
+    for pattern in (".new-*", ".old-*"):
+        for rest in folder.glob(pattern):
+            if rest.is_dir():
+                shutil.rmtree(rest, ignore_errors=True)
+            else:
+                rest.unlink(missing_ok=True)
+
+
+def _write_plain(path: Path, content: bytes, durable: bool) -> None:
+    with open(path, "wb") as stream:
+        stream.write(content)
+        stream.flush()
+        if durable:
+            os.fsync(stream.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

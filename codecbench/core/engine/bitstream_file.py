@@ -1,0 +1,104 @@
+"""One file for all bitstreams of a coding job, with a checksum a frame and one over the whole.
+
+    magic | bitstream 0 | bitstream 1 | ... | index: offset, size, CRC-32 of each | footer
+
+The footer says where the index is and carries CRCs of the index and of itself, so that a torn or damaged file
+is noticed when it is opened, and a damaged bitstream when it is read. `verify` also checks the BLAKE2 digest
+of everything. Nothing in this file knows what a codec is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import struct
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+
+from codecbench.core.contracts.errors import StoreError
+
+_MAGIC = b"CBBITS\x00\x01"
+_ENTRY = struct.Struct("<QQI")
+_FOOTER = struct.Struct("<QQI16sI")
+_DIGEST_BYTES = 16
+
+
+class BitstreamDamage(StoreError):
+    """A file of bitstreams is truncated or damaged; the engine encodes the sequence again."""
+
+
+def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes]) -> int:
+    """Write a whole file, one bitstream at a time as they come, and return the sum of their sizes in bytes."""
+    whole = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+
+    def put(data: bytes) -> None:
+        stream.write(data)
+        whole.update(data)
+
+    put(_MAGIC)
+    index = bytearray()
+    offset, count = len(_MAGIC), 0
+    for bitstream in bitstreams:
+        put(bitstream)
+        index += _ENTRY.pack(offset, len(bitstream), zlib.crc32(bitstream))
+        offset += len(bitstream)
+        count += 1
+    put(bytes(index))
+    head = struct.pack("<QQI16s", offset, count, zlib.crc32(index), whole.digest())
+    stream.write(head + struct.pack("<I", zlib.crc32(head)))
+    return offset - len(_MAGIC)
+
+
+class BitstreamFile:
+    """Bitstreams of one coding job, read as they are asked for.
+
+    `source` is the path of the file or its content, for workers that do not see the run folder. Raises
+    BitstreamDamage for a file that is not whole.
+    """
+
+    def __init__(self, source: Path | bytes) -> None:
+        self._name = str(source) if isinstance(source, Path) else "bitstreams"
+        self._data: bytes | mmap.mmap = _mapped(source) if isinstance(source, Path) else source
+        self._entries = self._read_index()
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def size_bytes(self, index: int) -> int:
+        return self._entries[index][1]
+
+    def read(self, index: int) -> bytes:
+        """Bitstream `index`, checked against its CRC."""
+        offset, size, crc = self._entries[index]
+        bitstream = bytes(self._data[offset : offset + size])
+        if zlib.crc32(bitstream) != crc:
+            raise BitstreamDamage(f"{self._name}: bitstream {index} is damaged (CRC-32 differs)")
+        return bitstream
+
+    def verify(self) -> None:
+        """Check every byte against the digest over the whole file."""
+        whole = hashlib.blake2b(memoryview(self._data)[: -_FOOTER.size], digest_size=_DIGEST_BYTES)
+        if whole.digest() != _FOOTER.unpack(self._data[-_FOOTER.size :])[3]:
+            raise BitstreamDamage(f"{self._name}: damaged (digest differs)")
+
+    def _read_index(self) -> list[tuple[int, int, int]]:
+        data, length = self._data, len(self._data)
+        if length < len(_MAGIC) + _FOOTER.size or data[: len(_MAGIC)] != _MAGIC:
+            raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({length} bytes)")
+        footer = data[length - _FOOTER.size :]
+        offset, count, index_crc, _, footer_crc = _FOOTER.unpack(footer)
+        if zlib.crc32(footer[:-4]) != footer_crc or offset + count * _ENTRY.size + _FOOTER.size != length:
+            raise BitstreamDamage(f"{self._name}: truncated or damaged (footer)")
+        index = data[offset : length - _FOOTER.size]
+        if zlib.crc32(index) != index_crc:
+            raise BitstreamDamage(f"{self._name}: damaged (index)")
+        return list(_ENTRY.iter_unpack(index))
+
+
+def _mapped(path: Path) -> bytes | mmap.mmap:
+    with open(path, "rb") as stream:
+        if path.stat().st_size == 0:
+            return b""
+        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)

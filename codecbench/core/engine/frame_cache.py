@@ -1,0 +1,71 @@
+"""Raw frames kept in a worker, so that consecutive settings of a sequence read each frame once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from codecbench.core.contracts.sequence import Frame, Sequence
+
+DEFAULT_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class _HandedOut(Frame):
+    """A copy of a kept frame, so that whoever writes into it harms nobody; facts are still computed once."""
+
+    kept: Frame = field(kw_only=True, repr=False, compare=False)
+
+    @cached_property
+    def png_size_bytes(self) -> int:
+        return self.kept.png_size_bytes
+
+
+class FrameCache:
+    """Frames of the sequence in hand, up to `limit_bytes`.
+
+    A sequence is read front to back again and again. Dropping the oldest frame would then drop each frame
+    just before it is wanted, so a frame that does not fit is not kept; frames of other sequences make room.
+    """
+
+    def __init__(self, limit_bytes: int = DEFAULT_BYTES) -> None:
+        self.limit_bytes = limit_bytes
+        self.used_bytes = 0
+        self._frames: dict[str, dict[int, Frame]] = {}
+
+    def read(self, sequence: Sequence, index: int) -> Frame:
+        """Frame `index` of `sequence`, from memory where it was kept; the caller owns the pixels."""
+        frames = self._frames.setdefault(sequence.fingerprint, {})
+        frame = frames.get(index)
+        if frame is None:
+            frame = sequence.read(index)
+            if not self._make_room(frame.image.nbytes, sequence.fingerprint):
+                return frame
+            frames[index] = frame
+            self.used_bytes += frame.image.nbytes
+        return _HandedOut(frame.index, frame.timestamp_s, frame.image.copy(), kept=frame)
+
+    def _make_room(self, size_bytes: int, keep: str) -> bool:
+        for other in [name for name in self._frames if name != keep]:
+            if self.used_bytes + size_bytes <= self.limit_bytes:
+                break
+            self.used_bytes -= sum(frame.image.nbytes for frame in self._frames.pop(other).values())
+        return self.used_bytes + size_bytes <= self.limit_bytes
+
+
+class CachedSequence(Sequence):
+    """A sequence whose frames come through a cache; everything else is as the sequence says."""
+
+    def __init__(self, source: Sequence, name: str, cache: FrameCache) -> None:
+        self.name = name
+        self.timestamps_s = source.timestamps_s
+        self.frame_rate_hz = source.frame_rate_hz
+        self.channels = source.channels
+        self.camera = source.camera
+        self.ground_truth = source.ground_truth
+        self.fingerprint = source.fingerprint
+        self._source = source
+        self._cache = cache
+
+    def read(self, index: int) -> Frame:
+        return self._cache.read(self._source, index)

@@ -1,0 +1,96 @@
+"""Measurements of a cell: checked as they come, and kept per frame as a small Parquet file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.evaluator import Evaluator, Measurement
+
+if TYPE_CHECKING:
+    import pyarrow
+
+
+class MeasurementError(CodecbenchError):
+    """An evaluator yielded something that is not a measurement of a metric that it declared."""
+
+
+class MeasurementCheck:
+    """Checks what an evaluator yields against what it declared."""
+
+    def __init__(self, evaluator: Evaluator[Any], frames: int) -> None:
+        self._metrics = {metric.name for metric in evaluator.metrics}
+        self._frames = frames
+
+    def checked(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
+        """The measurements, with `frame` filled in where given. Raises MeasurementError at the first wrong one."""
+        for measurement in measurements:
+            yield self._checked(measurement, frame)
+
+    def _checked(self, measurement: object, frame: int | None) -> Measurement:
+        if not isinstance(measurement, Measurement):
+            raise MeasurementError(f"yielded {type(measurement).__name__}; evaluators yield Measurement")
+        name, value = measurement.metric, measurement.value
+        if name not in self._metrics:
+            raise MeasurementError(f"metric {name!r} is not declared; declared: {', '.join(sorted(self._metrics))}")
+        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+            raise MeasurementError(f"{name}: a value is a number, got {type(value).__name__}")
+        if math.isnan(value) and not measurement.reason:
+            raise MeasurementError(f"{name}: NaN without a reason; a missing value says why it is missing")
+        for text in (measurement.stage, measurement.reason):
+            if text is not None and not isinstance(text, str):
+                raise MeasurementError(f"{name}: stage and reason are text, got {type(text).__name__}")
+        if frame is None:
+            frame = measurement.frame
+        elif measurement.frame not in (None, frame):
+            raise MeasurementError(f"{name}: measured on frame {frame} but yielded for frame {measurement.frame}")
+        if frame is not None and not (isinstance(frame, int | np.integer) and 0 <= frame < self._frames):
+            raise MeasurementError(f"{name}: frame {frame!r} is not one of 0..{self._frames - 1}")
+        return replace(measurement, value=float(value), frame=None if frame is None else int(frame))
+
+
+def parquet_from_samples(samples: list[Measurement]) -> bytes:
+    """Per-frame measurements as a Parquet file: metric, frame, stage, value, reason, in the given order."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    text = pa.dictionary(pa.int32(), pa.string())
+    table = pa.table(
+        {
+            "metric": pa.array([one.metric for one in samples]).cast(text),
+            "frame": pa.array([one.frame for one in samples], pa.int32()),
+            "stage": pa.array([one.stage for one in samples], pa.string()).cast(text),
+            "value": pa.array(np.array([one.value for one in samples]), pa.float64(), from_pandas=False),
+            "reason": pa.array([one.reason for one in samples], pa.string()).cast(text),
+        }
+    )
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    return bytes(sink.getvalue())
+
+
+def table_from_parquet(content: bytes) -> pyarrow.Table:
+    """The columns that `parquet_from_samples` wrote."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
+
+
+def json_from_measurement(one: Measurement) -> list[Any]:
+    """[metric, value, stage, reason] with values that JSON can hold: infinities as text, NaN as null."""
+    value: float | str | None = one.value
+    if not math.isfinite(one.value):
+        value = None if math.isnan(one.value) else ("inf" if one.value > 0 else "-inf")
+    return [one.metric, value, one.stage, one.reason]
+
+
+def measurement_from_json(row: list[Any]) -> Measurement:
+    """The measurement that `json_from_measurement` wrote."""
+    metric, value, stage, reason = row
+    return Measurement(metric, math.nan if value is None else float(value), None, stage, reason)
