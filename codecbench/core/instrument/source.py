@@ -51,7 +51,7 @@ def _content(code: CodeType) -> str:
     steps = [
         (step.opname.replace("LOAD_METHOD", "LOAD_ATTR"), None if step.opcode in jumps else step.argval)
         for step in dis.get_instructions(code)
-        if step.opname != "PUSH_NULL"
+        if step.opname not in ("PUSH_NULL", "EXTENDED_ARG")
     ]
     return repr((code.co_consts, code.co_varnames, steps))
 
