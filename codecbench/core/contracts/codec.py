@@ -40,13 +40,15 @@ class Codec(ABC, Generic[P]):
     """Base class of codecs.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
-    change, so that stored cells are recomputed; `params_type`; `capabilities`.
+    change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
+    settings on which the conformance kit and the benchmarks exercise this codec.
     """
 
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
     capabilities: ClassVar[Capabilities]
+    examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
 
     def __init__(self, params: P) -> None:
         """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
