@@ -1,0 +1,203 @@
+"""More standards through imagecodecs: JPEG XL, JPEG-LS, High-Throughput JPEG 2000, WebP and AVIF.
+
+Every bitstream is a file of its standard behind 18 bytes of ours, little-endian: magic, `IC` and two letters (4);
+channels (1); reserved 0 (1); width (4); height (4); CRC-32 (4) of these and the file. They tell damage from content,
+bound what a decoder allocates, and let gray stay gray where the standard knows only colour.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from abc import abstractmethod
+from types import ModuleType
+from typing import Annotated, Any, ClassVar, TypeVar
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
+from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image, gray_from_image
+from codecbench.core.contracts.params import Params
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+
+_HEADER = struct.Struct("<4sBBII")
+_CRC = struct.Struct("<I")
+_CONTENT = _HEADER.size + _CRC.size
+P = TypeVar("P", bound=Params)
+
+
+class _Enveloped(Codec[P]):
+    """What the codecs below share. Subclasses name their functions in imagecodecs and choose its arguments."""
+
+    version = "1"
+    capabilities = Capabilities()
+    magic: ClassVar[bytes]
+    function: ClassVar[str]
+    colour_only: ClassVar[bool] = False
+    max_side: ClassVar[int] = 65535
+    decoding: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, params: P) -> None:
+        super().__init__(params)
+        self._library = _load_imagecodecs(self.function)
+
+    @abstractmethod
+    def _arguments(self) -> dict[str, Any]:
+        """Keyword arguments of the encoding function."""
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        image = check_image(image)
+        height, width = image.shape[:2]
+        channels = channel_count(image)
+        if max(height, width) > self.max_side or height * width > MAX_PIXELS:
+            raise ImageError(f"{self.name}: {width}x{height} exceeds {self.max_side} a side or {MAX_PIXELS} pixels")
+        if channels == 1 and self.colour_only:
+            image = np.repeat(image[:, :, None], 3, axis=2)
+        content = bytes(getattr(self._library, f"{self.function}_encode")(image, **self._arguments()))
+        header = _HEADER.pack(self.magic, channels, 0, width, height)
+        return header + _CRC.pack(zlib.crc32(content, zlib.crc32(header))) + content
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        shape = self._checked_shape(bitstream)
+        stored = (*shape[:2], 3) if self.colour_only else shape
+        pixels: Image = np.empty(stored, np.uint8)
+        try:
+            decode = getattr(self._library, f"{self.function}_decode")
+            decode(bitstream[_CONTENT:], out=pixels, **self.decoding)
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise BitstreamError(f"{self.name}: the library cannot read the file: {error}") from error
+        return pixels if stored == shape else gray_from_image(pixels)
+
+    def libraries(self) -> dict[str, str]:
+        name, _, version = getattr(self._library, f"{self.function}_version")().partition(" ")
+        return {"imagecodecs": self._library.__version__, name: version}
+
+    def _checked_shape(self, bitstream: bytes) -> tuple[int, ...]:
+        if len(bitstream) <= _CONTENT:
+            raise BitstreamError(f"{self.name}: {len(bitstream)} bytes cannot hold a header and an image")
+        magic, channels, reserved, width, height = _HEADER.unpack_from(bitstream)
+        if magic != self.magic or channels not in (1, 3) or reserved:
+            raise BitstreamError(f"{self.name}: not a bitstream of this codec (magic {magic!r}, {channels} channels)")
+        crc = zlib.crc32(memoryview(bitstream)[_CONTENT:], zlib.crc32(bitstream[: _HEADER.size]))
+        if crc != _CRC.unpack_from(bitstream, _HEADER.size)[0]:
+            raise BitstreamError(f"{self.name}: checksum mismatch, the bitstream is damaged")
+        if not 0 < width * height <= MAX_PIXELS:
+            raise BitstreamError(f"{self.name}: {width}x{height} is not within 1..{MAX_PIXELS} pixels")
+        return (height, width) if channels == 1 else (height, width, 3)
+
+
+def _load_imagecodecs(function: str) -> ModuleType:
+    try:
+        import imagecodecs
+    except ImportError as error:
+        raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
+    if not getattr(imagecodecs, function.upper()).available:
+        raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
+    return imagecodecs  # type: ignore[no-any-return]
+
+
+class JpegXlParams(Params):
+    """`distance`: Butteraugli distance, 0 is lossless, 1 visually lossless. `effort`: 1 (fast) to 9 (small)."""
+
+    distance: Annotated[float, Field(ge=0, le=25)] = 1.0
+    effort: Annotated[int, Field(ge=1, le=9)] = 4
+
+
+class JpegXl(_Enveloped[JpegXlParams]):
+    """JPEG XL (ISO/IEC 18181) by libjxl."""
+
+    name = "jpegxl"
+    params_type = JpegXlParams
+    magic, function, decoding = b"ICxl", "jpegxl", {"numthreads": 1}
+
+    def is_lossless(self) -> bool:
+        return self.params.distance == 0
+
+    def _arguments(self) -> dict[str, Any]:
+        lossless = self.is_lossless()
+        return {"distance": self.params.distance, "lossless": lossless, "effort": self.params.effort, "numthreads": 1}
+
+
+class JpegLsParams(Params):
+    """`near`: the largest error of any sample, 0 is lossless (ITU-T T.87)."""
+
+    near: Annotated[int, Field(ge=0, le=127)] = 0
+
+
+class JpegLs(_Enveloped[JpegLsParams]):
+    """JPEG-LS (ITU-T T.87) by CharLS."""
+
+    name = "jpegls"
+    params_type = JpegLsParams
+    magic, function = b"ICls", "jpegls"
+
+    def is_lossless(self) -> bool:
+        return self.params.near == 0
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"level": self.params.near}
+
+
+class Htj2kParams(Params):
+    """`step`: base quantisation step of the 9/7 wavelet, relative to the sample range; 0 is lossless, by the 5/3."""
+
+    step: Annotated[float, Field(ge=0, le=0.5)] = 0.01
+
+
+class Htj2k(_Enveloped[Htj2kParams]):
+    """High-Throughput JPEG 2000 (ITU-T T.814) by OpenJPH."""
+
+    name = "htj2k"
+    params_type = Htj2kParams
+    magic, function = b"ICht", "htj2k"
+
+    def is_lossless(self) -> bool:
+        return self.params.step == 0
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"reversible": True} if self.is_lossless() else {"reversible": False, "level": self.params.step}
+
+
+class WebpParams(Params):
+    """`quality`: libwebp's 0 to 100, 4:2:0. `lossless`: every pixel; `quality` then is ignored. `method`: 0 to 6."""
+
+    quality: Annotated[float, Field(ge=0, le=100)] = 75
+    lossless: bool = False
+    method: Annotated[int, Field(ge=0, le=6)] = 4
+
+
+class Webp(_Enveloped[WebpParams]):
+    """WebP (RFC 9649) by libwebp. Gray is coded as colour, which is all that the format has."""
+
+    name = "webp"
+    params_type = WebpParams
+    magic, function, colour_only, max_side = b"ICwp", "webp", True, 16383
+
+    def is_lossless(self) -> bool:
+        return self.params.lossless
+
+    def _arguments(self) -> dict[str, Any]:
+        quality = 75 if self.params.lossless else self.params.quality
+        return {"level": quality, "lossless": self.params.lossless, "method": self.params.method, "numthreads": 1}
+
+
+class AvifParams(Params):
+    """`quality`: libavif's 0 to 99, which is lossy. `speed`: 0 (small) to 10 (fast). `subsampling`: of the chroma."""
+
+    quality: Annotated[int, Field(ge=0, le=99)] = 60
+    speed: Annotated[int, Field(ge=0, le=10)] = 8
+    subsampling: str = Field(default="420", pattern="^(444|422|420)$")
+
+
+class Avif(_Enveloped[AvifParams]):
+    """AVIF (AV1 still pictures) by libavif. Gray is coded as colour: the binding codes gray only lossless."""
+
+    name = "avif"
+    params_type = AvifParams
+    magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
+
+    def _arguments(self) -> dict[str, Any]:
+        params = self.params
+        return {"level": params.quality, "speed": params.speed, "pixelformat": params.subsampling, "numthreads": 1}
