@@ -3,9 +3,9 @@
     pytest --codecbench "mine quality=50" --benchmark-autosave --benchmark-compare --benchmark-compare-fail=min:5%
 
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
-installed codec at its example settings). Size, PSNR, operation counts and the codec's version go into pytest-benchmark's
-`extra_info`, and with `--codecbench-baseline FILE` size and PSNR are compared as well: a larger file or a loss of quality
-fails the test whatever the clock says.
+installed codec at its example settings). Size, PSNR, operation counts and the codec's version go into `extra_info` of
+pytest-benchmark, and with `--codecbench-baseline FILE` size and PSNR are compared as well: a larger file or a loss of
+quality fails the test whatever the clock says.
 
 A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
 """
@@ -166,7 +166,7 @@ def _picture(cls: type[Codec[Any]]) -> Image:
 
     from codecbench.core.contracts.image import gray_from_image
 
-    photograph = skimage.data.astronaut()
+    photograph = skimage.data.astronaut()  # type: ignore[no-untyped-call]
     image = np.asarray(cv2.resize(photograph, (640, 640), interpolation=cv2.INTER_CUBIC), np.uint8)[80:560]
     image = np.ascontiguousarray(image)
     return image if 3 in cls.capabilities.channels else gray_from_image(image)
