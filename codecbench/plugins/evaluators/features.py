@@ -1,0 +1,214 @@
+"""The `features` evaluator: what a tracker that lives on ORB features would lose.
+
+Sources: Rublee, Rabaud, Konolige, Bradski, "ORB", ICCV 2011, doi:10.1109/ICCV.2011.6126544; repeatability after
+Mikolajczyk et al., "A comparison of affine region detectors", IJCV 65, 2005, doi:10.1007/s11263-005-3848-x, with
+mutual nearest keypoints in place of region overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Final
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, Metric, SequenceEvaluator
+from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.params import Params
+from codecbench.slam.hamming import hamming
+
+LEVELS: Final = 8
+SCALE_FACTOR: Final = 1.2
+"""Pyramid of ORB as published and as ORB-SLAM uses it."""
+BORDER_PX: Final = 31
+"""ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the picture."""
+MIN_MATCHES: Final = 8
+"""Matches that a fundamental matrix needs at the least."""
+RANSAC_SEED: Final = 1
+"""The same for every codec, so that differences come from the pictures."""
+RANSAC_CONFIDENCE: Final = 0.99
+RANSAC_ITERATIONS: Final = 2000
+
+
+class FeaturesParams(Params):
+    """Settings of `features`.
+
+    keypoints: ORB keypoints kept in a frame. tolerance_px: how far a keypoint may move, at its own pyramid level, and
+    still count as found. match_bits: Hamming distance up to which two descriptors match. inlier_px: distance from the
+    epipolar line up to which a match is an inlier.
+    """
+
+    keypoints: Annotated[int, Field(ge=10, le=10_000)] = 1000
+    tolerance_px: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
+    match_bits: Annotated[int, Field(ge=0, le=256)] = 50
+    inlier_px: Annotated[float, Field(gt=0.0, le=20.0)] = 1.0
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """ORB keypoints of a picture: `places` (N, 3) x, y in pixels and pyramid level; `descriptors` (N, 4) uint64."""
+
+    places: NDArray[np.float64]
+    descriptors: NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class FrameKeypoints:
+    """Keypoints of a frame before and after coding; `found_at` (N,) is each original's place in the decoded, or -1."""
+
+    original: Keypoints
+    decoded: Keypoints
+    found_at: NDArray[np.int64]
+
+
+class Features(SequenceEvaluator[FeaturesParams]):
+    """Keypoints found again, matches kept, descriptors changed, matches that obey a geometry.
+
+    docs/metrics.md defines each metric. A lossless codec scores 1, 1 and 0 in the first three.
+    """
+
+    name = "features"
+    version = "1"
+    params_type = FeaturesParams
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        Metric("keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again"),
+        Metric("descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again"),
+        Metric("matches_kept", "1", "higher", "share of matches with the previous frame that survive coding"),
+        Metric("inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix"),
+    )
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        detector = cv2.ORB.create(self.params.keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=BORDER_PX)
+        previous: FrameKeypoints | None = None
+        for position, frame in enumerate(coded):
+            original = _keypoints(detector, gray_from_image(frame.original.image))
+            decoded = _keypoints(detector, gray_from_image(frame.decoded))
+            found_at = _nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
+            current = FrameKeypoints(original, decoded, found_at)
+            yield from _survival(current, position)
+            if previous is not None:
+                yield from self._continuity(previous, current, position)
+            previous = current
+
+    def _continuity(self, previous: FrameKeypoints, current: FrameKeypoints, frame: int) -> Iterator[Measurement]:
+        """What of the matches between two frames survives coding, and how well the decoded ones fit a geometry."""
+        bits = self.params.match_bits
+        before = _matches(previous.original.descriptors, current.original.descriptors, bits)
+        after = _matches(previous.decoded.descriptors, current.decoded.descriptors, bits)
+        first = np.flatnonzero(before >= 0)
+        if len(first) == 0:
+            yield _missing("matches_kept", frame, "the original frame matches nothing in the previous one")
+        else:
+            starts, ends = previous.found_at[first], current.found_at[before[first]]
+            both = (starts >= 0) & (ends >= 0)
+            kept = np.count_nonzero(after[starts[both]] == ends[both])
+            yield Measurement("matches_kept", float(kept / len(first)), frame=frame)
+        matched = np.flatnonzero(after >= 0)
+        pixels = previous.decoded.places[matched, :2]
+        pixels_now = current.decoded.places[after[matched], :2]
+        yield Measurement("inlier_ratio", _inlier_ratio(pixels, pixels_now, self.params.inlier_px), frame=frame)
+
+
+def _survival(current: FrameKeypoints, frame: int) -> Iterator[Measurement]:
+    """How many keypoints of a frame are found again, and how much their descriptors changed."""
+    found = np.flatnonzero(current.found_at >= 0)
+    if len(current.found_at) == 0:
+        reason = "the original frame has no ORB keypoint"
+        yield _missing("keypoint_repeatability", frame, reason)
+        yield _missing("descriptor_distance_bits", frame, reason)
+        return
+    yield Measurement("keypoint_repeatability", len(found) / len(current.found_at), frame=frame)
+    if len(found) == 0:
+        yield _missing("descriptor_distance_bits", frame, "no keypoint of the original frame was found again")
+        return
+    originals = current.original.descriptors[found]
+    changed = originals ^ current.decoded.descriptors[current.found_at[found]]
+    bits = int(np.unpackbits(changed.view(np.uint8)).sum())
+    yield Measurement("descriptor_distance_bits", bits / len(found), frame=frame)
+
+
+def _missing(metric: str, frame: int, reason: str) -> Measurement:
+    return Measurement(metric, float("nan"), frame=frame, reason=reason)
+
+
+def _keypoints(detector: Any, gray: Image) -> Keypoints:
+    has_room = min(gray.shape) > 2 * BORDER_PX
+    found, descriptors = detector.detectAndCompute(gray, None) if has_room else ((), None)
+    if not found:
+        return Keypoints(np.empty((0, 3)), np.empty((0, 4), np.uint64))
+    levels = np.array([one.octave for one in found], dtype=np.float64)
+    places = np.column_stack([cv2.KeyPoint.convert(found), levels])
+    return Keypoints(places, np.ascontiguousarray(descriptors).view(np.uint64))
+
+
+def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], inlier_px: float) -> float:
+    """Share of matches within `inlier_px` of their epipolar lines; 0 where there are too few for a geometry."""
+    if len(pixels) < MIN_MATCHES:
+        return 0.0
+    settings = cv2.UsacParams()
+    settings.threshold = inlier_px
+    settings.confidence = RANSAC_CONFIDENCE
+    settings.maxIterations = RANSAC_ITERATIONS
+    settings.randomGeneratorState = RANSAC_SEED
+    settings.sampler = cv2.SAMPLING_UNIFORM
+    settings.score = cv2.SCORE_METHOD_MSAC
+    settings.loMethod = cv2.LOCAL_OPTIM_INNER_LO
+    _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
+    return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
+
+
+@njit(cache=True)
+def _matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray[np.int64]:
+    """For each descriptor its nearest in the other frame, or -1 where that is not mutual or beyond `match_bits`.
+
+    The lowest index wins among equals, in both directions.
+    """
+    count, count_now = len(descriptors), len(descriptors_now)
+    nearest, distances = np.full(count, -1, np.int64), np.full(count, 257, np.int64)
+    nearest_back, distances_back = np.full(count_now, -1, np.int64), np.full(count_now, 257, np.int64)
+    for i in range(count):
+        for j in range(count_now):
+            bits = hamming(descriptors, i, descriptors_now, j)
+            if bits < distances[i]:
+                nearest[i], distances[i] = j, bits
+            if bits < distances_back[j]:
+                nearest_back[j], distances_back[j] = i, bits
+    for i in range(count):
+        if distances[i] > match_bits or nearest_back[nearest[i]] != i:
+            nearest[i] = -1
+    return nearest
+
+
+@njit(cache=True)
+def _nearest_places(
+    places: NDArray[np.float64], others: NDArray[np.float64], tolerance_px: float, scale_factor: float
+) -> NDArray[np.int64]:
+    """For each place (x, y, level) its nearest among the others, or -1 where that is not mutual or too far.
+
+    Near enough is within `tolerance_px` at the pyramid level of the place and at most one level away. A level counts
+    as much as a pixel, which tells places at the same pixel apart.
+    """
+    nearest, costs = np.full(len(places), -1, np.int64), np.full(len(places), np.inf)
+    nearest_back, costs_back = np.full(len(others), -1, np.int64), np.full(len(others), np.inf)
+    for i in range(len(places)):
+        limit = tolerance_px * scale_factor ** places[i, 2]
+        for j in range(len(others)):
+            across = abs(places[i, 0] - others[j, 0])
+            down = abs(places[i, 1] - others[j, 1])
+            levels = abs(places[i, 2] - others[j, 2])
+            if across > limit or down > limit or levels > 1.0 or across * across + down * down > limit * limit:
+                continue
+            cost = across * across + down * down + levels
+            if cost < costs[i]:
+                nearest[i], costs[i] = j, cost
+            if cost < costs_back[j]:
+                nearest_back[j], costs_back[j] = i, cost
+    for i in range(len(places)):
+        if nearest[i] >= 0 and nearest_back[nearest[i]] != i:
+            nearest[i] = -1
+    return nearest

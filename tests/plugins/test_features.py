@@ -1,0 +1,164 @@
+"""Feature metrics on pictures whose keypoints move in known ways."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, context, jpeg, textured
+
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.image import Image
+from codecbench.plugins.evaluators import features as module
+from codecbench.plugins.evaluators.features import Features
+
+
+def moving(frames: int, height: int = 240, width: int = 320) -> list[Image]:
+    """A camera that slides over a textured wall."""
+    wall = textured(height, width + 6 * frames)
+    return [np.ascontiguousarray(wall[:, 6 * i : 6 * i + width]) for i in range(frames)]
+
+
+def measured(images: list[Image], codec: FunctionCodec, folder: Path, **params: float) -> list[Measurement]:
+    coded = CodedInMemory(MemorySequence(images), codec)
+    return list(Features.create(**params).evaluate(coded, context(folder)))
+
+
+def values(measurements: list[Measurement], metric: str) -> list[float]:
+    return [one.value for one in measurements if one.metric == metric]
+
+
+def test_a_lossless_codec_loses_nothing(tmp_path: Path) -> None:
+    found = measured(moving(4), FunctionCodec(), tmp_path)
+    assert values(found, "keypoint_repeatability") == [1.0] * 4
+    assert values(found, "descriptor_distance_bits") == [0.0] * 4
+    assert values(found, "matches_kept") == [1.0] * 3
+    assert all(0.8 < value <= 1.0 for value in values(found, "inlier_ratio"))
+
+
+def test_first_frame_has_no_predecessor(tmp_path: Path) -> None:
+    found = measured(moving(3), FunctionCodec(), tmp_path)
+    assert {one.frame for one in found if one.metric in ("matches_kept", "inlier_ratio")} == {1, 2}
+    assert {one.metric for one in found} == {metric.name for metric in Features.metrics}
+
+
+def test_worse_quality_is_worse_in_every_metric(tmp_path: Path) -> None:
+    images = moving(4)
+    means = {
+        quality: {
+            metric.name: np.mean(
+                values(measured(images, FunctionCodec(lambda i, q=quality: jpeg(i, q)), tmp_path), metric.name)
+            )
+            for metric in Features.metrics[:3]
+        }
+        for quality in (90, 20, 3)
+    }
+    for name in ("keypoint_repeatability", "matches_kept"):
+        assert means[90][name] > means[20][name] > means[3][name]
+    assert means[90]["descriptor_distance_bits"] < means[20]["descriptor_distance_bits"]
+
+
+def test_results_repeat_to_the_last_bit(tmp_path: Path) -> None:
+    images = moving(3)
+    codec = FunctionCodec(lambda image: jpeg(image, 10))
+    cv2.setRNGSeed(1)
+    first = measured(images, codec, tmp_path)
+    cv2.setRNGSeed(99)
+    assert measured(images, codec, tmp_path) == first
+
+
+def test_a_picture_with_nothing_in_it_scores_nothing(tmp_path: Path) -> None:
+    found = measured(moving(3), FunctionCodec(np.zeros_like), tmp_path)
+    assert values(found, "keypoint_repeatability") == [0.0] * 3
+    assert values(found, "matches_kept") == [0.0] * 2
+    assert values(found, "inlier_ratio") == [0.0] * 2
+    missing = [one for one in found if math.isnan(one.value)]
+    assert {one.metric for one in missing} == {"descriptor_distance_bits"}
+    assert all(one.reason for one in missing)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (31, 31), (64, 64)])
+def test_originals_without_keypoints_are_missing_with_a_reason(shape: tuple[int, int], tmp_path: Path) -> None:
+    found = measured([np.full(shape, 90, np.uint8)] * 2, FunctionCodec(), tmp_path)
+    missing = {one.metric: one.reason for one in found if math.isnan(one.value)}
+    assert missing["keypoint_repeatability"] == "the original frame has no ORB keypoint"
+    assert missing["matches_kept"] == "the original frame matches nothing in the previous one"
+    assert values(found, "inlier_ratio") == [0.0]
+
+
+def test_a_shift_within_tolerance_is_found_and_one_beyond_is_not(tmp_path: Path) -> None:
+    """All keypoints move by the same three pixels."""
+    image = textured(300, 400)
+
+    def shifted(_: Image) -> Image:
+        return np.ascontiguousarray(np.roll(image, 3, axis=1))
+
+    near, far = (
+        measured([image], FunctionCodec(shifted), tmp_path, keypoints=30, tolerance_px=tolerance_px)[0].value
+        for tolerance_px in (3.5, 0.4)
+    )
+    assert near > 0.5
+    assert far < 0.1
+
+
+def brute_force_partners(costs: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """Mutual nearest partners by whole matrices: an independent way to the kernels' answer."""
+    costs = np.where(allowed, costs, np.inf)
+    forward, back = costs.argmin(axis=1), costs.argmin(axis=0)
+    mutual = (back[forward] == np.arange(len(costs))) & np.isfinite(costs.min(axis=1))
+    return np.where(mutual, forward, -1)
+
+
+def test_descriptor_matches_are_mutual_nearest(rng: np.random.Generator) -> None:
+    first = rng.integers(0, 256, (80, 32), dtype=np.uint8)
+    second = np.concatenate(
+        [first[20:60] ^ (rng.random((40, 32)) < 0.1), rng.integers(0, 256, (30, 32), dtype=np.uint8)]
+    )
+    second = np.asarray(second, dtype=np.uint8)
+    bits = np.unpackbits(first[:, None] ^ second[None], axis=2).sum(axis=2).astype(float)
+    found = module._matches(first.view(np.uint64), second.view(np.uint64), 50)
+    np.testing.assert_array_equal(
+        found, brute_force_partners(bits, bits < 257) * (bits.min(axis=1) <= 50) - (bits.min(axis=1) > 50)
+    )
+    assert np.count_nonzero(found >= 0) >= 40
+
+
+def test_place_matches_are_mutual_nearest(rng: np.random.Generator) -> None:
+    places = np.column_stack([rng.uniform(0, 60, (200, 2)), rng.integers(0, 4, 200)])
+    others = places[rng.permutation(200)] + np.column_stack([rng.normal(0, 1, (200, 2)), rng.integers(-1, 2, 200)])
+    pixels = np.linalg.norm(places[:, None, :2] - others[None, :, :2], axis=2)
+    levels = np.abs(places[:, None, 2] - others[None, :, 2])
+    allowed = (pixels <= 2.0 * 1.2 ** places[:, 2][:, None]) & (levels <= 1)
+    found = module._nearest_places(places, others, 2.0, 1.2)
+    np.testing.assert_array_equal(found, brute_force_partners(pixels**2 + levels, allowed))
+    assert np.count_nonzero(found >= 0) > 50
+
+
+def test_inlier_ratio_of_a_known_geometry(rng: np.random.Generator) -> None:
+    """Three matches in four follow two views of one scene, the rest are random."""
+    points = np.column_stack([rng.uniform(-2, 2, (400, 2)), rng.uniform(4, 8, 400)])
+    moved = points + np.array([0.3, 0.05, 0.1])
+    pixels, pixels_now = (500 * p[:, :2] / p[:, 2:] + [320, 240] for p in (points, moved))
+    pixels_now[300:] = rng.uniform(0, 640, (100, 2))
+    assert module._inlier_ratio(pixels, pixels_now, 1.0) == pytest.approx(0.75, abs=0.02)
+    assert module._inlier_ratio(pixels[:7], pixels_now[:7], 1.0) == 0.0
+
+
+@pytest.mark.real
+def test_a_real_frame_costs_little(data_folder: Path, tmp_path: Path) -> None:
+    paths = sorted((data_folder / "fr3_office_715" / "rgb").glob("*.jpg"))[100:106]
+    images = [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for path in paths]
+    small = {image.tobytes(): jpeg(image, 20) for image in images}
+    coded = CodedInMemory(MemorySequence(images), FunctionCodec(lambda image: small[image.tobytes()]))
+    list(Features.create().evaluate(coded, context(tmp_path)))
+    fastest = math.inf
+    for _ in range(4):
+        started = time.perf_counter()
+        found = list(Features.create().evaluate(coded, context(tmp_path)))
+        fastest = min(fastest, (time.perf_counter() - started) / len(images))
+    assert 0.6 < np.mean(values(found, "keypoint_repeatability")) < 0.95
+    assert fastest <= 0.035
