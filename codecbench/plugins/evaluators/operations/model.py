@@ -1,0 +1,151 @@
+"""Closed formulas for the operations of JPEG, JPEG 2000 and the multi-level method, as the paper counts them.
+
+Salih and Vasarhelyi, "End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust Monocular
+Visual ORB-SLAM", Tables 4, 5 and 6, print numbers for one 640x480 plane and no formulas. Those here follow
+from the numbers and give every one of them. The paper's conventions are kept though they contradict each
+other: one 8-point product stands for a whole 8x8 transform, its additions are 112 a block for JPEG and 56
+for the multi-level method, and five tests a coefficient stand for the search. Only for planes whose sides
+are no multiple of 8, 16 or 64 is there a choice, and it is ours: parts of blocks count as blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from codecbench.core.instrument.operations import OperationCounts
+
+Stages = dict[str, OperationCounts]
+"""Operations by stage, in the order in which the stages run."""
+
+PAPER_NONZERO_SHARE = 0.2
+"""The share of quantised coefficients that the paper takes to be nonzero; on real frames it is 0.04 to 0.09."""
+
+_DWT_LEVELS = 5
+_CODE_BLOCK_SIDE = 64
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One plane of samples that is coded."""
+
+    width: int
+    height: int
+
+    @property
+    def samples(self) -> int:
+        """N of the formulas."""
+        return self.width * self.height
+
+    def blocks(self, side: int) -> int:
+        """Square blocks of `side` that cover the plane: B for 8, and P / 4096 for 64."""
+        return -(-self.width // side) * -(-self.height // side)
+
+    @property
+    def subband_samples(self) -> int:
+        """S: samples that all levels of the wavelet transform go through."""
+        return sum(-(-self.width // 2**level) * -(-self.height // 2**level) for level in range(_DWT_LEVELS))
+
+
+def _counts(
+    mults: int, adds: int, bit_ops: int, comparisons: int, shifts: int, reads: int, writes: int
+) -> OperationCounts:
+    return OperationCounts(mults, adds, bit_ops, comparisons, shifts, reads, writes)
+
+
+def _times(n: int, *weights: int) -> OperationCounts:
+    return _counts(*(weight * n for weight in weights))
+
+
+def _dc_shift(plane: Plane) -> OperationCounts:
+    return _times(plane.samples, 0, 1, 0, 0, 0, 1, 1)
+
+
+def jpeg_encoding(plane: Plane, nonzero_share: float = PAPER_NONZERO_SHARE) -> Stages:
+    """Table 4, upper half. `nonzero_share`: of the quantised coefficients, 0 to 1."""
+    n, z = plane.samples, nonzero_share * plane.samples
+    return {
+        "dc_shift": _dc_shift(plane),
+        "dct": _counts(n, 112 * plane.blocks(8), 0, 0, 0, n, n),
+        "quantization": _times(n, 1, 0, 1, 0, 1, 1, 1),
+        "huffman_coding": _counts(0, 0, round(n + 1.5 * z), round(n + 0.5 * z), round(z), n, round(z)),
+    }
+
+
+def jpeg_decoding(plane: Plane, nonzero_share: float = PAPER_NONZERO_SHARE) -> Stages:
+    """Table 4, lower half."""
+    n, z = plane.samples, nonzero_share * plane.samples
+    return {
+        "huffman_decoding": _counts(0, 0, round(1.5 * z), round(z), round(z), round(z), n),
+        "dequantization": _times(n, 1, 0, 1, 0, 1, 1, 1),
+        "idct": _counts(n, 112 * plane.blocks(8), 0, 0, 0, n, n),
+        "inverse_dc_shift": _dc_shift(plane),
+    }
+
+
+def jpeg2000_encoding(plane: Plane) -> Stages:
+    """Table 5, upper half: five levels of the 9/7 wavelet, code blocks of 64x64."""
+    n, code_samples = plane.samples, _CODE_BLOCK_SIDE**2 * plane.blocks(_CODE_BLOCK_SIDE)
+    return {
+        "dc_shift": _dc_shift(plane),
+        "dwt": _times(plane.subband_samples, 20, 16, 0, 0, 8, 8, 4),
+        "quantization": _times(n, 1, 0, 0, 1, 1, 1, 1),
+        "tier1_coding": _times(code_samples, 0, 0, 12, 9, 0, 4, 2),
+        "tier2_coding": _times(n, 2, 2, 10, 0, 0, 2, 1),
+    }
+
+
+def jpeg2000_decoding(plane: Plane) -> Stages:
+    """Table 5, lower half."""
+    n, code_samples = plane.samples, _CODE_BLOCK_SIDE**2 * plane.blocks(_CODE_BLOCK_SIDE)
+    return {
+        "tier2_decoding": _times(n, 0, 1, 6, 0, 0, 1, 1),
+        "tier1_decoding": _times(code_samples, 0, 0, 8, 3, 0, 2, 1),
+        "dequantization": _times(n, 1, 0, 0, 0, 1, 1, 1),
+        "idwt": _times(plane.subband_samples, 16, 12, 0, 0, 4, 4, 4),
+        "inverse_dc_shift": _dc_shift(plane),
+    }
+
+
+def _symbols(plane: Plane, levels: int, group: int) -> list[int]:
+    """Symbols before the first level, after it, and so on."""
+    counts = [plane.samples]
+    for _ in range(levels):
+        counts.append(-(-counts[-1] // group))
+    return counts
+
+
+def _level_name(stage: str, level: int) -> str:
+    return stage if level == 1 else f"{stage}_{level}"
+
+
+def multilevel_encoding(plane: Plane, levels: int = 1, group: int = 3) -> Stages:
+    """Table 6, upper half; a level above the first, which the paper does not count, costs as the first does."""
+    n, symbols = plane.samples, _symbols(plane, levels, group)
+    stages = {
+        "dct": _counts(n, 56 * plane.blocks(8), n, plane.blocks(8), 0, n, n),
+        "quantization": _counts(n, 0, n, 0, 0, n + 64, n),
+    }
+    for level in range(1, levels + 1):
+        before, after = symbols[level - 1], symbols[level]
+        stages[_level_name("minimization", level)] = _counts(before, before - after, after, before, 0, before, after)
+    return stages | {"arithmetic_coding": _times(symbols[-1], 0, 1, 8, 1, 8, 1, 1)}
+
+
+def multilevel_decoding(plane: Plane, levels: int = 1, group: int = 3, search: bool = True) -> Stages:
+    """Table 6, lower half, which searches.
+
+    With the header instead (`search` false), which the paper calls instant and does not count, each symbol is
+    taken to cost a read of itself and a copy of its digits: this one formula is ours.
+    """
+    n, symbols = plane.samples, _symbols(plane, levels, group)
+    stages = {"arithmetic_decoding": _times(symbols[-1], 0, 1, 8, 1, 8, 1, 1)}
+    for level in range(levels, 0, -1):
+        before, after = symbols[level - 1], symbols[level]
+        if search:
+            stages[_level_name("sequential_search", level)] = _times(before, 5, 5, 1, 5, 0, 5, 1)
+        else:
+            stages[_level_name("header_lookup", level)] = _counts(0, 0, 0, 0, 0, before + after, before)
+    return stages | {
+        "dequantization": _counts(n, 0, n, plane.blocks(8), 0, n + 64, n),
+        "idct": _counts(n, 56 * plane.blocks(8), 8 * plane.blocks(8), plane.blocks(8), 0, n, n),
+    }
