@@ -4,7 +4,7 @@ const dark = matchMedia("(prefers-color-scheme: dark)");
 // Okabe and Ito's palette, which colour-blind readers can tell apart, with marker shapes beside it.
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#999999"];
 const SYMBOLS = ["circle", "square", "diamond", "triangle-up", "cross", "x", "star", "hexagon"];
-const codecs = [...new Set(DATA.rows.map((row) => row.codec))];
+const codecs = [...new Set(DATA.rows.map((row) => row.curve))];
 const style = Object.fromEntries(codecs.map((codec, i) => [codec, {
   color: codec === "raw" ? "#777777" : COLOURS[i % COLOURS.length], symbol: SYMBOLS[i % SYMBOLS.length],
 }]));
@@ -60,7 +60,7 @@ function curves() {
   const plot = () => {
     const [x, y, sequence] = [$("x").value, $("y").value, $("sequence").value];
     const traces = codecs.map((codec) => {
-      const rows = DATA.rows.filter((row) => row.codec === codec && row.sequence === sequence
+      const rows = DATA.rows.filter((row) => row.curve === codec && row.sequence === sequence
         && Number.isFinite(number(row[x])) && Number.isFinite(number(row[y])))
         .sort((a, b) => number(a[x]) - number(b[x]));
       const bars = (column) => {
@@ -70,7 +70,7 @@ function curves() {
           arrayminus: rows.map((r) => number(r[column]) - number(r[low])) };
       };
       return { name: codec, x: rows.map((r) => number(r[x])), y: rows.map((r) => number(r[y])),
-        text: rows.map((r) => r.setting || codec), mode: "lines+markers", type: "scatter", error_y: bars(y), error_x: bars(x),
+        text: rows.map((r) => r.setting), mode: "lines+markers", type: "scatter", error_y: bars(y), error_x: bars(x),
         line: { color: style[codec].color, width: 1.6 }, marker: { symbol: style[codec].symbol, size: 9, color: style[codec].color },
         hovertemplate: `<b>${codec}</b> %{text}<br>${x} %{x:.5g}<br>${y} %{y:.5g}<extra></extra>` };
     }).filter((trace) => trace.x.length);
