@@ -55,6 +55,7 @@ class _Enveloped(Codec[P]):
             raise ImageError(f"{self.name}: {width}x{height} exceeds {self.max_side} a side or {MAX_PIXELS} pixels")
         if channels == 1 and self.colour_only:
             image = np.repeat(image[:, :, None], 3, axis=2)
+        image = image.copy()  # libwebp's binding wants it writable, with the strides of its shape
         content = bytes(getattr(self._library, f"{self.function}_encode")(image, **self._arguments()))
         header = _HEADER.pack(self.magic, channels, 0, width, height)
         return header + _CRC.pack(zlib.crc32(content, zlib.crc32(header))) + content

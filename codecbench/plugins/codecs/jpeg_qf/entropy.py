@@ -197,7 +197,7 @@ def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-un
     `block` (64,) must be zero. No bit at or after `limit` is taken.
     """
     lookahead, max_codes, offsets, symbols = tables
-    found = next_symbol(peek(data, bit), lookahead[0, dc], max_codes[0, dc], offsets[0, dc], symbols[0, dc])
+    found = next_symbol(peek(data, bit), lookahead[0, dc, :], max_codes[0, dc, :], offsets[0, dc, :], symbols[0, dc, :])
     size = found & 0xFF
     if found < 0:
         return -BAD_CODE
@@ -210,7 +210,9 @@ def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-un
     bit += size
     k = 1
     while k < 64:
-        found = next_symbol(peek(data, bit), lookahead[1, ac], max_codes[1, ac], offsets[1, ac], symbols[1, ac])
+        found = next_symbol(
+            peek(data, bit), lookahead[1, ac, :], max_codes[1, ac, :], offsets[1, ac, :], symbols[1, ac, :]
+        )
         if found < 0:
             return -BAD_CODE
         zeros, size = (found >> 4) & 15, found & 15
@@ -255,7 +257,7 @@ def decode_scan(data, ends, interval_blocks, order, pattern, selectors, tables, 
             for component in range(predictions.shape[0]):
                 predictions[component] = 0
         component = pattern[i % pattern.shape[0]]
-        block = blocks[order[i]]
+        block = blocks[order[i], :]
         bit = decode_block(data, bit, limit, tables, selectors[component, 0], selectors[component, 1], block)
         if bit < 0:
             return -bit

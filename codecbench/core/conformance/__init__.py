@@ -1,0 +1,6 @@
+"""What every codec must keep, as small checks that anyone can run on theirs.
+
+from codecbench.core.conformance.suite import run_checks
+for result in run_checks(MyCodec, MyCodec.params_type()):
+    print(result)
+"""

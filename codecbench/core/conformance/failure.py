@@ -1,0 +1,13 @@
+"""How a check says what it found."""
+
+from __future__ import annotations
+
+
+class ConformanceFailure(AssertionError):
+    """A codec breaks the contract: what was being checked, on what, what came and what should have come."""
+
+    def __init__(self, where: str, got: object, expected: str) -> None:
+        super().__init__(f"{where}: got {got}; expected {expected}")
+        self.where = where
+        self.got = got
+        self.expected = expected

@@ -1,0 +1,60 @@
+"""Small images at the edges of what codecs are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image
+
+
+@dataclass(frozen=True)
+class NamedImage:
+    """An image with a name to call it by in a report."""
+
+    name: str
+    pixels: Image = field(repr=False)
+
+
+def conformance_images(channels: int, seed: int = 1) -> list[NamedImage]:
+    """Images of 1 or 3 channels: single pixels, single rows and columns, prime sizes, constants, extremes, noise.
+
+    The first one is a picture of ordinary content; the same seed gives the same images everywhere.
+    """
+    rng = np.random.default_rng(seed)
+    planes = {
+        "picture 64x48": _picture(48, 64, rng),
+        "1x1": rng.integers(0, 256, (1, 1)),
+        "1x1 black": np.zeros((1, 1)),
+        "row 1x19": rng.integers(0, 256, (1, 19)),
+        "column 23x1": rng.integers(0, 256, (23, 1)),
+        "prime 17x31": _picture(17, 31, rng),
+        "black 16x16": np.zeros((16, 16)),
+        "white 33x16": np.full((33, 16), 255),
+        "gray 8x8": np.full((8, 8), 128),
+        "noise 40x40": rng.integers(0, 256, (40, 40)),
+        "checkerboard 16x24": np.indices((16, 24)).sum(axis=0) % 2 * 255,
+        "edge 24x24": np.where(np.arange(24) < 11, 0, 255) * np.ones((24, 1)),
+    }
+    return [NamedImage(name, _layout(plane, channels, rng)) for name, plane in planes.items()]
+
+
+def _picture(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Smooth shading, a disc with a sharp edge and a little noise."""
+    rows, columns = np.mgrid[0:height, 0:width]
+    shading = 90 + 60 * np.sin(columns / 9) + 50 * np.cos(rows / 7)
+    disc = (rows - height / 2) ** 2 + (columns - width / 3) ** 2 < (min(height, width) / 4) ** 2
+    picture: NDArray[np.float64] = np.clip(shading + 70 * disc + rng.normal(0, 2, (height, width)), 0, 255)
+    return picture
+
+
+def _layout(plane: NDArray[np.generic], channels: int, rng: np.random.Generator) -> Image:
+    gray = np.round(plane.astype(np.float64)).astype(np.uint8)
+    if channels == 1:
+        return np.ascontiguousarray(gray)
+    if gray.min() == gray.max():
+        return np.repeat(gray[:, :, None], 3, axis=2)
+    shifted = [np.roll(gray, int(shift), axis=shift % 2) for shift in rng.integers(0, 4, 2)]
+    return np.ascontiguousarray(np.stack([gray, *shifted], axis=2))

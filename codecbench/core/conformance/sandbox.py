@@ -1,0 +1,133 @@
+"""Another process that encodes and decodes on request, and may crash, hang or eat memory without harm.
+
+It starts afresh rather than as a copy of this one, so nothing that an encoder left behind here is there.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal
+
+from codecbench.core.contracts.errors import BitstreamError, CodecbenchError
+from codecbench.core.contracts.params import Params
+
+Verb = Literal["encode", "decode"]
+_START_TIMEOUT_S = 60.0
+_MEBIBYTE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What came of a request: `done` with a value, `refused` with the error's text, or a fault with its reason."""
+
+    status: Literal["done", "refused", "raised", "crashed", "hung", "out_of_memory"]
+    value: Any = None
+    reason: str = ""
+
+
+class Sandbox:
+    """One process, started when it is first needed and again after it died."""
+
+    def __init__(self) -> None:
+        self._process: Any = None
+        self._connection: Connection | None = None
+
+    def ask(
+        self, codec_class: type, params: Params, verb: Verb, argument: Any, *, timeout_s: float, memory_mb: int
+    ) -> Reply:
+        """Have a new instance of the codec encode an image or decode bytes.
+
+        `memory_mb` is what the process may allocate for it beyond what it holds already.
+        """
+        if self._connection is None:
+            self._start()
+        assert self._connection is not None
+        try:
+            self._connection.send((codec_class, params, verb, argument, memory_mb))
+            if not self._connection.poll(timeout_s):
+                self.stop()
+                return Reply("hung", reason=f"no answer within {timeout_s} s")
+            reply: Reply = self._connection.recv()
+        except (EOFError, ConnectionError):
+            code = self.stop()
+            return Reply("crashed", reason=f"the process died with exit code {code}")
+        return reply
+
+    def stop(self) -> int | None:
+        """End the process and return its exit code."""
+        if self._process is None:
+            return None
+        self._process.join(0.5)
+        self._process.kill()
+        self._process.join()
+        code: int | None = self._process.exitcode
+        if self._connection is not None:
+            self._connection.close()
+        self._process = self._connection = None
+        return code
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+        if not self._connection.poll(_START_TIMEOUT_S):
+            self.stop()
+            raise RuntimeError(f"the sandbox did not start within {_START_TIMEOUT_S} s")
+        self._connection.recv()
+
+
+@cache
+def sandbox(verb: Verb) -> Sandbox:
+    """The sandbox for encoding or the one for decoding: the decoding one never sees what an encoder saw."""
+    return Sandbox()
+
+
+def _serve(connection: Connection) -> None:
+    connection.send("ready")
+    while True:
+        try:
+            request = connection.recv()
+        except EOFError:
+            return
+        connection.send(_answer(*request))
+
+
+def _answer(codec_class: Any, params: Params, verb: Verb, argument: Any, memory_mb: int) -> Reply:
+    try:
+        codec = codec_class(params)
+        with _memory_limit(memory_mb):
+            return Reply("done", getattr(codec, verb)(argument))
+    except BitstreamError as error:
+        return Reply("refused", reason=str(error))
+    except MemoryError:
+        return Reply("out_of_memory", reason=f"more than {memory_mb} MiB")
+    except CodecbenchError as error:
+        return Reply("raised", reason=f"{type(error).__name__}: {error}")
+    except Exception:  # noqa: BLE001 - whatever a codec raises is what the caller wants to know
+        return Reply("raised", reason=traceback.format_exc(limit=-3).strip())
+
+
+@contextmanager
+def _memory_limit(memory_mb: int) -> Iterator[None]:
+    """Cap the address space at what is mapped now and `memory_mb` more, where the system tells what is mapped."""
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        yield
+        return
+    mapped = int(statm.read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (mapped + memory_mb * _MEBIBYTE, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
