@@ -94,7 +94,8 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
         {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
     ]  # fmt: skip
     machines = [str(one.get("cpu", "unknown processor")) for one in run.environments.values()]
-    note = "times hold for this machine alone" if len(machines) < 2 else f"{len(machines)} machines: do not compare times"
+    several = f"{len(machines)} machines: do not compare times"
+    note = "times hold for this machine alone" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
 
 
