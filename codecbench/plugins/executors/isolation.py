@@ -1,0 +1,166 @@
+"""What happens inside a worker process: how it is prepared, and how one task is kept from harming the next.
+
+The memory cap is RLIMIT_DATA, which Linux counts over all private writable mappings: an allocation beyond it
+fails in Python as MemoryError and in C as a null pointer, at once. RLIMIT_AS would also count the gigabytes
+that numerical libraries reserve and never touch. What the limit does not see (shared memory, forked
+children) is watched from outside, see `pool`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import psutil
+
+from codecbench.core.contracts.executor import Task
+
+RETIRED: Final = 86
+"""Exit status of a worker that declines a task because an earlier one left too much memory in use."""
+
+SINGLE_THREADED: Final = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "BLIS_NUM_THREADS",
+    ),
+    "1",
+)
+"""Set before a worker starts, because these libraries read them when they load."""
+
+_PR_SET_PDEATHSIG: Final = 1
+
+
+@dataclass(frozen=True)
+class WorkerFiles:
+    """Where a worker says who it is, and where whatever it prints goes."""
+
+    identity: Path
+    output: Path
+
+
+@dataclass
+class _State:
+    baseline_mb: float = 0.0
+    retiring: bool = False
+
+
+_state = _State()
+
+
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -> None:
+    """Make this process a worker: own process group, output to a file, gone when the parent is gone.
+
+    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
+    """
+    os.setpgid(0, 0)
+    _redirect_output(files.output)
+    faulthandler.enable(sys.stderr, all_threads=False)
+    _die_with(parent)
+    prepare()
+    _state.baseline_mb = private_mb(os.getpid())
+    content = json.dumps({"pid": os.getpid(), "baseline_mb": _state.baseline_mb})
+    temporary = files.identity.with_suffix(".new")
+    temporary.write_text(content)
+    os.replace(temporary, files.identity)
+
+
+def perform(task: Task) -> Any:
+    """Call the task's function under its limits and return its value; whatever it raises is passed on.
+
+    A worker in which earlier tasks left more than half the cap in use exits with RETIRED instead, and the
+    pool gives the task to a fresh one.
+    """
+    if _state.retiring:
+        os._exit(RETIRED)
+    os.ftruncate(1, 0)
+    if task.timeout_s is not None:
+        faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
+    cores = os.sched_getaffinity(0)
+    try:
+        if task.exclusive:
+            os.sched_setaffinity(0, {max(cores)})
+        _limit_memory(task.memory_mb)
+        return task.function(task.argument)
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        os.sched_setaffinity(0, cores)
+        faulthandler.cancel_dump_traceback_later()
+        _end_children()
+        if task.memory_mb is not None:
+            _state.retiring = private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
+
+
+def private_mb(pid: int) -> float:
+    """Anonymous and shared memory of a process in MB, without the pages of files it maps; 0 if it is gone."""
+    total_kb = 0
+    with suppress(OSError), open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:
+        for line in status:
+            if line.startswith(("RssAnon:", "RssShmem:")):
+                total_kb += int(line.split()[1])
+    return total_kb / 1024
+
+
+def _redirect_output(path: Path) -> None:
+    output = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_TRUNC, 0o600)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    os.close(output)
+    os.close(nothing)
+
+
+def _die_with(parent: int) -> None:
+    """End this process and its group when the parent ends, even while C code holds the interpreter."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    process = multiprocessing.parent_process()
+    if process is not None:
+        threading.Thread(target=_follow, args=(process,), name="parent watch", daemon=True).start()
+
+
+def _follow(parent: Any) -> None:
+    parent.join()
+    os.killpg(os.getpid(), signal.SIGKILL)
+
+
+def _limit_memory(memory_mb: int | None) -> None:
+    """Let this process grow to `memory_mb` above what it had when it was prepared."""
+    if memory_mb is None:
+        return
+    mapped_kb = 0
+    with open("/proc/self/status", encoding="ascii", errors="replace") as status:
+        mapped_kb = next((int(line.split()[1]) for line in status if line.startswith("VmData:")), 0)
+    room_mb = _state.baseline_mb + memory_mb - private_mb(os.getpid())
+    limit = mapped_kb * 1024 + int(max(room_mb, 0.0) * 2**20)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, resource.RLIM_INFINITY))
+
+
+def _end_children() -> None:
+    """Kill and reap every process that the task left behind."""
+    with suppress(ChildProcessError):
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # raises at once where there are none
+        for child in psutil.Process().children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                child.kill()
+        while True:
+            os.waitpid(-1, 0)

@@ -1,0 +1,263 @@
+"""A pool of isolated worker processes on pebble.
+
+Each worker is a pebble pool of its own, so that a worker that dies while it holds a lock or is halfway through
+sending a result can harm no other task; after a death its pool is thrown away. Time and memory are watched
+here, on the monotonic clock, and a worker that exceeds either is killed with all its descendants.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+import types
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.context import SpawnContext, SpawnProcess
+from pathlib import Path
+from typing import Any, Final
+
+import psutil
+from pebble import ProcessExpired, ProcessPool
+
+from codecbench.core.contracts.executor import Finished, Status, Task
+from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
+
+_POLL_S: Final = 0.1
+_START_S: Final = 180.0
+"""A worker that has not begun its task by then will not: importing everything takes seconds on a cold disk."""
+_GRACE_S: Final = 0.5
+"""After a time-out, for the worker to write down where it was."""
+_LAUNCHES: Final = 3
+_OUTPUT_TAIL: Final = 8192
+_OUTPUT_LIMIT: Final = 16 << 20
+
+_main_lock = threading.Lock()
+
+
+class _WorkerProcess(SpawnProcess):
+    """A spawned process that does not import the program's main script again: tasks never live there."""
+
+    def start(self) -> None:
+        with _main_lock:
+            main = sys.modules["__main__"]
+            sys.modules["__main__"] = types.ModuleType("__main__")
+            try:
+                super().start()
+            finally:
+                sys.modules["__main__"] = main
+
+
+class _WorkerContext(SpawnContext):
+    Process = _WorkerProcess
+
+
+@dataclass
+class _Slot:
+    """One worker and the task it has in hand."""
+
+    files: WorkerFiles
+    pool: ProcessPool | None = None
+    task: Task | None = None
+    future: Future[Any] | None = None
+    launched: float = 0.0
+    started: float | None = None
+    pid: int = 0
+    baseline_mb: float = 0.0
+    gone_since: float | None = None
+    launches: int = field(default=0)
+
+
+class WorkerPool:
+    """Up to `workers` processes, each with one task at a time. To be used from one thread."""
+
+    def __init__(self, workers: int, prepare: Callable[[], None]) -> None:
+        self._prepare = prepare
+        self._folder = Path(tempfile.mkdtemp(prefix="codecbench-workers-"))
+        files = [WorkerFiles(self._folder / f"{n}.json", self._folder / f"{n}.out") for n in range(workers)]
+        self._slots = [_Slot(one) for one in files]
+        self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
+
+    @property
+    def running(self) -> int:
+        return sum(slot.task is not None for slot in self._slots)
+
+    def start(self, task: Task) -> bool:
+        """Give the task to a free worker, preferring one that has started; False where all are busy."""
+        free = [slot for slot in self._slots if slot.task is None]
+        if not free:
+            return False
+        slot = min(free, key=lambda one: one.pool is None)
+        slot.task, slot.launches = task, 0
+        self._launch(slot)
+        return True
+
+    def next_finished(self, timeout_s: float) -> Finished | None:
+        """The next task to end, or None when none ended in time."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left = deadline - time.monotonic()
+            try:
+                slot, future = self._done.get(timeout=max(0.0, min(_POLL_S, left)))
+            except queue.Empty:
+                finished = self._watch()
+            else:
+                finished = self._settled(slot, future) if slot.future is future else None
+            if finished is not None or left <= 0:
+                return finished
+
+    def stop(self) -> None:
+        """Kill all workers and everything that they started."""
+        for slot in self._slots:
+            slot.task = slot.future = None
+            self._discard(slot)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _launch(self, slot: _Slot) -> None:
+        """Start the slot's task, in a new worker where the old one is gone."""
+        assert slot.task is not None
+        slot.launches += 1
+        slot.launched, slot.started, slot.gone_since = time.monotonic(), None, None
+        if slot.pool is None or not slot.pool.active:
+            self._discard(slot)
+            slot.pool = ProcessPool(
+                max_workers=1,
+                initializer=enter_worker,
+                initargs=(slot.files, self._prepare, os.getpid()),
+                context=_WorkerContext(),
+            )
+        future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
+        slot.future = future
+        future.add_done_callback(lambda done: self._done.put((slot, done)))
+
+    def _settled(self, slot: _Slot, future: Future[Any]) -> Finished | None:
+        """What became of a task whose future is done; None where it was started again."""
+        if future.cancelled():
+            return self._end(slot, "crashed", "its worker was stopped", discard=True)
+        error = future.exception()
+        if error is None:
+            return self._end(slot, "ok", value=future.result())
+        if isinstance(error, ProcessExpired):
+            if error.exitcode == RETIRED:
+                self._discard(slot)
+                self._launch(slot)
+                return None
+            return self._end(slot, "crashed", _death(error.exitcode), discard=True)
+        if isinstance(error, RuntimeError) and slot.pool is not None and not slot.pool.active:
+            return self._restarted(slot, f"its worker could not start or answer: {error}")
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return self._end(slot, "failed", text, traceback=str(error.__cause__ or ""))
+
+    def _restarted(self, slot: _Slot, reason: str) -> Finished | None:
+        """Start the task again: its worker died before it began. After a few times that is its end."""
+        if slot.launches >= _LAUNCHES:
+            return self._end(slot, "crashed", reason, discard=True)
+        self._discard(slot)
+        self._launch(slot)
+        return None
+
+    def _end(self, slot: _Slot, status: Status, reason: str = "", discard: bool = False, **more: Any) -> Finished:
+        assert slot.task is not None
+        if reason and not more.get("traceback"):
+            more["traceback"] = _tail(slot.files.output)
+        finished = Finished(slot.task.id, status, reason=reason, **more)
+        slot.task = slot.future = None
+        if discard:
+            self._discard(slot)
+        return finished
+
+    def _watch(self) -> Finished | None:
+        """Look after every busy worker; the first one that has to be given up is returned."""
+        now = time.monotonic()
+        for slot in self._slots:
+            if slot.task is not None and (finished := self._watch_one(slot, slot.task, now)) is not None:
+                return finished
+        return None
+
+    def _watch_one(self, slot: _Slot, task: Task, now: float) -> Finished | None:
+        if slot.started is None:
+            if slot.future is not None and slot.future.running():
+                self._meet(slot, now)
+            elif now - slot.launched > _START_S:
+                return self._restarted(slot, f"its worker did not start within {_START_S:g} s")
+            return None
+        if task.timeout_s is not None and now - slot.started > task.timeout_s + _GRACE_S:
+            return self._end(slot, "timed_out", f"no result within {task.timeout_s:g} s", discard=True)
+        used_mb = _tree_mb(slot.pid) - slot.baseline_mb
+        if task.memory_mb is not None and used_mb > task.memory_mb:
+            reason = f"used {used_mb:.0f} MB with its children; memory_mb allows {task.memory_mb}"
+            return self._end(slot, "crashed", reason, discard=True)
+        with suppress(OSError):
+            if slot.files.output.stat().st_size > _OUTPUT_LIMIT:
+                os.truncate(slot.files.output, 0)
+        return self._watch_gone(slot, now)
+
+    def _watch_gone(self, slot: _Slot, now: float) -> Finished | None:
+        """A worker that left with status 0 in the middle of a task is no death to pebble, but it is one."""
+        if psutil.pid_exists(slot.pid):
+            slot.gone_since = None
+        elif slot.gone_since is None:
+            slot.gone_since = now
+        elif now - slot.gone_since > 1.0:
+            return self._end(slot, "crashed", _death(0), discard=True)
+        return None
+
+    def _meet(self, slot: _Slot, now: float) -> None:
+        identity = json.loads(slot.files.identity.read_text())
+        slot.pid, slot.baseline_mb, slot.started = identity["pid"], identity["baseline_mb"], now
+
+    def _discard(self, slot: _Slot) -> None:
+        """Kill the slot's worker with its descendants and let go of its pool."""
+        pool, slot.pool = slot.pool, None
+        if pool is None:
+            return
+        pool.stop()  # type: ignore[no-untyped-call]
+        with suppress(OSError, ValueError):
+            _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
+        slot.files.identity.unlink(missing_ok=True)
+        # Joining can wait forever for the rest of a message from a worker that died while sending it.
+        threading.Thread(target=pool.join, name="pool end", daemon=True).start()
+
+
+def _kill_tree(pid: int) -> None:
+    """Kill a worker, its process group and whatever left the group."""
+    descendants: list[psutil.Process] = []
+    with suppress(psutil.NoSuchProcess):
+        descendants = psutil.Process(pid).children(recursive=True)
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(pid, signal.SIGKILL)
+    for process in descendants:
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
+
+
+def _tree_mb(pid: int) -> float:
+    """Memory of a worker and its descendants; a page that they share is counted once a process."""
+    total = private_mb(pid)
+    with suppress(psutil.NoSuchProcess):
+        total += sum(private_mb(child.pid) for child in psutil.Process(pid).children(recursive=True))
+    return total
+
+
+def _death(exitcode: int) -> str:
+    if exitcode < 0:
+        name = signal.Signals(-exitcode).name
+        hint = "; the system kills processes so when memory runs out" if name == "SIGKILL" else ""
+        return f"its worker died of {name}{hint}"
+    return f"its worker exited with status {exitcode} in the middle of it"
+
+
+def _tail(path: Path) -> str:
+    """The end of what a worker printed, which is where a crash says where it was."""
+    with suppress(OSError), open(path, "rb") as stream:
+        stream.seek(max(0, path.stat().st_size - _OUTPUT_TAIL))
+        return stream.read().decode(errors="replace")
+    return ""

@@ -1,0 +1,254 @@
+"""The local executor: whatever a task does, it alone bears it."""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from codecbench.core.contracts.executor import Finished, Task
+from codecbench.plugins.executors.local import LocalExecutor
+
+
+def prepare() -> None:
+    return None
+
+
+def double(value: int) -> int:
+    return 2 * value
+
+
+def pid(_: object) -> int:
+    return os.getpid()
+
+
+def fail(text: str) -> None:
+    raise ValueError(text)
+
+
+def segfault(_: object) -> None:
+    ctypes.string_at(0)
+
+
+def leave(status: int) -> None:
+    os._exit(status)
+
+
+def hang_in_c(seconds: int) -> None:
+    ctypes.PyDLL(None).sleep(seconds)  # PyDLL keeps the interpreter locked
+
+
+def allocate(mb: int) -> int:
+    return int(np.ones(mb << 20, np.uint8)[-1])
+
+
+_leaked: list[Any] = []
+
+
+def leak(mb: int) -> int:
+    _leaked.append(np.ones(mb << 20, np.uint8))
+    return os.getpid()
+
+
+def share_memory(mb: int) -> None:
+    block = mmap.mmap(-1, mb << 20)
+    for _ in range(mb):
+        block.write(b"x" * (1 << 20))
+    time.sleep(30)
+
+
+def fork_and_hang(path: str) -> None:
+    children = [subprocess.Popen(["sleep", "60"]), subprocess.Popen(["sleep", "60"], start_new_session=True)]
+    with open(path, "w") as stream:
+        stream.write(" ".join(str(child.pid) for child in children))
+    time.sleep(60)
+
+
+def fork_and_return(_: object) -> int:
+    return subprocess.Popen(["sleep", "60"]).pid
+
+
+def print_noise(count: int) -> str:
+    for _ in range(count):
+        sys.stdout.write("noise on stdout\n")
+        os.write(2, b"noise on stderr\n")
+    return "quiet"
+
+
+def report_affinity(_: object) -> tuple[float, float, int]:
+    begun = time.monotonic()
+    time.sleep(0.3)
+    return begun, time.monotonic(), len(os.sched_getaffinity(0))
+
+
+def threads(_: object) -> dict[str, str | None]:
+    return {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
+
+
+def main_name(_: object) -> Any:
+    return getattr(sys.modules["__main__"], "__file__", None)
+
+
+@pytest.fixture(scope="module")
+def executor() -> Iterator[LocalExecutor]:
+    executor = LocalExecutor()
+    executor.start(2, prepare)
+    yield executor
+    executor.stop()
+
+
+def outcomes(executor: LocalExecutor, *tasks: Task, within_s: float = 60.0) -> dict[str, Finished]:
+    for task in tasks:
+        executor.submit(task)
+    found: dict[str, Finished] = {}
+    deadline = time.monotonic() + within_s
+    while len(found) < len(tasks):
+        assert time.monotonic() < deadline, f"only {sorted(found)} ended"
+        finished = executor.next_finished(1.0)
+        if finished is not None:
+            found[finished.task_id] = finished
+    return found
+
+
+def beside_others(executor: LocalExecutor, task: Task) -> Finished:
+    """Run `task` among innocent ones, which must all come back."""
+    others = [Task(f"other-{n}", double, n) for n in range(6)]
+    found = outcomes(executor, *others[:3], task, *others[3:])
+    assert [found[other.id].value for other in others] == [0, 2, 4, 6, 8, 10]
+    return found[task.id]
+
+
+def test_values_come_back_from_reused_workers(executor: LocalExecutor) -> None:
+    found = outcomes(executor, *(Task(str(n), pid, None) for n in range(12)))
+    assert {one.status for one in found.values()} == {"ok"}
+    assert 1 <= len({one.value for one in found.values()}) <= 2
+
+
+def test_an_exception_is_failed_with_its_traceback(executor: LocalExecutor) -> None:
+    found = beside_others(executor, Task("bad", fail, "wrong\nin two lines"))
+    assert (found.status, found.reason) == ("failed", "ValueError: wrong in two lines")
+    assert "in fail" in found.traceback
+
+
+def test_a_segfault_names_its_signal_and_where_it_was(executor: LocalExecutor) -> None:
+    found = beside_others(executor, Task("bad", segfault, None))
+    assert (found.status, found.reason) == ("crashed", "its worker died of SIGSEGV")
+    assert "segfault" in found.traceback
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_a_worker_that_exits_crashed(executor: LocalExecutor, status: int) -> None:
+    found = beside_others(executor, Task("bad", leave, status))
+    assert found.status == "crashed"
+    assert f"status {status}" in found.reason
+
+
+def test_a_hang_in_c_is_timed_out_and_says_where(executor: LocalExecutor) -> None:
+    begun = time.monotonic()
+    found = beside_others(executor, Task("bad", hang_in_c, 60, timeout_s=1.0))
+    assert (found.status, found.reason) == ("timed_out", "no result within 1 s")
+    assert "hang_in_c" in found.traceback
+    assert time.monotonic() - begun < 30
+
+
+def test_an_allocation_past_the_cap_fails_and_one_below_does_not(executor: LocalExecutor) -> None:
+    assert outcomes(executor, Task("good", allocate, 200, memory_mb=300))["good"].value == 1
+    found = beside_others(executor, Task("bad", allocate, 400, memory_mb=300))
+    assert found.status == "failed"
+    assert "MemoryError" in found.reason or "allocate" in found.reason
+
+
+def test_a_worker_with_leaked_memory_is_replaced_before_the_next_task() -> None:
+    executor = LocalExecutor()
+    executor.start(1, prepare)
+    try:
+        leaker = outcomes(executor, Task("leak", leak, 200, memory_mb=300))["leak"]
+        assert leaker.status == "ok"
+        found = outcomes(executor, Task("next", allocate, 250, memory_mb=300), Task("pid", pid, None))
+        assert found["next"].value == 1
+        assert found["pid"].value != leaker.value
+    finally:
+        executor.stop()
+
+
+def test_memory_that_the_limit_does_not_see_is_watched(executor: LocalExecutor) -> None:
+    found = beside_others(executor, Task("bad", share_memory, 400, memory_mb=300))
+    assert found.status == "crashed"
+    assert "memory_mb allows 300" in found.reason
+
+
+def test_children_die_with_a_timed_out_worker(executor: LocalExecutor, tmp_path: Any) -> None:
+    path = tmp_path / "children"
+    found = beside_others(executor, Task("bad", fork_and_hang, str(path), timeout_s=1.5))
+    assert found.status == "timed_out"
+    _expect_gone(*map(int, path.read_text().split()))
+
+
+def test_children_left_behind_are_ended(executor: LocalExecutor) -> None:
+    found = beside_others(executor, Task("fork", fork_and_return, None))
+    assert found.status == "ok"
+    _expect_gone(found.value)
+
+
+def _expect_gone(*pids: int) -> None:
+    deadline = time.monotonic() + 10
+    while any(psutil.pid_exists(one) and psutil.Process(one).status() != "zombie" for one in pids):
+        assert time.monotonic() < deadline, f"{pids} still there"
+        time.sleep(0.05)
+
+
+def test_noise_stays_in_the_worker(executor: LocalExecutor, capfd: pytest.CaptureFixture[str]) -> None:
+    found = beside_others(executor, Task("noisy", print_noise, 1000))
+    assert found.value == "quiet"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_result_that_does_not_pickle_costs_its_task_alone(executor: LocalExecutor) -> None:
+    found = beside_others(executor, Task("bad", eval, "lambda: 0"))
+    assert found.status in ("failed", "crashed")
+    assert found.reason
+
+
+def test_exclusive_tasks_run_alone_on_one_core(executor: LocalExecutor) -> None:
+    tasks = [Task(str(n), report_affinity, None, exclusive=n in (2, 3)) for n in range(5)]
+    found = outcomes(executor, *tasks)
+    spans = [found[task.id].value for task in tasks]
+    for n in (2, 3):
+        assert spans[n][2] == 1
+        others = [span for other, span in enumerate(spans) if other != n]
+        assert all(end <= spans[n][0] or begin >= spans[n][1] for begin, end, _ in others)
+
+
+def test_workers_are_single_threaded_and_do_not_run_the_main_script(executor: LocalExecutor) -> None:
+    found = outcomes(executor, Task("threads", threads, None), Task("main", main_name, None))
+    assert set(found["threads"].value.values()) == {"1"}
+    assert found["main"].value is None
+
+
+def test_a_killed_worker_is_a_crash_and_an_idle_one_is_replaced(executor: LocalExecutor) -> None:
+    for one in {found.value for found in outcomes(executor, *(Task(str(n), pid, None) for n in range(8))).values()}:
+        os.kill(one, signal.SIGKILL)
+    assert outcomes(executor, Task("after", double, 4))["after"].value == 8
+
+
+def test_stop_ends_a_hanging_worker_at_once() -> None:
+    executor = LocalExecutor()
+    executor.start(1, prepare)
+    worker = outcomes(executor, Task("pid", pid, None))["pid"].value
+    executor.submit(Task("hang", hang_in_c, 60))
+    time.sleep(0.5)
+    begun = time.monotonic()
+    executor.stop()
+    executor.stop()
+    _expect_gone(worker)
+    assert time.monotonic() - begun < 5
