@@ -1,0 +1,169 @@
+"""Codecs that each break the contract in one way, and are right in every other."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import struct
+import threading
+import time
+from typing import Any, ClassVar
+
+import numpy as np
+
+from codecbench import BitstreamError, Capabilities, Image, Params
+from codecbench.plugins.codecs.raw import Raw
+
+
+class OffsetParams(Params):
+    offset: int = 1
+
+
+class _Broken(Raw):
+    """Starts as the raw codec, whose bitstream begins with 13 bytes of header and ends with 4 of checksum."""
+
+    params_type = OffsetParams
+
+
+class KeepsTheImage(_Broken):
+    """The decoder remembers what the encoder saw."""
+
+    seen: ClassVar[dict[bytes, Image]] = {}
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        bitstream = super().encode(image)
+        self.seen[bitstream[-4:]] = np.array(image)
+        return bitstream[-4:]
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        if bitstream not in self.seen:
+            raise BitstreamError("never seen")
+        return self.seen[bitstream].copy()
+
+
+class DecodesByItsParams(_Broken):
+    """The offset reaches the decoder outside the bytes."""
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        super().encode(image)
+        return super().encode(np.ascontiguousarray(image + np.uint8(self.params.offset)))
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return super().decode(bitstream) - np.uint8(self.params.offset)
+
+
+class Random(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return super().encode(image) + os.urandom(2)
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return super().decode(bitstream[:-2])
+
+
+class DiffersByProcess(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return super().encode(image) + struct.pack("<I", os.getpid())
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return super().decode(bitstream[:-4])
+
+
+class WritesIntoItsInput(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        bitstream = super().encode(image)
+        image[0, 0] += 1
+        return bitstream
+
+
+class LosesARow(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        image = super().decode(bitstream)
+        return image[:-1].copy() if len(image) > 1 else image
+
+
+class ReturnsFloats(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Any:
+        return super().decode(bitstream).astype(np.float32)
+
+
+class NotLossless(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return super().decode(bitstream) & np.uint8(0xFE)
+
+
+class FillsWhatIsCut(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        if len(bitstream) < 13 or bitstream[:4] != b"RAW1":
+            raise BitstreamError("foreign")
+        _, channels, width, height = struct.unpack_from("<4sBII", bitstream)
+        if channels not in (1, 3) or not 0 < width * height < 1 << 20:
+            raise BitstreamError("damaged")
+        shape = (height, width) if channels == 1 else (height, width, 3)
+        pixels = np.zeros(shape, np.uint8)
+        there = np.frombuffer(bitstream[13:-4], np.uint8)[: pixels.size]
+        pixels.reshape(-1)[: len(there)] = there
+        return pixels
+
+
+class TripsOverForeignBytes(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        struct.unpack_from("<4sBII", bitstream)
+        return super().decode(bitstream)
+
+
+class Crashes(_Broken):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        if len(bitstream) > 100 and not bitstream.startswith(b"RAW1"):
+            ctypes.string_at(0)
+        return super().decode(bitstream)
+
+
+class _TrustsItsHeader(_Broken):
+    """Acts on the header before checking anything else."""
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        if len(bitstream) > 13 and bitstream.startswith(b"RAW1"):
+            self.act(*struct.unpack_from("<II", bitstream, 5))
+        return super().decode(bitstream)
+
+    def act(self, width: int, height: int) -> None:
+        raise NotImplementedError
+
+
+class Hangs(_TrustsItsHeader):
+    def act(self, width: int, height: int) -> None:
+        if width * height > 1 << 26:
+            time.sleep(60)
+
+
+class Allocates(_TrustsItsHeader):
+    def act(self, width: int, height: int) -> None:
+        if 1 << 26 < width * height < 1 << 40:
+            np.ones(width * height, np.uint8)
+
+
+class SharesABuffer(_Broken):
+    buffer: ClassVar[dict[str, Image]] = {}
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        self.buffer["image"] = image
+        time.sleep(1e-4)
+        threading.Event().wait(1e-4)
+        return super().encode(self.buffer["image"])
+
+
+class AcceptsAnything(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return super().encode(np.asarray(image).astype(np.uint8))
+
+
+class ClaimsToCount(_Broken):
+    capabilities = Capabilities(lossless=True, counts_operations=True)
+
+
+class ForgetsAParameter(_Broken):
+    class _Params(OffsetParams):
+        def model_dump(self, **_: Any) -> dict[str, Any]:
+            return {}
+
+    params_type = _Params
