@@ -1,0 +1,245 @@
+"""A range coder: arithmetic coding with exact counts, 48 bits wide, with carry propagation.
+
+The encoder's state is three integers: `low` and `width` of the range, and the `position` of the next byte; the
+decoder's are `code`, where the stream points within the range, `width` and `position`. Symbols are coded by
+their interval among exact counts; the tables' values by adaptive bits. Division by a total is a product with
+its reciprocal in double precision, the same on both sides and never too large, so that the intervals nest;
+what that and the width of the range lose is below 1e-6 of the payload.
+
+Source: G. N. N. Martin, "Range encoding: an algorithm for removing redundancy from a digitised message" (1979).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from codecbench.core.instrument.kernel import kernel
+
+TOP = 1 << 48
+_BOTTOM = 1 << 40
+_BELOW_BOTTOM = _BOTTOM - 1
+_SLIGHTLY_LESS = 1.0 - 2.0**-50
+
+LOOK_AHEAD = 6
+"""Bytes that the decoder is ahead of the encoder: 48 bits."""
+
+_LOOKUP_LIMIT = 1 << 17
+
+
+@kernel
+def reciprocal(total: Any) -> Any:
+    """A little less than 1 / total, so that range * reciprocal never exceeds range / total."""
+    return _SLIGHTLY_LESS / total
+
+
+@kernel
+def encode_interval(low: Any, width: Any, position: Any, out: Any, start: Any, count: Any, unit: Any) -> Any:
+    """Narrow the range to `count` units from `start` on; returns the new low, width and position."""
+    low += start * unit
+    width = count * unit
+    if low >= TOP:
+        low -= TOP
+        _carry(out, position)
+    while width < _BOTTOM:
+        width <<= 8
+        out[position] = np.uint8(low >> 40)
+        position += 1
+        low = (low & _BELOW_BOTTOM) << 8
+    return low, width, position
+
+
+@kernel
+def _carry(out: Any, position: Any) -> None:
+    """Add one to the number whose last byte stands before `position`."""
+    position -= 1
+    while out[position] == 255:
+        out[position] = 0
+        position -= 1
+    out[position] += 1
+
+
+@kernel
+def finish_encoder(low: Any, width: Any, position: Any, out: Any) -> Any:
+    """Write the shortest number inside the range; returns the length of the output."""
+    high = low + width - 1
+    length = 0
+    mask = TOP - 1
+    while ((low + mask) & ~mask) > high:
+        length += 1
+        mask >>= 8
+    low = (low + mask) & ~mask
+    if low >= TOP:
+        _carry(out, position)
+    for _ in range(length):
+        out[position] = np.uint8((low >> 40) & 255)
+        position += 1
+        low <<= 8
+    return position
+
+
+@kernel
+def next_byte(data: Any, position: Any) -> Any:
+    """The byte at a position; bytes after the end of the data are zero."""
+    if position < data.shape[0]:
+        return np.int64(data[position])
+    return np.int64(0)
+
+
+@kernel
+def first_code(data: Any) -> Any:
+    """The decoder's code at the beginning of `data`; LOOK_AHEAD bytes are then read."""
+    code = np.int64(0)
+    for position in range(LOOK_AHEAD):
+        code = (code << 8) | next_byte(data, position)
+    return code
+
+
+@kernel
+def decode_interval(code: Any, position: Any, data: Any, start: Any, count: Any, unit: Any) -> Any:
+    """Take the interval of a decoded symbol out of the range; returns the new code, width and position."""
+    code -= start * unit
+    width = count * unit
+    while width < _BOTTOM:
+        width <<= 8
+        code = (code << 8) | next_byte(data, position)
+        position += 1
+    return code, width, position
+
+
+@kernel
+def quotient_of(code: Any, unit: Any) -> Any:
+    """floor(code / unit) for 0 <= code, 0 < unit, both below 2^48: the rounded quotient is at most one too large."""
+    quotient = np.int64(code / unit)
+    if quotient * unit > code:
+        quotient -= 1
+    return quotient
+
+
+@kernel
+def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, context: Any, bit: Any) -> Any:
+    """Code one bit with an adaptive probability; returns the new low, width and position.
+
+    models: (contexts, 2) int32, a fast and a slow estimate of P(bit = 1) in 1/65536, updated.
+    """
+    split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
+    _adapt(models, context, bit)
+    if bit:
+        return encode_interval(low, width, position, out, 0, 1, split)
+    return encode_interval(low + split, width, position, out, 0, 1, width - split)
+
+
+@kernel
+def decode_bit(code: Any, width: Any, position: Any, data: Any, models: Any, context: Any) -> Any:
+    """The next bit, as `encode_bit` coded it, and the new code, width and position."""
+    split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
+    bit = 0
+    if code < split:
+        bit = 1
+        width = split
+    else:
+        code -= split
+        width -= split
+    _adapt(models, context, bit)
+    code, width, position = decode_interval(code, position, data, 0, 1, width)
+    return bit, code, width, position
+
+
+@kernel
+def _adapt(models: Any, context: Any, bit: Any) -> None:
+    """Move both estimates toward the bit, by a 16th and by a 128th; neither ever reaches 0 or 65536."""
+    if bit:
+        models[context, 0] += (65535 - models[context, 0]) >> 4
+        models[context, 1] += (65535 - models[context, 1]) >> 7
+    else:
+        models[context, 0] -= models[context, 0] >> 4
+        models[context, 1] -= models[context, 1] >> 7
+
+
+@kernel
+def cumulate(counts: Any, starts: Any) -> Any:
+    """starts[s] = counts[0] + ... + counts[s - 1], for (U,) counts and (U + 1,) starts; returns the total."""
+    total = np.int64(0)
+    for symbol in range(counts.shape[0]):
+        starts[symbol] = total
+        total += counts[symbol]
+    starts[counts.shape[0]] = total
+    return total
+
+
+@kernel
+def encode_symbols(symbols: Any, counts: Any, starts: Any, out: Any) -> Any:
+    """Code every symbol with its exact count; returns the length of the output.
+
+    symbols: (n,) int32 in 0..U-1. counts: (U,) int64, how often each occurs. starts: (U + 1,) int64, filled.
+    out: at least 4 n + 16 bytes.
+    """
+    inverse = reciprocal(cumulate(counts, starts))
+    low = np.int64(0)
+    width = np.int64(TOP - 1)
+    position = 0
+    for i in range(symbols.shape[0]):
+        symbol = symbols[i]
+        unit = np.int64(width * inverse)
+        low, width, position = encode_interval(low, width, position, out, starts[symbol], counts[symbol], unit)
+    return finish_encoder(low, width, position, out)
+
+
+@kernel
+def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
+    """Decode `symbols` (n,) int32 from `data`; returns bytes read, or a negative number for damaged data.
+
+    counts: (U,) int64, each at least 1, with sum n. starts: (U + 1,) int64, filled. The histogram of what is
+    decoded must be the counts themselves (-1), and no code may lie outside all intervals (-2).
+    """
+    total = cumulate(counts, starts)
+    inverse = reciprocal(total)
+    shift = 0
+    while (total >> shift) > _LOOKUP_LIMIT:
+        shift += 1
+    lookup = np.empty((total >> shift) + 1, np.int32)
+    _fill_lookup(starts, shift, lookup)
+    left = counts.copy()
+    favourite = _most_frequent(counts)
+    code = first_code(data)
+    width = np.int64(TOP - 1)
+    position = LOOK_AHEAD
+    for i in range(symbols.shape[0]):
+        unit = np.int64(width * inverse)
+        # Trying the most frequent symbol first saves a division, and the wait for it, on most symbols.
+        symbol = favourite
+        start = starts[symbol] * unit
+        if code < start or code >= start + counts[symbol] * unit:
+            target = quotient_of(code, unit)
+            if target >= total:
+                return -2
+            symbol = np.int64(lookup[target >> shift])
+            while starts[symbol + 1] <= target:
+                symbol += 1
+        symbols[i] = symbol
+        left[symbol] -= 1
+        if left[symbol] < 0:
+            return -1
+        code, width, position = decode_interval(code, position, data, starts[symbol], counts[symbol], unit)
+    return position
+
+
+@kernel
+def _most_frequent(counts: Any) -> Any:
+    """The first symbol of the largest count."""
+    favourite = 0
+    for symbol in range(counts.shape[0]):
+        if counts[symbol] > counts[favourite]:
+            favourite = symbol
+    return np.int64(favourite)
+
+
+@kernel
+def _fill_lookup(starts: Any, shift: Any, lookup: Any) -> None:
+    """lookup[k]: the symbol whose interval holds k << shift."""
+    symbol = 0
+    for k in range(lookup.shape[0]):
+        while symbol < starts.shape[0] - 2 and starts[symbol + 1] <= k << shift:
+            symbol += 1
+        lookup[k] = symbol

@@ -1,0 +1,310 @@
+"""The container: what a multi-level bitstream holds, byte by byte, and the limits that a decoder keeps.
+
+All numbers are little-endian. A bitstream is a header, one section a level, the payload and a checksum:
+
+    offset  size  header
+         0     4  magic "CBML"
+         4     1  version, 1
+         5     1  profile: 0 static, as described here; 1 is reserved for `context`
+         6     1  flags: bit 0 search mode, bit 1 coefficient scan, bit 2 three channels; the others 0
+         7     1  colour: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
+         8     1  table: 0 paper, 1 standard, 2 flat, 255 custom
+         9     1  levels, 1..16
+        10     1  group, 2..16
+        11     1  reserved, 0
+        12     4  width
+        16     4  height
+        20     8  qf, float64
+        28     4  offset: the smallest index, or 0 where none is negative; int32
+        32     4  R, the number of digits at level 1
+        36   128  custom table only: 64 steps, uint16, natural order
+
+    a level, from the first
+               4  U, the number of entries
+               4  size of the coded table
+             8 g  search mode only: the keys, int64
+               -  the table; at the last level its counts too
+
+    payload
+               4  size
+               -  the last level's ranks
+
+               4  CRC-32 (IEEE 802.3) of everything before
+
+Work is bounded by what is there: a section that stands for more items than it has bytes to account for is
+filled up with zero bytes by the encoder and refused without them by the decoder.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.image import MAX_PIXELS
+from codecbench.plugins.codecs.dct.planes import Color, plane_shapes
+from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE, PAPER, Table
+
+MAGIC = b"CBML"
+VERSION = 1
+STATIC_PROFILE = 0
+CONTEXT_PROFILE = 1
+"""Reserved: adaptive contexts in place of tables. No decoder for it yet."""
+
+MAX_LEVELS = 16
+MIN_GROUP, MAX_GROUP = 2, 16
+MIN_QF, MAX_QF = 1e-3, 1e6
+MAX_SAMPLES = MAX_PIXELS
+"""Samples of all planes with their padding."""
+MAX_SYMBOLS = 1 << 22
+"""Digits of an alphabet, and entries of a table."""
+
+FREE_ITEMS = 1 << 20
+ITEMS_PER_BYTE = 1 << 10
+
+COLORS: tuple[Color, ...] = get_args(Color)
+TABLES: dict[str, tuple[int, Table]] = {"paper": (0, PAPER), "standard": (1, LUMINANCE), "flat": (2, FLAT)}
+_CUSTOM_TABLE = 255
+
+_SEARCH, _COEFFICIENT, _THREE_CHANNELS = 1, 2, 4
+_HEADER = struct.Struct("<4sBBBBBBBxIIdiI")
+_CUSTOM = struct.Struct("<64H")
+_LEVEL = struct.Struct("<II")
+_WORD = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands before the sections. table: (8, 8) int32. offset, radix: indices are offset..offset+radix-1."""
+
+    width: int
+    height: int
+    channels: int
+    color: Color
+    qf: float
+    table: Table = field(repr=False)
+    levels: int
+    group: int
+    search: bool
+    coefficient_scan: bool
+    offset: int
+    radix: int
+
+    @property
+    def plane_shapes(self) -> list[tuple[int, int]]:
+        """(height, width) of every plane."""
+        return plane_shapes(self.height, self.width, self.color)
+
+    @property
+    def padded_shapes(self) -> list[tuple[int, int]]:
+        """The same with the padding to multiples of 8."""
+        return [((height + 7) // 8 * 8, (width + 7) // 8 * 8) for height, width in self.plane_shapes]
+
+    @property
+    def samples(self) -> int:
+        """Samples of all planes with their padding."""
+        return sum(height * width for height, width in self.padded_shapes)
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level's section. keys: int64 (g,), empty in header mode."""
+
+    entries: int
+    table: bytes = field(repr=False)
+    keys: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Bitstream:
+    """A bitstream taken apart."""
+
+    header: Header
+    levels: list[Level]
+    payload: bytes = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Where the bytes of a bitstream go. header: fixed fields, custom table, section sizes, checksum."""
+
+    header: int
+    tables: tuple[int, ...]
+    keys: tuple[int, ...]
+    payload: int
+    entries: tuple[int, ...]
+
+    @property
+    def total(self) -> int:
+        return self.header + sum(self.tables) + sum(self.keys) + self.payload
+
+
+def describe(bitstream: bytes) -> Sizes:
+    """Bytes of header, tables and keys by level, and payload; raises BitstreamError as decoding would."""
+    parts = unpack(bitstream)
+    tables = tuple(len(level.table) for level in parts.levels)
+    keys = tuple(level.keys.nbytes for level in parts.levels)
+    header = len(bitstream) - sum(tables) - sum(keys) - len(parts.payload)
+    return Sizes(header, tables, keys, len(parts.payload), tuple(level.entries for level in parts.levels))
+
+
+def least_size(items: int) -> int:
+    """Bytes that a section needs at the least to stand for so many items."""
+    return max(0, -(-(items - FREE_ITEMS) // ITEMS_PER_BYTE))
+
+
+def filled_up(section: bytes, items: int) -> bytes:
+    """The section with zero bytes up to its least size: coders read zeros after its end anyway."""
+    return section.ljust(least_size(items), b"\0")
+
+
+def pack(parts: Bitstream) -> bytes:
+    """The bytes of a bitstream."""
+    chunks = [_pack_header(parts.header)]
+    for level in parts.levels:
+        chunks += [_LEVEL.pack(level.entries, len(level.table)), level.keys.astype("<i8").tobytes(), level.table]
+    chunks += [_WORD.pack(len(parts.payload)), parts.payload]
+    body = b"".join(chunks)
+    return body + _WORD.pack(zlib.crc32(body))
+
+
+def _pack_header(header: Header) -> bytes:
+    number = next((number for number, table in TABLES.values() if np.array_equal(table, header.table)), _CUSTOM_TABLE)
+    flags = _SEARCH * header.search + _COEFFICIENT * header.coefficient_scan + _THREE_CHANNELS * (header.channels == 3)
+    fixed = _HEADER.pack(
+        MAGIC,
+        VERSION,
+        STATIC_PROFILE,
+        flags,
+        COLORS.index(header.color),
+        number,
+        header.levels,
+        header.group,
+        header.width,
+        header.height,
+        header.qf,
+        header.offset,
+        header.radix,
+    )
+    return fixed + (_CUSTOM.pack(*header.table.reshape(64).tolist()) if number == _CUSTOM_TABLE else b"")
+
+
+class _Reader:
+    """Takes pieces off a bitstream; never beyond its checksum."""
+
+    def __init__(self, bitstream: bytes) -> None:
+        self.data = bitstream
+        self.position = 0
+        self.end = len(bitstream) - _WORD.size
+
+    def take(self, size: int, what: str) -> bytes:
+        if size > self.end - self.position:
+            raise BitstreamError(f"truncated: {what} of {size} bytes at byte {self.position} of {len(self.data)}")
+        self.position += size
+        return self.data[self.position - size : self.position]
+
+
+def unpack(bitstream: bytes) -> Bitstream:
+    """Take a bitstream apart and check everything that can be checked without decoding.
+
+    Raises BitstreamError with the reason.
+    """
+    data = bytes(bitstream)
+    if data[:4] != MAGIC[: len(data)] or not data:
+        raise BitstreamError(
+            f"not a multi-level bitstream: starts with {data[:4].hex() or 'nothing'}, not {MAGIC.hex()}"
+        )
+    if len(data) < _HEADER.size + _WORD.size:
+        raise BitstreamError(f"truncated: {len(data)} bytes, a header has {_HEADER.size}")
+    if data[4] != VERSION:
+        raise BitstreamError(f"version {data[4]} is not supported, only {VERSION}")
+    (expected,) = _WORD.unpack(data[-_WORD.size :])
+    if (found := zlib.crc32(data[: -_WORD.size])) != expected:
+        raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
+    reader = _Reader(data)
+    header = _unpack_header(reader)
+    levels = _unpack_levels(reader, header)
+    (size,) = _WORD.unpack(reader.take(_WORD.size, "payload size"))
+    payload = reader.take(size, "payload")
+    if header.samples > FREE_ITEMS + ITEMS_PER_BYTE * size:
+        raise BitstreamError(f"{header.width}x{header.height} pixels cannot come from a payload of {size} bytes")
+    if reader.position != reader.end:
+        raise BitstreamError(f"{reader.end - reader.position} trailing bytes after the payload")
+    return Bitstream(header, levels, payload)
+
+
+def _unpack_header(reader: _Reader) -> Header:
+    fields = _HEADER.unpack(reader.take(_HEADER.size, "header"))
+    _, _, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
+    for what, value, valid in (
+        ("profile", profile, profile == STATIC_PROFILE),
+        ("flags", flags, flags < 8),
+        ("colour", color, color < len(COLORS)),
+        ("table", number, number == _CUSTOM_TABLE or number < len(TABLES)),
+        ("levels", levels, 1 <= levels <= MAX_LEVELS),
+        ("group", group, MIN_GROUP <= group <= MAX_GROUP),
+        ("reserved byte", reader.data[11], reader.data[11] == 0),
+        ("width", width, width >= 1),
+        ("height", height, height >= 1),
+        ("qf", qf, math.isfinite(qf) and MIN_QF <= qf <= MAX_QF),
+        ("number of digits", radix, 1 <= radix <= MAX_SYMBOLS),
+        ("offset", offset, -radix < offset <= 0),
+    ):
+        if not valid:
+            raise BitstreamError(f"header: {what} {value} is not allowed")
+    channels = 3 if flags & _THREE_CHANNELS else 1
+    if channels == 1 and COLORS[color] != "gray":
+        raise BitstreamError(f"header: one channel with colour {COLORS[color]}")
+    header = Header(
+        width=width,
+        height=height,
+        channels=channels,
+        color=COLORS[color],
+        qf=qf,
+        table=_unpack_table(reader, number),
+        levels=levels,
+        group=group,
+        search=bool(flags & _SEARCH),
+        coefficient_scan=bool(flags & _COEFFICIENT),
+        offset=offset,
+        radix=radix,
+    )
+    if header.samples > MAX_SAMPLES:
+        raise BitstreamError(f"header: {width}x{height} pixels are more than the {MAX_SAMPLES} samples allowed")
+    return header
+
+
+def _unpack_table(reader: _Reader, number: int) -> Table:
+    if number != _CUSTOM_TABLE:
+        return next(table for known, table in TABLES.values() if known == number)
+    steps = np.array(_CUSTOM.unpack(reader.take(_CUSTOM.size, "custom table")), dtype=np.int32)
+    if steps.min() < 1:
+        raise BitstreamError("custom table: a step of 0")
+    return steps.reshape(8, 8)
+
+
+def _unpack_levels(reader: _Reader, header: Header) -> list[Level]:
+    levels = []
+    groups = header.samples
+    for number in range(1, header.levels + 1):
+        groups = -(-groups // header.group)
+        entries, size = _LEVEL.unpack(reader.take(_LEVEL.size, f"head of level {number}"))
+        if not 1 <= entries <= min(groups, MAX_SYMBOLS):
+            raise BitstreamError(f"level {number}: {entries} table entries for {groups} groups")
+        keys = np.zeros(0, np.int64)
+        if header.search:
+            data = reader.take(8 * header.group, f"keys of level {number}")
+            keys = np.frombuffer(data, dtype="<i8").astype(np.int64)
+            if keys.min() < 1:
+                raise BitstreamError(f"level {number}: key {keys.min()} is not positive")
+        table = reader.take(size, f"table of level {number}")
+        if entries > FREE_ITEMS + ITEMS_PER_BYTE * size:
+            raise BitstreamError(f"level {number}: {entries} table entries cannot come from {size} bytes")
+        levels.append(Level(entries, table, keys))
+    return levels

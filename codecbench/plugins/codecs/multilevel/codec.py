@@ -1,0 +1,114 @@
+"""The multi-level codec: from image to bitstream and back."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.errors import ImageError
+from codecbench.core.contracts.image import Image, check_image
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
+from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
+from codecbench.plugins.codecs.dct.tables import Table, steps_from_table
+from codecbench.plugins.codecs.multilevel import sections
+from codecbench.plugins.codecs.multilevel.bitstream import MAX_SAMPLES, TABLES, Bitstream, Header, pack, unpack
+from codecbench.plugins.codecs.multilevel.keys import Keys, canonical_keys, checked, manual_keys, random_keys
+from codecbench.plugins.codecs.multilevel.levels import expanded, minimised
+from codecbench.plugins.codecs.multilevel.params import MultilevelParams
+from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
+
+
+class Multilevel(Codec[MultilevelParams]):
+    """Multi-level minimisation of quantised DCT coefficients with order-0 arithmetic coding.
+
+    Source: Salih & Vasarhelyi, End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust
+    Monocular Visual ORB-SLAM. What the paper leaves open is decided in docs/multilevel.md.
+    """
+
+    name: ClassVar[str] = "multilevel"
+    version: ClassVar[str] = "1"
+    params_type = MultilevelParams
+    capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        """The bitstream of one image; a gray image is coded as one plane whatever `color` says.
+
+        Raises KeyCollision for manual keys that cannot tell tuples apart, ParamsError where codes would not
+        fit 62 bits, ImageError for images of too many pixels or too many different tuples.
+        """
+        image = check_image(image)
+        params = self.params
+        color: Color = params.color if image.ndim == 3 else "gray"
+        table = self._table()
+        header = Header(
+            width=image.shape[1],
+            height=image.shape[0],
+            channels=1 if image.ndim == 2 else 3,
+            color=color,
+            qf=params.qf,
+            table=table,
+            levels=params.levels,
+            group=params.group,
+            search=params.decoding == "search",
+            coefficient_scan=params.scan == "coefficient",
+            offset=0,
+            radix=1,
+        )
+        if header.samples > MAX_SAMPLES:
+            raise ImageError(f"image of shape {image.shape} needs {header.samples} samples; allowed: {MAX_SAMPLES}")
+        steps = steps_from_table(table, params.qf)
+        blocks = [
+            blocks_from_plane(padded(plane, trace=trace), steps, _shift(color, number), trace=trace)
+            for number, plane in enumerate(planes_from_image(image, color, trace))
+        ]
+        values = scanned(blocks[0] if len(blocks) == 1 else np.concatenate(blocks), params.scan, trace)
+        return pack(sections.encoded(header, minimised(values, params.levels, self._key_maker(), trace), trace))
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        """The image of a bitstream; of this instance's parameters only `search` matters, and only for speed.
+
+        Raises BitstreamError for damaged or foreign bytes, ParamsError where `search: sequential` would take
+        too long.
+        """
+        parts: Bitstream = unpack(bitstream)
+        header = parts.header
+        ranks, tuples = sections.decoded(parts, self.params.search, trace)
+        del parts
+        values = expanded(ranks, tuples, header.offset, header.samples, trace)
+        del ranks, tuples
+        blocks = unscanned(values, "coefficient" if header.coefficient_scan else "block", trace)
+        steps = steps_from_table(header.table, header.qf)
+        planes = []
+        start = 0
+        for number, (shape, padded_shape) in enumerate(zip(header.plane_shapes, header.padded_shapes, strict=True)):
+            stop = start + padded_shape[0] * padded_shape[1] // 64
+            shift = _shift(header.color, number)
+            plane = plane_from_blocks(blocks[start:stop], padded_shape, steps, shift, trace=trace)
+            planes.append(cropped(plane, shape, trace))
+            start = stop
+        return image_from_planes(planes, header.color, header.channels, trace)
+
+    def _table(self) -> Table:
+        chosen = self.params.table
+        return TABLES[chosen][1] if isinstance(chosen, str) else np.array(chosen, np.int32).reshape(8, 8)
+
+    def _key_maker(self) -> sections.KeyMaker:
+        params = self.params
+        rng = np.random.default_rng(params.seed)
+
+        def make(level: int, radix: int) -> Keys:
+            if params.keys == "canonical":
+                return checked(canonical_keys(radix, params.group), radix, level)
+            if params.keys == "random":
+                return checked(random_keys(radix, params.group, rng), radix, level)
+            return checked(manual_keys(params.keys), radix, level)
+
+        return make
+
+
+def _shift(color: Color, plane: int) -> float:
+    """Level shift: 128 for chroma, none for luma, RGB and gray."""
+    return 128.0 if color.startswith("ycbcr") and plane > 0 else 0.0

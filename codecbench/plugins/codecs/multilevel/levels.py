@@ -1,0 +1,142 @@
+"""The chain of levels: indices to ranks and tables, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import ImageError, KeyCollision
+from codecbench.core.instrument.trace import Trace
+from codecbench.plugins.codecs.multilevel.bitstream import MAX_SYMBOLS
+from codecbench.plugins.codecs.multilevel.keys import Keys, is_super_increasing
+from codecbench.plugins.codecs.multilevel.minimise import (
+    expand,
+    extremes,
+    find_collision,
+    find_distinct,
+    gather_table,
+    gather_tuples,
+    minimise,
+    replace_by_ranks,
+    sort_order,
+)
+
+_FIRST_SLOTS = 1 << 16
+
+KeyMaker = Callable[[int, int], Keys]
+"""Keys for a level, counted from 1, and its number of digits."""
+
+
+@dataclass(frozen=True)
+class LevelTable:
+    """A level's distinct codes, sorted.
+
+    radix: digits are 0..radix-1. codes: (U,) int64. counts: (U,) int64, how often each occurs. tuples: (U, g)
+    int32, the digits of each.
+    """
+
+    radix: int
+    keys: Keys
+    codes: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    tuples: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Minimised:
+    """What is left of a sequence of indices. offset: index of digit 0 at level 1. ranks: (n,) int32 at the top."""
+
+    offset: int
+    tables: list[LevelTable]
+    ranks: NDArray[np.int32]
+
+
+def minimised(values: NDArray[np.int32], levels: int, make_keys: KeyMaker, trace: Trace) -> Minimised:
+    """Minimise indices (n,) int32 level by level.
+
+    Raises KeyCollision where two tuples that occur get the same code, ImageError for too many distinct ones.
+    """
+    with trace.stage("digits") as run:
+        smallest, largest = (int(value) for value in run(extremes, values))
+    _check_alphabet(largest - smallest + 1, "quantised values")
+    tables: list[LevelTable] = []
+    offset, radix = smallest, largest - smallest + 1
+    for level in range(1, levels + 1):
+        # The last group is filled up with the digit of a zero coefficient; above level 1 with rank 0.
+        table, values = _minimised_once(values, offset, radix, make_keys(level, radix), level, trace)
+        tables.append(table)
+        offset, radix = 0, len(table.codes)
+    return Minimised(smallest, tables, values)
+
+
+def _check_alphabet(size: int, what: str) -> None:
+    if size > MAX_SYMBOLS:
+        raise ImageError(f"{size} different {what} are more than the {MAX_SYMBOLS} that fit: raise `qf`")
+
+
+def _minimised_once(
+    values: NDArray[np.int32], offset: int, radix: int, keys: Keys, level: int, trace: Trace
+) -> tuple[LevelTable, NDArray[np.int32]]:
+    group = len(keys)
+    groups = -(-len(values) // group)
+    filler = -offset
+    codes = np.empty(groups, np.int64)
+    with trace.stage("minimization") as run:
+        run(minimise, values, offset, filler, keys, codes)
+    distinct, counts = np.empty(groups, np.int64), np.empty(groups, np.int64)
+    first, numbers = np.empty(groups, np.int32), np.empty(groups, np.int32)
+    slots = _FIRST_SLOTS
+    with trace.stage("table") as run:
+        while (found := run(find_distinct, codes, np.zeros(slots, np.int32), distinct, counts, first, numbers)) < 0:
+            slots *= 4
+        _check_alphabet(found, f"tuples at level {level}")
+        order = np.empty(found, np.int32)
+        run(sort_order, distinct[:found], order)
+        table = LevelTable(
+            radix,
+            keys,
+            codes=np.empty(found, np.int64),
+            counts=np.empty(found, np.int64),
+            tuples=np.empty((found, group), np.int32),
+        )
+        rank_of = np.empty(found, np.int32)
+        run(gather_table, order, distinct, counts, table.codes, table.counts, rank_of)
+        run(gather_tuples, values, offset, filler, first, order, table.tuples)
+        if not is_super_increasing(keys, radix):
+            where = run(find_collision, values, offset, filler, group, first, numbers)
+            if where >= 0:
+                other = table.tuples[rank_of[numbers[where]]].tolist()
+                _refuse_collision(level, _group_at(values, offset, filler, group, where), other)
+        run(replace_by_ranks, numbers, rank_of)
+    return table, numbers
+
+
+def _group_at(values: NDArray[np.int32], offset: int, filler: int, group: int, index: int) -> list[int]:
+    digits = [int(value) - offset for value in values[index * group : (index + 1) * group]]
+    return digits + [filler] * (group - len(digits))
+
+
+def _refuse_collision(level: int, first: list[int], second: list[int]) -> None:
+    raise KeyCollision(
+        f"level {level}: the digits {tuple(first)} and {tuple(second)} get the same code under these keys; "
+        f"take other keys, or `keys: canonical`"
+    )
+
+
+def expanded(
+    ranks: NDArray[np.int32], tuples: list[NDArray[np.int32]], offset: int, count: int, trace: Trace
+) -> NDArray[np.int32]:
+    """The (count,) int32 indices that ranks stand for; `tuples` from level 1 up, every rank within its table."""
+    group = tuples[0].shape[1]
+    counts = [count]
+    for _ in tuples[1:]:
+        counts.append(-(-counts[-1] // group))
+    for level in range(len(tuples) - 1, -1, -1):
+        values = np.empty(counts[level], np.int32)
+        with trace.stage("expansion") as run:
+            run(expand, ranks, tuples[level], offset if level == 0 else 0, values)
+        ranks = values
+    return ranks

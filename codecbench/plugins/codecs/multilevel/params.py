@@ -1,0 +1,46 @@
+"""The multi-level codec's parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from codecbench.core.contracts.params import Params
+from codecbench.plugins.codecs.dct.planes import Color
+from codecbench.plugins.codecs.multilevel.bitstream import MAX_GROUP, MAX_LEVELS, MAX_QF, MIN_GROUP, MIN_QF
+from codecbench.plugins.codecs.multilevel.keys import AutomaticKeys
+from codecbench.plugins.codecs.multilevel.scan import Scan
+from codecbench.plugins.codecs.multilevel.search import Search
+
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+Step = Annotated[int, Field(ge=1, le=65535)]
+
+
+class MultilevelParams(Params):
+    """How the multi-level codec quantises, minimises and decodes."""
+
+    qf: float = Field(5.0, ge=MIN_QF, le=MAX_QF, description="factor on the quantisation table")
+    levels: int = Field(1, ge=1, le=MAX_LEVELS, description="levels of minimisation")
+    group: int = Field(3, ge=MIN_GROUP, le=MAX_GROUP, description="digits that become one code")
+    keys: AutomaticKeys | tuple[Fraction, ...] = Field(
+        "canonical", description="canonical, random (by seed), or one key in (0, 1) for every digit of a group"
+    )
+    seed: int = Field(0, ge=0, description="seed of random keys")
+    decoding: Literal["header", "search"] = Field(
+        "header", description="send the tuples of the tables, or their codes and the keys to search them"
+    )
+    search: Search = Field("greedy", description="how this decoder searches; every way finds the same")
+    color: Color = Field("rgb", description="planes of a colour image; a gray image is always one plane")
+    scan: Scan = Field("block", description="coefficients block by block, or frequency by frequency")
+    table: Literal["paper", "standard", "flat"] | tuple[Step, ...] = Field(
+        "paper", description="quantisation table, or its 64 steps row by row"
+    )
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Self:
+        if not isinstance(self.keys, str) and len(self.keys) != self.group:
+            raise ValueError(f"keys: {len(self.keys)} keys for groups of {self.group} digits; give one key a digit")
+        if not isinstance(self.table, str) and len(self.table) != 64:
+            raise ValueError(f"table: {len(self.table)} steps; give 64, row by row")
+        return self

@@ -1,0 +1,195 @@
+"""The sections of a bitstream: tables and payload, coded and decoded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import BitstreamError, KeyCollision, ParamsError
+from codecbench.core.instrument.trace import Trace
+from codecbench.plugins.codecs.multilevel.arithmetic import LOOK_AHEAD, decode_symbols, encode_symbols
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Header, Level, filled_up, least_size
+from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
+from codecbench.plugins.codecs.multilevel.levels import KeyMaker, LevelTable, Minimised
+from codecbench.plugins.codecs.multilevel.search import (
+    FREE_PRUNED_TESTS,
+    MAX_SEQUENTIAL_TESTS,
+    PRUNED_TESTS_PER_BYTE,
+    Search,
+    greedy_search,
+    pruned_search,
+    sequential_search,
+)
+from codecbench.plugins.codecs.multilevel.tables import (
+    BAD_COUNTS,
+    OUT_OF_RANGE,
+    OVERRUN,
+    REPEATED,
+    decode_codes,
+    decode_tuples,
+    encode_codes,
+    encode_tuples,
+)
+
+__all__ = ["KeyMaker", "decoded", "encoded"]
+
+_REASONS = {
+    OVERRUN: "truncated",
+    OUT_OF_RANGE: "a digit or code is out of range",
+    BAD_COUNTS: "counts do not sum to the number of groups",
+    REPEATED: "an entry occurs twice",
+}
+_NO_COUNTS = np.zeros(0, np.int64)
+
+
+def encoded(header: Header, minimised: Minimised, trace: Trace) -> Bitstream:
+    """The parts of a bitstream. Raises KeyCollision in search mode where any two tuples share a code."""
+    header = replace(header, offset=minimised.offset, radix=minimised.tables[0].radix)
+    levels = []
+    for number, table in enumerate(minimised.tables, start=1):
+        counts = table.counts if number == header.levels else _NO_COUNTS
+        data = filled_up(_encoded_table(table, counts, header.search, trace), len(table.codes))
+        if header.search:
+            _check_searchable(table, len(data), number)
+        levels.append(Level(len(table.codes), data, table.keys if header.search else _NO_COUNTS))
+    counts = minimised.tables[-1].counts
+    out = np.empty(4 * len(minimised.ranks) + 16, np.uint8)
+    with trace.stage("arithmetic_coding") as run:
+        size = run(encode_symbols, minimised.ranks, counts, np.empty(len(counts) + 1, np.int64), out)
+    return Bitstream(header, levels, filled_up(out[:size].tobytes(), header.samples))
+
+
+def _encoded_table(table: LevelTable, counts: NDArray[np.int64], search: bool, trace: Trace) -> bytes:
+    room = 4096 + 8 * table.tuples.size
+    with trace.stage("table_coding") as run:
+        while True:
+            out = np.empty(room, np.uint8)
+            size = (
+                run(encode_codes, table.codes, counts, out) if search else run(encode_tuples, table.tuples, counts, out)
+            )
+            if size >= 0:
+                return out[:size].tobytes()
+            room *= 4
+
+
+def _check_searchable(table: LevelTable, size: int, level: int) -> None:
+    pair = colliding_digits(table.keys, table.radix)
+    if pair is not None:
+        raise KeyCollision(
+            f"level {level}: the digits {pair[0]} and {pair[1]} get the same code under these keys, so a search "
+            f"could not tell them apart; take `keys: canonical` or `decoding: header`"
+        )
+    if not _is_affordable(table.keys, table.radix, len(table.codes), size):
+        raise ParamsError(
+            f"level {level}: {len(table.codes)} codes of digits 0..{table.radix - 1} take too long to search under "
+            f"keys that are not super-increasing; take `keys: canonical` or `decoding: header`"
+        )
+
+
+def _is_affordable(keys: Keys, radix: int, entries: int, size: int) -> bool:
+    """Whether a decoder may be asked to search a table of so many bytes."""
+    tests: int = entries * radix ** (len(keys) - 1)
+    return is_super_increasing(keys, radix) or tests <= FREE_PRUNED_TESTS + PRUNED_TESTS_PER_BYTE * size
+
+
+def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.int32], list[NDArray[np.int32]]]:
+    """The last level's ranks, and the tuples of every level.
+
+    Raises BitstreamError with the reason. Every rank is within its table and every digit within its alphabet.
+    """
+    header = parts.header
+    groups, radix = header.samples, header.radix
+    tuples = []
+    counts = _NO_COUNTS
+    for number, level in enumerate(parts.levels, start=1):
+        groups = -(-groups // header.group)
+        counts = np.empty(level.entries if number == header.levels else 0, np.int64)
+        if header.search:
+            tuples.append(_searched_tuples(level, number, radix, groups, counts, search, trace))
+        else:
+            tuples.append(_sent_tuples(level, number, radix, groups, counts, header.group, trace))
+        radix = level.entries
+    ranks = np.empty(groups, np.int32)
+    with trace.stage("arithmetic_decoding") as run:
+        data = np.frombuffer(parts.payload, np.uint8)
+        read = run(decode_symbols, data, counts, np.empty(len(counts) + 1, np.int64), ranks)
+    if read < 0:
+        raise BitstreamError("payload: the histogram of its symbols differs from the counts")
+    _check_end(parts.payload, read, header.samples, "payload")
+    return ranks, tuples
+
+
+def _sent_tuples(
+    level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], group: int, trace: Trace
+) -> NDArray[np.int32]:
+    tuples = np.empty((level.entries, group), np.int32)
+    with trace.stage("table_decoding") as run:
+        read = run(decode_tuples, np.frombuffer(level.table, np.uint8), radix, groups, tuples, counts)
+    _check_table(level, read, number)
+    return tuples
+
+
+def _searched_tuples(
+    level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], search: Search, trace: Trace
+) -> NDArray[np.int32]:
+    _check_keys(level, number, radix)
+    largest = sum(level.keys.tolist()) * (radix - 1)
+    codes = np.empty(level.entries, np.int64)
+    with trace.stage("table_decoding") as run:
+        read = run(decode_codes, np.frombuffer(level.table, np.uint8), largest, groups, codes, counts)
+    _check_table(level, read, number)
+    tuples = np.empty((level.entries, len(level.keys)), np.int32)
+    if not _search(codes, level.keys, radix, tuples, search, trace):
+        raise BitstreamError(f"level {number}: a code belongs to no tuple under the keys")
+    return tuples
+
+
+def _check_keys(level: Level, number: int, radix: int) -> None:
+    """Refuse keys under which a search is ambiguous, overflows or takes too long."""
+    keys: list[int] = level.keys.tolist()
+    if sum(keys) * (radix - 1) > MAX_CODE:
+        raise BitstreamError(f"level {number}: codes exceed 62 bits")
+    if is_super_increasing(level.keys, radix):
+        return
+    if max(keys) > 1 << MANUAL_BITS or not _is_affordable(level.keys, radix, level.entries, len(level.table)):
+        raise BitstreamError(f"level {number}: keys {keys} are not super-increasing and too costly to search")
+    try:
+        pair = colliding_digits(level.keys, radix)
+    except ParamsError as error:
+        raise BitstreamError(f"level {number}: {error}") from error
+    if pair is not None:
+        raise BitstreamError(f"level {number}: keys are not one-to-one: {pair[0]} and {pair[1]} get the same code")
+
+
+def _search(
+    codes: NDArray[np.int64], keys: Keys, radix: int, tuples: NDArray[np.int32], search: Search, trace: Trace
+) -> Any:
+    order = np.argsort(keys, kind="stable")
+    if search == "greedy" and not is_super_increasing(keys, radix):
+        search = "pruned"
+    if search == "sequential" and len(codes) * radix ** len(keys) > MAX_SEQUENTIAL_TESTS:
+        raise ParamsError(
+            f"a sequential search of {len(codes)} codes over {radix}^{len(keys)} tuples takes too long; "
+            f"take `search: pruned` or `greedy`"
+        )
+    with trace.stage(f"{search}_search") as run:
+        if search == "sequential":
+            return run(sequential_search, codes, keys, radix, tuples)
+        return run(greedy_search if search == "greedy" else pruned_search, codes, keys, order, radix, tuples)
+
+
+def _check_table(level: Level, read: int, number: int) -> None:
+    if read < 0:
+        raise BitstreamError(f"table of level {number}: {_REASONS[read]}")
+    _check_end(level.table, read, level.entries, f"table of level {number}")
+
+
+def _check_end(section: bytes, read: int, items: int, what: str) -> None:
+    """Refuse a section that ends before its code does, or goes on after it other than by filling up."""
+    if read > len(section) + LOOK_AHEAD:
+        raise BitstreamError(f"{what}: truncated")
+    if len(section) > max(read, least_size(items)) or any(section[read:]):
+        raise BitstreamError(f"{what}: trailing bytes")
