@@ -1,0 +1,155 @@
+"""The `operations` evaluator: three families of counts that share their classes and are never mixed.
+
+`source`: what the codec's kernels do, counted in their source; only for codecs that run all their arithmetic
+in kernels. `model`: the paper's closed formulas for the frame's size. `machine`: instructions executed,
+classified one by one. A family that a codec does not have is missing, never zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.instrument.operations import CLASSES, COUNTERS, OperationCounts
+from codecbench.core.instrument.trace import CountingTrace
+from codecbench.plugins.evaluators.operations import codec_models, machine
+from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
+
+Family = Literal["source", "model", "machine"]
+_FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
+
+_SUMMARIES = {
+    "mults": "multiplications, divisions included",
+    "adds": "additions, subtractions, negations",
+    "bit_ops": "bitwise operations",
+    "comparisons": "comparisons",
+    "shifts": "shifts",
+    "reads": "memory reads",
+    "writes": "memory writes",
+    "total": "operations of the seven classes",
+    "divisions": "those of the multiplications that are divisions",
+    "index_ops": "index and loop arithmetic, not in the total",
+}
+_BESIDE = {"source": COUNTERS[len(CLASSES) :], "model": (), "machine": ("divisions",)}
+
+
+def _names(family: Family) -> tuple[str, ...]:
+    return (*CLASSES, "total", *_BESIDE[family])
+
+
+def _ordered(families: tuple[Family, ...]) -> tuple[Family, ...]:
+    if not families:
+        raise ValueError(f"at least one of {', '.join(_FAMILIES)}")
+    return tuple(family for family in _FAMILIES if family in families)
+
+
+class OperationsParams(Params):
+    """`families`: which counts to make. `frames`: how many frames, spread evenly over the sequence.
+
+    For the model, `planes`: one plane whatever the image, as the paper counts, or all that are coded;
+    `nonzero_share` of JPEG's coefficients: the paper's 0.2, or measured on the frame.
+    """
+
+    families: Annotated[tuple[Family, ...], AfterValidator(_ordered)] = ("source", "model")
+    frames: Annotated[int, Field(ge=1)] = 1
+    planes: Literal["paper", "all"] = "paper"
+    nonzero_share: Literal["paper", "measured"] = "paper"
+
+
+class Operations(CodecEvaluator[OperationsParams]):
+    """Operations per frame, by stage (`encode/dct`), with the totals of `encode` and `decode`."""
+
+    name = "operations"
+    version = "1"
+    params_type = OperationsParams
+    metrics: ClassVar[tuple[Metric, ...]] = tuple(
+        Metric(f"{family}_{name}", "ops", "lower", f"{_SUMMARIES[name]}, {family} counts")
+        for family in _FAMILIES
+        for name in _names(family)
+    )
+
+    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        families = self._available(codec)
+        for index in spread(len(sequence), self.params.frames):
+            image = sequence.read(index).image
+            for family in families:
+                for stage, counts in self._count(family, codec, image).items():
+                    yield from _measurements(family, counts, index, stage)
+        if "machine" in self.params.families and (reason := machine.missing()):
+            for direction in ("encode", "decode"):
+                for name in _names("machine"):
+                    yield Measurement(f"machine_{name}", math.nan, stage=direction, reason=reason)
+
+    def _available(self, codec: Codec[Any]) -> list[Family]:
+        """The requested families that there are for this codec here; Unsupported, with reasons, if none."""
+        reasons: dict[Family, str | None] = {
+            "source": None if codec.capabilities.counts_operations else f"{codec.name} is opaque: it runs no kernels",
+            "model": None if self._has_model(codec) else f"the paper has no model of {codec.name} with this setting",
+            "machine": machine.missing(),
+        }
+        available = [family for family in self.params.families if reasons[family] is None]
+        if not available:
+            raise Unsupported("; ".join(reasons[family] or "" for family in self.params.families))
+        return available
+
+    def _has_model(self, codec: Codec[Any]) -> bool:
+        return codec_models.has_model(codec.name, codec.params.model_dump())
+
+    def _count(self, family: Family, codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
+        if family == "source":
+            return _with_totals(*source_counts(codec, image))
+        if family == "model":
+            return _with_totals(*self._modelled(codec, image))
+        return machine.executed(codec, image)
+
+    def _modelled(self, codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
+        values = codec.params.model_dump()
+        height, width = image.shape[:2]
+        every = self.params.planes == "all"
+        planes = codec_models.coded_planes(image, values) if every else [Plane(width, height)]
+        share = PAPER_NONZERO_SHARE
+        if self.params.nonzero_share == "measured" and codec.name.startswith("jpeg") and codec.name != "jpeg2000":
+            share = codec_models.measured_nonzero_share(image, codec.encode(image))
+        return codec_models.modelled(codec.name, values, planes, share)
+
+
+def spread(length: int, count: int) -> list[int]:
+    """Up to `count` frame indices spread evenly over `length`, the middles of equal parts."""
+    count = min(length, count)
+    return [int((position + 0.5) * length / count) for position in range(count)]
+
+
+def source_counts(codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
+    """What the codec's kernels do to encode and to decode an image, by stage.
+
+    Raises RuntimeError where counting changes the bitstream or the picture.
+    """
+    encoding, decoding = CountingTrace(), CountingTrace()
+    bitstream = codec.encode(image, trace=encoding)
+    decoded = codec.decode(bitstream, trace=decoding)
+    if bitstream != codec.encode(image) or not np.array_equal(decoded, codec.decode(bitstream)):
+        raise RuntimeError(f"{codec.name}: the counting build gives other results than the fast build")
+    return encoding.counts, decoding.counts
+
+
+def _with_totals(encoding: Stages, decoding: Stages) -> Stages:
+    stages: Stages = {}
+    for direction, parts in (("encode", encoding), ("decode", decoding)):
+        stages |= {f"{direction}/{name}": counts for name, counts in parts.items()}
+        stages[direction] = OperationCounts.sum(parts.values())
+    return stages
+
+
+def _measurements(family: Family, counts: OperationCounts, frame: int, stage: str) -> Iterator[Measurement]:
+    for name in _names(family):
+        yield Measurement(f"{family}_{name}", float(getattr(counts, name)), frame, stage)

@@ -1,0 +1,80 @@
+"""Instructions that encoding and decoding one image execute, counted by callgrind in a child process."""
+
+from __future__ import annotations
+
+import importlib.util
+import pickle
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.image import Image
+from codecbench.core.instrument.operations import OperationCounts
+from codecbench.plugins.evaluators.operations.instructions import classified, object_code, read_profile
+
+_CHILD = "codecbench.plugins.evaluators.operations.machine_child"
+_TIMEOUT_S = 1800.0
+_CALLGRIND = (
+    "--tool=callgrind",
+    "--dump-instr=yes",
+    "--instr-atstart=no",
+    "--compress-strings=no",
+    "--compress-pos=no",
+    "--quiet",
+)
+
+
+def missing() -> str | None:
+    """Why instructions cannot be counted here and what would mend it; None where they can."""
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return f"machine counts need an x86-64 processor, this is {platform.machine()}"
+    if shutil.which("valgrind") is None:
+        return "valgrind is not installed: apt-get install valgrind"
+    modules = [name for name in ("iced_x86", "elftools") if importlib.util.find_spec(name) is None]
+    return f"{' and '.join(modules)} not installed: pip install 'codecbench[machine]'" if modules else None
+
+
+def executed(codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
+    """Operations of one encoding and one decoding, under `encode` and `decode`.
+
+    Both have run once before, so that no compilation and no loading is counted. The instructions of the Python
+    interpreter itself are left out; those of every library and of compiled kernels are in.
+    """
+    with tempfile.TemporaryDirectory(prefix="codecbench-machine-") as name:
+        folder = Path(name)
+        (folder / "task.pickle").write_bytes(pickle.dumps((type(codec), codec.params, image)))
+        command = ["valgrind", *_CALLGRIND, f"--callgrind-out-file={folder / 'profile'}", sys.executable, "-m", _CHILD]
+        run = subprocess.run([*command, name], capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+        if run.returncode != 0:
+            raise RuntimeError(f"valgrind ended with status {run.returncode}: {run.stderr.strip()[-2000:]}")
+        kernels = pickle.loads((folder / "kernels.pickle").read_bytes())
+        return {
+            direction: _counted(folder / f"profile.{number}", kernels)
+            for number, direction in enumerate(("encode", "decode"), start=1)
+        }
+
+
+def _counted(profile: Path, kernels: list[tuple[int, bytes]]) -> OperationCounts:
+    with profile.open() as lines:
+        objects = read_profile(lines)
+    total, unknown, everything = OperationCounts(), 0, 0
+    for name, addresses in objects.items():
+        if _is_interpreter(name):
+            continue
+        file = Path(name)
+        counts, lost = classified(addresses, object_code(file) if file.is_file() else kernels)
+        total, unknown = total + counts, unknown + lost
+        everything += addresses.total()
+    if unknown > 0.001 * everything:
+        raise RuntimeError(f"{unknown} of {everything} executed instructions lie in no known code")
+    return total
+
+
+def _is_interpreter(name: str) -> bool:
+    file = Path(name)
+    return file.name.startswith("libpython") or (file.is_file() and file.samefile(sys.executable))

@@ -1,0 +1,133 @@
+"""The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
+
+Reading frames, PNG, checks and garbage collection are outside what is timed. Every frame is coded a few times
+before the first measurement, so that compilation, caches and clocks have settled. One repeat is one cell;
+the engine interleaves the repeats of all settings, so that a slow spell of the machine hits none of them alone.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Sequence
+
+_MAX_LOOPS = 1000
+_AGGREGATES = ("median", "p95")
+
+
+class TimingParams(Params):
+    """`frames`: how many, spread evenly over the sequence. `repeats`: cells for each setting. `warmup`: codings of
+    the first frame that are not timed. `min_ms`: calls that are faster are repeated until this much has passed,
+    and share it.
+    """
+
+    frames: Annotated[int, Field(ge=1)] = 10
+    repeats: Annotated[int, Field(ge=1)] = 5
+    warmup: Annotated[int, Field(ge=1)] = 3
+    min_ms: Annotated[float, Field(ge=0)] = 5.0
+
+    def identity(self) -> dict[str, Any]:
+        """All but `repeats`: more of them recompute nothing."""
+        return self.model_dump(mode="json", exclude={"repeats"})
+
+
+@dataclass(frozen=True)
+class Duration:
+    """What one call takes, in milliseconds: by the clock on the wall and of this process's processor time."""
+
+    wall_ms: float
+    cpu_ms: float
+
+
+class Timing(CodecEvaluator[TimingParams]):
+    """Encode and decode time per frame."""
+
+    name = "timing"
+    version = "1"
+    params_type = TimingParams
+    exclusive = True
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        Metric("encode_wall_ms", "ms", "lower", "time from image to bitstream", _AGGREGATES),
+        Metric("decode_wall_ms", "ms", "lower", "time from bitstream to image", _AGGREGATES),
+        Metric("encode_cpu_ms", "ms", "lower", "processor time from image to bitstream", _AGGREGATES),
+        Metric("decode_cpu_ms", "ms", "lower", "processor time from bitstream to image", _AGGREGATES),
+        Metric("encode_mpix_per_s", "Mpx/s", "higher", "megapixels encoded a second", _AGGREGATES),
+        Metric("decode_mpix_per_s", "Mpx/s", "higher", "megapixels decoded a second", _AGGREGATES),
+    )
+
+    @property
+    def repeats(self) -> int:
+        return self.params.repeats
+
+    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        cv2.setNumThreads(1)
+        images = {index: sequence.read(index).image for index in _spread(len(sequence), self.params.frames)}
+        for index in list(images)[:1]:
+            for _ in range(self.params.warmup):
+                codec.decode(codec.encode(images[index]))
+        for index, image in images.items():
+            encoding, decoding = self._durations(codec, image)
+            yield from _measurements("encode", encoding, image, index)
+            yield from _measurements("decode", decoding, image, index)
+
+    def _durations(self, codec: Codec[Any], image: Image) -> tuple[Duration, Duration]:
+        bitstream = codec.encode(image)
+        encoding = duration(lambda: codec.encode(image), self.params.min_ms)
+        codec.decode(bitstream)
+        return encoding, duration(lambda: codec.decode(bitstream), self.params.min_ms)
+
+
+def duration(call: Callable[[], object], min_ms: float) -> Duration:
+    """Time of one call: of a single one if it takes `min_ms`, else the mean over as many as take that long."""
+    with _no_collection():
+        first = _timed(call, 1)
+        if first.wall_ms >= min_ms:
+            return first
+        loops = min(_MAX_LOOPS, math.ceil(min_ms / max(first.wall_ms, 1e-6)))
+        return _timed(call, loops)
+
+
+def _timed(call: Callable[[], object], loops: int) -> Duration:
+    turns = range(loops)
+    cpu_start_ns, wall_start_ns = time.process_time_ns(), time.perf_counter_ns()
+    for _ in turns:
+        call()
+    wall_end_ns, cpu_end_ns = time.perf_counter_ns(), time.process_time_ns()
+    return Duration((wall_end_ns - wall_start_ns) / loops * 1e-6, (cpu_end_ns - cpu_start_ns) / loops * 1e-6)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _spread(length: int, count: int) -> list[int]:
+    return np.unique(np.linspace(0, length - 1, min(length, count)).round().astype(int)).tolist()
+
+
+def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:
+    megapixels = image.shape[0] * image.shape[1] * 1e-6
+    yield Measurement(f"{direction}_wall_ms", taken.wall_ms, index)
+    yield Measurement(f"{direction}_cpu_ms", taken.cpu_ms, index)
+    yield Measurement(f"{direction}_mpix_per_s", megapixels / (max(taken.wall_ms, 1e-9) * 1e-3), index)
