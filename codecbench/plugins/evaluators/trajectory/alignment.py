@@ -1,0 +1,98 @@
+"""Bringing two trajectories together: in time by nearest stamps, in space by the best similarity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.sequence import Trajectory
+
+MIN_POSES: Final = 3
+"""Poses that determine a similarity in space."""
+
+
+class Undefined(Exception):
+    """A quantity has no value for this trajectory; the message is the reason that the table shows."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Poses of an estimate beside the reference's at the same times, one to one and in order of time."""
+
+    estimate: Trajectory
+    reference: Trajectory
+
+    def __len__(self) -> int:
+        return len(self.estimate)
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """The map x -> scale * rotation @ x + translation, reference_from_estimate."""
+
+    scale: float
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    def points(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 3) points of the estimate in the reference's frame and unit."""
+        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+
+    def trajectory(self, trajectory: Trajectory) -> Trajectory:
+        """The estimate's poses in the reference's frame and unit; they stay rigid."""
+        poses = trajectory.world_from_camera.copy()
+        poses[:, :3, :3] = self.rotation @ poses[:, :3, :3]
+        poses[:, :3, 3] = self.points(trajectory.positions_world)
+        return Trajectory(trajectory.timestamps_s, poses)
+
+
+def nearest_stamps(
+    stamps_s: NDArray[np.float64], others_s: NDArray[np.float64], tolerance_s: float
+) -> NDArray[np.int64]:
+    """(N,) for each stamp the position of the nearest other, or -1 where none is within `tolerance_s`.
+
+    Both are increasing; the earlier wins among equals.
+    """
+    if len(others_s) == 0:
+        return np.full(len(stamps_s), -1, dtype=np.int64)
+    after = np.clip(np.searchsorted(others_s, stamps_s), 1, max(len(others_s) - 1, 1))
+    after = np.minimum(after, len(others_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(stamps_s - others_s[before] <= others_s[after] - stamps_s, before, after)
+    # Stamps are seconds since 1970 to the microsecond: a double holds them to 0.2 microseconds.
+    near = np.abs(others_s[nearest] - stamps_s) <= tolerance_s + 1e-6
+    return np.where(near, nearest, -1).astype(np.int64)
+
+
+def associate(estimate: Trajectory, reference: Trajectory, tolerance_s: float) -> Pairs:
+    """Each pose of the estimate beside the reference's nearest in time, where one is within `tolerance_s`."""
+    nearest = nearest_stamps(estimate.timestamps_s, reference.timestamps_s, tolerance_s)
+    found = nearest >= 0
+    return Pairs(_select(estimate, np.flatnonzero(found)), _select(reference, nearest[found]))
+
+
+def align(pairs: Pairs) -> Similarity:
+    """The similarity that minimises the squared distances between paired positions.
+
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE TPAMI 13(4),
+    1991, doi:10.1109/34.88573, as evo computes it. Raises Undefined for fewer than MIN_POSES pairs and for positions
+    that lie in one point or on one line, which leave the similarity open.
+    """
+    from evo.core.geometry import GeometryException, umeyama_alignment
+
+    if len(pairs) < MIN_POSES:
+        raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; a similarity needs {MIN_POSES}")
+    try:
+        rotation, translation, scale = umeyama_alignment(
+            pairs.estimate.positions_world.T, pairs.reference.positions_world.T, True
+        )
+    except GeometryException as error:
+        raise Undefined("the tracked positions lie in one point or on one line: no similarity is best") from error
+    return Similarity(float(scale), rotation, translation)
+
+
+def _select(trajectory: Trajectory, positions: NDArray[np.int64]) -> Trajectory:
+    return Trajectory(trajectory.timestamps_s[positions], trajectory.world_from_camera[positions])

@@ -1,0 +1,123 @@
+"""How far an estimated trajectory is from the true one, by several definitions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.plugins.evaluators.trajectory.alignment import (
+    MIN_POSES,
+    Pairs,
+    Similarity,
+    Undefined,
+    nearest_stamps,
+)
+
+
+class RelativeErrors(NamedTuple):
+    """Root mean squares over an interval: `trans_m` of the position, `rot_deg` of the rotation angle."""
+
+    trans_m: float
+    rot_deg: float
+
+
+def position_errors(pairs: Pairs, similarity: Similarity) -> NDArray[np.float64]:
+    """(N,) distances in metres between true positions and aligned estimates."""
+    estimated = similarity.points(pairs.estimate.positions_world)
+    return np.asarray(np.linalg.norm(estimated - pairs.reference.positions_world, axis=1))
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def first_frame_rmse(pairs: Pairs) -> float:
+    """The error of MATLAB's monocular SLAM example, metres.
+
+    Both trajectories are expressed in the coordinates of their own first pose; the estimate is scaled by the median
+    over the poses of |true position| / |estimated position|; nothing is rotated or shifted to fit. Poses that have
+    not left the first one have no ratio and do not take part in the median. Raises Undefined for fewer than MIN_POSES.
+    """
+    if len(pairs) < MIN_POSES:
+        raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed")
+    true, estimated = _from_first(pairs.reference), _from_first(pairs.estimate)
+    true_norms, estimated_norms = np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
+    moved = estimated_norms > 0.0
+    if not moved.any():
+        raise Undefined("the estimate never left its first position: it has no scale")
+    scale = np.median(true_norms[moved] / estimated_norms[moved])
+    return rms(np.linalg.norm(scale * estimated - true, axis=1))
+
+
+def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tolerance_s: float) -> RelativeErrors:
+    """Relative pose errors over `interval_s` (Sturm et al., IROS 2012, doi:10.1109/IROS.2012.6385773, eqs. 2 and 4).
+
+    Every pose is paired with the one nearest to `interval_s` later, where there is one within `tolerance_s`, so that
+    gaps are stepped over. The estimate has the scale of `similarity`. Raises Undefined where no two poses pair.
+    """
+    stamps_s = pairs.estimate.timestamps_s
+    ends = nearest_stamps(stamps_s + interval_s, stamps_s, tolerance_s)
+    starts = np.flatnonzero(ends > np.arange(len(ends)))
+    if len(starts) == 0:
+        raise Undefined(f"no two tracked frames are {interval_s:g} s apart")
+    ends = ends[starts]
+    true = _motions(pairs.reference.world_from_camera, starts, ends)
+    estimated = _motions(similarity.trajectory(pairs.estimate).world_from_camera, starts, ends)
+    errors = np.linalg.inv(true) @ estimated
+    angles = np.asarray(Rotation.from_matrix(errors[:, :3, :3]).magnitude())
+    return RelativeErrors(rms(np.linalg.norm(errors[:, :3, 3], axis=1)), float(np.degrees(rms(angles))))
+
+
+def scale_drift(pairs: Pairs) -> float:
+    """|ln(s_late / s_early)|: by how much the map's scale changed between the first and the last third of the poses.
+
+    Each third's scale is the ratio of the spreads of true and estimated positions about their means, the symmetric
+    scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E. Raises Undefined for fewer than three
+    poses a third, or where one does not move.
+    """
+    third = len(pairs) // 3
+    if third < MIN_POSES:
+        raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {3 * MIN_POSES} are needed")
+    parts = (slice(0, third), slice(len(pairs) - third, len(pairs)))
+    true = [_spread(pairs.reference.positions_world[part]) for part in parts]
+    estimated = [_spread(pairs.estimate.positions_world[part]) for part in parts]
+    if min(*true, *estimated) == 0.0:
+        raise Undefined("the camera does not move in the first or the last third")
+    return float(abs(np.log(true[1] / estimated[1]) - np.log(true[0] / estimated[0])))
+
+
+def coverage_penalised_rmse(
+    errors_m: NDArray[np.float64], untracked: int, true_positions: NDArray[np.float64]
+) -> float:
+    """Root mean square position error over all frames that have ground truth, tracked or not, metres.
+
+    errors_m: (N,) of the tracked ones. true_positions: (N + untracked, 3) of all. An untracked frame is charged 2 R,
+    where R is the largest distance of a true position from their mean. A similarity that minimises squared errors
+    never leaves more than R, so giving up a share u of the frames costs more than it can gain as soon as
+    u > (ATE / 2 R)^2: at any error for a quarter of the frames, and for almost none at a useful one.
+    """
+    centred = true_positions - true_positions.mean(axis=0)
+    charge_m = 2.0 * np.sqrt(np.max(np.sum(centred**2, axis=1)))
+    total = np.sum(errors_m**2) + untracked * charge_m**2
+    return float(np.sqrt(total / (len(errors_m) + untracked)))
+
+
+def _from_first(trajectory: Trajectory) -> NDArray[np.float64]:
+    """(N, 3) positions in the coordinates of the first camera."""
+    poses = trajectory.world_from_camera
+    first = poses[0]
+    return np.asarray((poses[:, :3, 3] - first[:3, 3]) @ first[:3, :3])
+
+
+def _motions(poses: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(M, 4, 4) start_from_end."""
+    return np.asarray(np.linalg.inv(poses[starts]) @ poses[ends])
+
+
+def _spread(positions: NDArray[np.float64]) -> float:
+    return rms(np.linalg.norm(positions - positions.mean(axis=0), axis=1))

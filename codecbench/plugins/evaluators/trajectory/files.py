@@ -1,0 +1,75 @@
+"""The files that a trajectory cell leaves beside its record."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.core.contracts.slam import LoopEvent, TrackedFrame
+
+TRAJECTORY: Final = "trajectory.txt"
+TRAJECTORY_BEFORE_LOOPS: Final = "trajectory_before_loops.txt"
+KEYFRAMES: Final = "keyframes.txt"
+GROUND_TRUTH: Final = "ground_truth.txt"
+MAP_POINTS: Final = "map_points.ply"
+STATES: Final = "states.csv"
+LOOPS: Final = "loops.csv"
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Poses as lines `timestamp tx ty tz qx qy qz qw` (TUM's format): seconds, world_from_camera."""
+    poses = trajectory.world_from_camera
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
+    rows = np.column_stack([trajectory.timestamps_s, poses[:, :3, 3], quaternions])
+    np.savetxt(path, rows, fmt=["%.6f"] + ["%.9g"] * 7, header="timestamp_s tx ty tz qx qy qz qw")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """The trajectory that `write_tum` wrote."""
+    lines = [line for line in path.read_text().splitlines() if line and not line.startswith("#")]
+    rows = np.array([line.split() for line in lines], dtype=np.float64).reshape(-1, 8)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    if len(rows):
+        poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+        poses[:, :3, 3] = rows[:, 1:4]
+    return Trajectory(rows[:, 0], poses)
+
+
+def selected(trajectory: Trajectory, mask: NDArray[np.bool_]) -> Trajectory:
+    """The poses for which `mask` (N,) holds."""
+    return Trajectory(trajectory.timestamps_s[mask], trajectory.world_from_camera[mask])
+
+
+def write_points(path: Path, points: NDArray[np.float64]) -> None:
+    """(M, 3) points as a binary PLY file of float32 x, y, z."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    path.write_bytes(header.encode("ascii") + np.ascontiguousarray(points, dtype="<f4").tobytes())
+
+
+def write_states(path: Path, frames: tuple[TrackedFrame, ...]) -> None:
+    """What happened to each frame, one line a frame."""
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", "timestamp_s", "state", "inliers", "keyframe", "map_id", "elapsed_ms", "reason"])
+        for one in frames:
+            stamp, elapsed = f"{one.timestamp_s:.6f}", f"{one.elapsed_ms:.3f}"
+            keyframe = int(one.keyframe)
+            writer.writerow([one.index, stamp, one.state, one.inliers, keyframe, one.map_id, elapsed, one.reason])
+
+
+def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
+    """The loops that were closed, one line a loop."""
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", "matched_frame", "inliers", "merged_maps"])
+        for one in loops:
+            writer.writerow([one.frame, one.matched_frame, one.inliers, int(one.merged_maps)])

@@ -1,0 +1,275 @@
+"""The trajectory evaluator with a backend that returns what it was told to."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, Plugins, context
+from synthetic_path import CAMERA, Told, helix, moved, noisy, part
+
+from codecbench.core.contracts.errors import SlamError, Unsupported
+from codecbench.core.contracts.evaluator import Measurement, Outcome
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.core.contracts.slam import LoopEvent
+from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
+
+COUNT = 100
+
+
+def coded(truth: Trajectory | None = None) -> CodedInMemory:
+    """A hundred small frames whose decoded pixels are their raw pixels plus one."""
+    images = [np.full((6, 8), index, np.uint8) for index in range(COUNT)]
+    sequence = MemorySequence(images, CAMERA, truth)
+    return CodedInMemory(sequence, FunctionCodec(lambda image: np.asarray(image + 1, dtype=np.uint8)))
+
+
+def measured(
+    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, **params: Any
+) -> dict[str, Measurement]:
+    evaluator = TrajectoryEvaluator.create(backend="told", **params)
+    where = context(folder, repeat, Plugins(told=lambda _: backend))
+    found = list(evaluator.evaluate(coded(truth), where))
+    assert len({one.metric for one in found}) == len(found)
+    return {one.metric: one for one in found}
+
+
+def outcome(found: dict[str, Measurement], folder: Path, repeat: int = 0) -> Outcome:
+    return Outcome(repeat, tuple(found.values()), folder)
+
+
+def folder(tmp_path: Path, name: str) -> Path:
+    (tmp_path / name).mkdir()
+    return tmp_path / name
+
+
+def test_a_perfect_run(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    found = measured(Told(moved(truth), loops=(LoopEvent(60, 5, 40), LoopEvent(80, 6, 30))), tmp_path, truth)
+    expected = {
+        "ate_rmse_m": 0.0, "ate_median_m": 0.0, "ate_rmse_first_frame_m": 0.0, "ate_before_loops_m": 0.0,
+        "coverage_penalised_ate_m": 0.0, "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
+        "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "keyframes": 20.0, "map_points": 4.0,
+        "loops_closed": 2.0, "loop_frame": 60.0, "mean_inliers": 50.0, "slam_ms_per_frame": 2.0,
+        "sent_size_bytes": 4800.0, "sent_rate_kbps": 3.84,
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert found[name].value == pytest.approx(value, abs=1e-9), name
+    assert found["rpe_rot_deg"].value == pytest.approx(0.0, abs=1e-4)
+
+
+def test_every_declared_metric_is_measured_and_no_other(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    found = measured(Told(moved(truth)), tmp_path, truth)
+    evaluator = TrajectoryEvaluator.create(backend="told")
+    one = outcome(found, tmp_path)
+    compared = {m.metric for m in evaluator.compare(one, [one])}
+    assert set(found) | compared == {metric.name for metric in TrajectoryEvaluator.metrics}
+    assert not set(found) & compared
+
+
+def test_frames_before_initialisation_and_losses_are_counted(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    tracked = np.r_[20:50, 60:100]
+    found = measured(Told(moved(part(truth, tracked))), tmp_path, truth)
+    assert found["tracked_fraction"].value == pytest.approx(0.7)
+    assert found["first_tracked_frame"].value == 20
+    assert found["times_lost"].value == 1
+    assert found["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert found["coverage_penalised_ate_m"].value > 1.0
+
+
+def test_a_trajectory_cut_to_its_first_tenth_ranks_worse(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    whole = moved(noisy(truth, 0.1))
+    cut = measured(Told(part(whole, slice(0, 10))), folder(tmp_path, "cut"), truth)
+    full = measured(Told(whole), folder(tmp_path, "full"), truth)
+    assert cut["ate_rmse_m"].value < full["ate_rmse_m"].value
+    assert cut["coverage_penalised_ate_m"].value > full["coverage_penalised_ate_m"].value
+    evaluator = TrajectoryEvaluator.create(backend="told")
+    baseline = [outcome(full, tmp_path / "full")]
+    verdicts = {
+        name: next(iter(evaluator.compare(outcome(found, tmp_path / name), baseline))).value
+        for name, found in (("cut", cut), ("full", full))
+    }
+    assert verdicts == {"cut": 0.0, "full": 1.0}
+
+
+def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    found = measured(Told(part(truth, slice(0, 0))), tmp_path, truth)
+    assert found["tracked_fraction"].value == 0.0
+    for name in ("ate_rmse_m", "rpe_trans_m", "scale_drift", "first_tracked_frame", "mean_inliers", "loop_frame"):
+        assert math.isnan(found[name].value)
+        assert found[name].reason
+    radius = np.linalg.norm(truth.positions_world - truth.positions_world.mean(axis=0), axis=1).max()
+    assert found["coverage_penalised_ate_m"].value == pytest.approx(2 * radius)
+    evaluator = TrajectoryEvaluator.create(backend="told")
+    one = outcome(found, tmp_path)
+    compared = {m.metric: m for m in evaluator.compare(one, [one])}
+    assert compared["success"].value == 0.0
+    assert math.isnan(compared["ate_to_raw_m"].value)
+
+
+def test_without_ground_truth_the_rest_is_there(tmp_path: Path) -> None:
+    path = helix(COUNT)
+    raw = measured(Told(moved(path)), folder(tmp_path, "raw"))
+    assert raw["tracked_fraction"].value == 1.0
+    assert math.isnan(raw["ate_rmse_m"].value)
+    assert raw["ate_rmse_m"].reason == "the sequence has no ground truth"
+    other = measured(Told(moved(noisy(path, 0.02), scale=5.0)), folder(tmp_path, "other"))
+    evaluator = TrajectoryEvaluator.create(backend="told")
+    compared = {
+        m.metric: m for m in evaluator.compare(outcome(other, tmp_path / "other"), [outcome(raw, tmp_path / "raw")])
+    }
+    assert compared["ate_to_raw_m"].value == pytest.approx(0.3 * 0.02 * math.sqrt(3), rel=0.15)  # in the raw map's unit
+    assert compared["success"].reason
+    assert compared["ate_minus_raw_m"].reason
+    assert not (tmp_path / "raw" / files.GROUND_TRUTH).exists()
+
+
+def test_comparison_with_raw_pairs_repeats(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    evaluator = TrajectoryEvaluator.create(backend="told", start_offsets=[0, 1, 2])
+    raw = [
+        outcome(
+            measured(Told(moved(noisy(truth, 0.01 * (r + 1)))), folder(tmp_path, f"raw{r}"), truth),
+            tmp_path / f"raw{r}",
+            r,
+        )
+        for r in range(3)
+    ]
+    coded_run = outcome(
+        measured(Told(moved(noisy(truth, 0.05, seed=9))), folder(tmp_path, "jpeg"), truth), tmp_path / "jpeg", 1
+    )
+    compared = {m.metric: m.value for m in evaluator.compare(coded_run, raw)}
+    assert compared["ate_minus_raw_m"] == pytest.approx(coded_run.value("ate_rmse_m") - raw[1].value("ate_rmse_m"))
+    assert compared["success"] == 0.0
+    assert compared["ate_to_raw_m"] == pytest.approx(math.hypot(0.05, 0.02) * math.sqrt(3), rel=0.1)
+    own = {m.metric: m.value for m in evaluator.compare(raw[2], raw)}
+    assert own == {"success": 1.0, "ate_to_raw_m": pytest.approx(0.0, abs=1e-6), "ate_minus_raw_m": 0.0}
+
+
+@pytest.mark.parametrize(("limit_m", "verdict"), [(0.2, 1.0), (0.01, 0.0)])
+def test_an_absolute_limit_needs_no_raw_run(limit_m: float, verdict: float, tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    found = measured(Told(moved(noisy(truth, 0.05))), tmp_path, truth)
+    evaluator = TrajectoryEvaluator.create(backend="told", ate_limit_m=limit_m)
+    compared = {m.metric: m for m in evaluator.compare(outcome(found, tmp_path), [])}
+    assert compared["success"].value == verdict
+    assert "raw codec" in str(compared["ate_to_raw_m"].reason)
+    without = TrajectoryEvaluator.create(backend="told")
+    assert "ate_limit_m" in str(next(iter(without.compare(outcome(found, tmp_path), []))).reason)
+
+
+def test_a_run_that_stands_still_fails(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    still = Trajectory(truth.timestamps_s, np.tile(np.eye(4), (COUNT, 1, 1)))
+    found = measured(Told(still), tmp_path, truth)
+    assert found["tracked_fraction"].value == 1.0
+    verdict = next(iter(TrajectoryEvaluator.create(ate_limit_m=1.0).compare(outcome(found, tmp_path), [])))
+    assert verdict.value == 0.0
+
+
+def test_cta_sees_decoded_frames_and_sends_all(tmp_path: Path) -> None:
+    backend = Told(helix(COUNT))
+    found = measured(backend, tmp_path, helix(COUNT), architecture="cta")
+    assert [int(frame.image[0, 0]) for frame in backend.seen] == list(range(1, COUNT + 1))
+    assert backend.keyframe_images == []
+    assert found["sent_size_bytes"].value == 48 * COUNT
+
+
+def test_atc_tracks_raw_frames_and_sends_keyframes(tmp_path: Path) -> None:
+    backend = Told(helix(COUNT))
+    found = measured(backend, tmp_path, helix(COUNT), architecture="atc")
+    assert [int(frame.image[0, 0]) for frame in backend.seen] == list(range(COUNT))
+    assert [int(image[0, 0]) for image in backend.keyframe_images] == list(range(1, COUNT + 1, 5))
+    assert found["sent_size_bytes"].value == 48 * 20
+    assert found["sent_rate_kbps"].value == pytest.approx(48 * 20 * 8 / 10.0 / 1000)
+
+
+def test_offsets_and_seeds_make_repeats(tmp_path: Path) -> None:
+    backend = Told(helix(COUNT))
+    evaluator = TrajectoryEvaluator.create(start_offsets=[0, 5], seeds=[3, 4])
+    assert evaluator.repeats == 4
+    for repeat, (offset, seed) in enumerate([(0, 3), (5, 3), (0, 4), (5, 4)]):
+        measured(backend, folder(tmp_path, str(repeat)), repeat=repeat, start_offsets=[0, 5], seeds=[3, 4])
+        assert backend.seen[0].index == offset
+        assert backend.seeds[-1] == seed
+
+
+def test_a_longer_list_of_repeats_changes_no_identity() -> None:
+    short = TrajectoryEvaluator.create(start_offsets=[0, 5], backend_params={"features": 500})
+    longer = TrajectoryEvaluator.create(start_offsets=[0, 5, 10], backend_params={"features": 500}, ate_limit_m=0.5)
+    assert [short.repeat_identity(i) for i in range(2)] == [longer.repeat_identity(i) for i in range(2)]
+    assert longer.repeat_identity(1) != longer.repeat_identity(2)
+    other = TrajectoryEvaluator.create(start_offsets=[0, 5], architecture="atc", backend_params={"features": 500})
+    assert other.repeat_identity(0) != short.repeat_identity(0)
+
+
+@pytest.mark.parametrize(
+    "params", [{"start_offsets": [1, 1]}, {"start_offsets": []}, {"seeds": [-1]}, {"architecture": "both"}]
+)
+def test_wrong_parameters_are_refused(params: dict[str, Any]) -> None:
+    with pytest.raises(ValueError):
+        TrajectoryEvaluator.create(**params)
+
+
+def test_what_cannot_run_is_unsupported(tmp_path: Path) -> None:
+    with pytest.raises(Unsupported, match="leaves no frame of 100"):
+        measured(Told(helix(COUNT)), tmp_path, start_offsets=[100])
+    backend = Told(helix(COUNT))
+    backend.architectures = frozenset({"cta"})  # type: ignore[misc]
+    with pytest.raises(Unsupported, match="cannot run architecture atc; it runs cta"):
+        measured(backend, tmp_path, architecture="atc")
+
+
+def test_impossible_answers_are_refused(tmp_path: Path) -> None:
+    broken = helix(COUNT)
+    broken.world_from_camera[3, 0, 3] = np.nan
+    with pytest.raises(SlamError, match="trajectory has poses that are not finite"):
+        measured(Told(broken), tmp_path)
+
+
+def test_files_beside_the_record(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    before = moved(noisy(truth, 0.1))
+    found = measured(Told(moved(truth), before, loops=(LoopEvent(60, 5, 40),)), tmp_path, truth)
+    assert found["ate_before_loops_m"].value > 0.1 > found["ate_rmse_m"].value
+    final = files.read_tum(tmp_path / files.TRAJECTORY)
+    np.testing.assert_allclose(final.world_from_camera, truth.world_from_camera, atol=1e-6)
+    np.testing.assert_allclose(final.timestamps_s, truth.timestamps_s, atol=1e-6)
+    keyframes = files.read_tum(tmp_path / files.KEYFRAMES)
+    np.testing.assert_allclose(keyframes.timestamps_s, truth.timestamps_s[::5], atol=1e-6)
+    assert len(files.read_tum(tmp_path / files.TRAJECTORY_BEFORE_LOOPS)) == COUNT
+    assert len(files.read_tum(tmp_path / files.GROUND_TRUTH)) == COUNT
+    with (tmp_path / files.STATES).open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["frame"]) for row in rows] == list(range(COUNT))
+    assert sum(int(row["keyframe"]) for row in rows) == 20
+    with (tmp_path / files.LOOPS).open() as stream:
+        assert list(csv.DictReader(stream)) == [
+            {"frame": "60", "matched_frame": "5", "inliers": "40", "merged_maps": "0"}
+        ]
+
+
+def test_map_points_are_a_ply_file_in_the_true_frame(tmp_path: Path) -> None:
+    from codecbench.plugins.evaluators.trajectory.alignment import align, associate
+
+    truth = helix(COUNT)
+    measured(Told(moved(truth)), tmp_path, truth)
+    header, _, body = (tmp_path / files.MAP_POINTS).read_bytes().partition(b"end_header\n")
+    assert b"element vertex 4\n" in header
+    similarity = align(associate(moved(truth), truth, 0.02))
+    points = np.frombuffer(body, "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(points, similarity.points(np.arange(12.0).reshape(4, 3)), rtol=1e-5, atol=1e-4)
+
+
+def test_empty_trajectories_survive_the_files(tmp_path: Path) -> None:
+    empty = part(helix(5), slice(0, 0))
+    files.write_tum(tmp_path / "empty.txt", empty)
+    assert len(files.read_tum(tmp_path / "empty.txt")) == 0

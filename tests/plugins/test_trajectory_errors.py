@@ -1,0 +1,235 @@
+"""Trajectory errors on paths with known answers, against closed forms and evo's own pipeline."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from synthetic_path import helix, moved, noisy, part
+
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.plugins.evaluators.trajectory import errors
+from codecbench.plugins.evaluators.trajectory.alignment import (
+    Pairs,
+    Undefined,
+    align,
+    associate,
+    nearest_stamps,
+)
+
+
+def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Umeyama 1991, eqs. 38-43, written out."""
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    covariance = (target - target_mean).T @ (source - source_mean) / len(source)
+    left, singular, right = np.linalg.svd(covariance)
+    signs = np.ones(3)
+    if np.linalg.det(left) * np.linalg.det(right) < 0:
+        signs[2] = -1.0
+    rotation = left @ np.diag(signs) @ right
+    scale = (singular * signs).sum() / ((source - source_mean) ** 2).sum(axis=1).mean()
+    return scale, rotation, target_mean - scale * rotation @ source_mean
+
+
+@given(
+    scale=st.floats(0.01, 100.0),
+    rotation=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    translation=st.tuples(*[st.floats(-50.0, 50.0)] * 3),
+)
+@settings(max_examples=50, deadline=None)
+def test_alignment_recovers_a_known_similarity(
+    scale: float, rotation: tuple[float, ...], translation: tuple[float, ...]
+) -> None:
+    truth = helix(40)
+    turned = Rotation.from_rotvec(rotation).as_matrix()
+    poses = truth.world_from_camera.copy()
+    poses[:, :3, 3] = (truth.positions_world - translation) @ turned / scale
+    found = align(Pairs(Trajectory(truth.timestamps_s, poses), truth))
+    assert found.scale == pytest.approx(scale, rel=1e-9)
+    np.testing.assert_allclose(found.rotation, turned, atol=1e-9)
+    np.testing.assert_allclose(found.translation, translation, atol=1e-8)
+
+
+def test_alignment_is_umeyama_written_out() -> None:
+    truth = helix(60)
+    pairs = Pairs(moved(noisy(truth, 0.05)), truth)
+    scale, rotation, translation = umeyama(pairs.estimate.positions_world, truth.positions_world)
+    found = align(pairs)
+    assert found.scale == pytest.approx(scale, rel=1e-12)
+    np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(found.translation, translation, atol=1e-12)
+
+
+def test_ate_is_that_of_evos_own_pipeline() -> None:
+    """evo associates, aligns and measures by itself, from timestamps and poses."""
+    from evo.core import metrics, sync
+    from evo.core.trajectory import PoseTrajectory3D
+
+    truth = helix(300, rate_hz=100.0)
+    frames = part(truth, slice(0, 300, 7))
+    estimate = moved(noisy(Trajectory(frames.timestamps_s + 0.003, frames.world_from_camera), 0.02))
+    reference, other = sync.associate_trajectories(
+        PoseTrajectory3D(poses_se3=list(truth.world_from_camera), timestamps=truth.timestamps_s),
+        PoseTrajectory3D(poses_se3=list(estimate.world_from_camera), timestamps=estimate.timestamps_s),
+        max_diff=0.02,
+    )
+    other.align(reference, correct_scale=True)
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data((reference, other))
+    pairs = associate(estimate, truth, 0.02)
+    found = errors.position_errors(pairs, align(pairs))
+    np.testing.assert_allclose(found, ape.error, atol=1e-9)
+    assert errors.rms(found) == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), abs=1e-12)
+
+
+def test_relative_errors_are_evos_where_there_are_no_gaps() -> None:
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+
+    truth = helix(80, rate_hz=10.0)
+    estimate = noisy(truth, 0.03)
+    estimate.world_from_camera[:, :3, :3] = (
+        estimate.world_from_camera[:, :3, :3] @ Rotation.from_rotvec(0.01 * np.eye(3)[np.arange(80) % 3]).as_matrix()
+    )
+    pairs = Pairs(moved(estimate), truth)
+    similarity = align(pairs)
+    found = errors.relative_errors(pairs, similarity, 1.0, 0.05)
+    aligned = similarity.trajectory(pairs.estimate)
+    both = [PoseTrajectory3D(poses_se3=list(t.world_from_camera), timestamps=t.timestamps_s) for t in (truth, aligned)]
+    for relation, value in (
+        (metrics.PoseRelation.translation_part, found.trans_m),
+        (metrics.PoseRelation.rotation_angle_deg, found.rot_deg),
+    ):
+        rpe = metrics.RPE(relation, delta=10, delta_unit=metrics.Unit.frames, all_pairs=True)
+        rpe.process_data(tuple(both))
+        assert value == pytest.approx(rpe.get_statistic(metrics.StatisticsType.rmse), rel=1e-6)
+
+
+def test_relative_errors_step_over_gaps() -> None:
+    """With a gap, pairs stay one second apart: the drift per second is what it is without one."""
+    truth = helix(200, rate_hz=10.0)
+    poses = truth.world_from_camera.copy()
+    poses[:, :3, 3] += 0.01 * truth.timestamps_s[:, None] * [1.0, 0.0, 0.0]
+    drifting = Trajectory(truth.timestamps_s, poses)
+    kept = np.r_[0:60, 130:200]
+    identity = align(Pairs(truth, truth))
+    whole = errors.relative_errors(Pairs(drifting, truth), identity, 1.0, 0.05)
+    gappy = errors.relative_errors(Pairs(part(drifting, kept), part(truth, kept)), identity, 1.0, 0.05)
+    assert whole.trans_m == pytest.approx(0.01, rel=1e-6)
+    assert gappy.trans_m == pytest.approx(0.01, rel=1e-6)
+    assert whole.rot_deg == pytest.approx(0.0, abs=1e-5)
+
+
+def test_known_similarity_gives_zero_everywhere() -> None:
+    truth = helix(90)
+    pairs = Pairs(moved(truth), truth)
+    similarity = align(pairs)
+    assert errors.rms(errors.position_errors(pairs, similarity)) == pytest.approx(0.0, abs=1e-12)
+    assert errors.first_frame_rmse(pairs) == pytest.approx(0.0, abs=1e-12)
+    assert errors.scale_drift(pairs) == pytest.approx(0.0, abs=1e-12)
+    assert max(errors.relative_errors(pairs, similarity, 1.0, 0.05)) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_known_noise_gives_its_own_size() -> None:
+    truth = helix(2000, rate_hz=100.0)
+    pairs = Pairs(moved(noisy(truth, 0.01)), truth)
+    similarity = align(pairs)
+    distances = errors.position_errors(pairs, similarity)
+    assert errors.rms(distances) == pytest.approx(0.01 * math.sqrt(3), rel=0.03)
+    assert np.median(distances) == pytest.approx(0.01 * 1.5382, rel=0.05)  # median of the Maxwell distribution
+    assert errors.relative_errors(pairs, similarity, 1.0, 0.005).trans_m == pytest.approx(0.01 * math.sqrt(6), rel=0.05)
+    assert errors.first_frame_rmse(pairs) > errors.rms(distances)
+
+
+def test_first_frame_error_is_the_definition_written_out() -> None:
+    truth = helix(50)
+    estimate = moved(noisy(truth, 0.05))
+    true, found = (
+        np.array([(np.linalg.inv(t.world_from_camera[0]) @ pose)[:3, 3] for pose in t.world_from_camera])
+        for t in (truth, estimate)
+    )
+    ratios = np.linalg.norm(true[1:], axis=1) / np.linalg.norm(found[1:], axis=1)
+    expected = np.sqrt(np.mean(np.sum((np.median(ratios) * found - true) ** 2, axis=1)))
+    assert errors.first_frame_rmse(Pairs(estimate, truth)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_first_frame_error_takes_the_first_rotation_as_it_is() -> None:
+    """A first pose that is turned by 90 degrees ruins this error and leaves the aligned one alone."""
+    truth = helix(50)
+    poses = truth.world_from_camera.copy()
+    poses[0, :3, :3] = poses[0, :3, :3] @ Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    pairs = Pairs(Trajectory(truth.timestamps_s, poses), truth)
+    assert errors.first_frame_rmse(pairs) > 0.5
+    assert errors.rms(errors.position_errors(pairs, align(pairs))) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_scale_drift_is_the_logarithm_of_the_change() -> None:
+    """The last third is drawn 25 % larger."""
+    truth = helix(90)
+    poses = truth.world_from_camera.copy()
+    poses[60:, :3, 3] *= 1.25
+    estimate = Trajectory(truth.timestamps_s, poses)
+    assert errors.scale_drift(Pairs(moved(estimate), truth)) == pytest.approx(math.log(1.25), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("sigma_m", [0.001, 0.05, 0.5, 50.0])
+def test_giving_up_costs_more_than_it_gains(share: float, sigma_m: float) -> None:
+    """The penalised error of a trajectory cut short is worse than the whole one's, though its plain error is better."""
+    truth = helix(400)
+    whole = moved(noisy(truth, sigma_m))
+    cut = part(whole, slice(0, round(share * 400)))
+
+    def penalised(estimate: Trajectory) -> float:
+        pairs = associate(estimate, truth, 0.02)
+        distances = errors.position_errors(pairs, align(pairs))
+        return errors.coverage_penalised_rmse(distances, 400 - len(pairs), truth.positions_world)
+
+    assert penalised(cut) > penalised(whole)
+
+
+def test_penalised_error_in_closed_form() -> None:
+    """Four corners of a square of half diagonal R = 1: one frame untracked costs 2 R."""
+    corners = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    assert errors.coverage_penalised_rmse(np.zeros(4), 0, corners) == 0.0
+    assert errors.coverage_penalised_rmse(np.zeros(3), 1, corners) == pytest.approx(math.sqrt(4 / 4))
+    assert errors.coverage_penalised_rmse(np.empty(0), 4, corners) == pytest.approx(2.0)
+
+
+@given(st.lists(st.floats(0, 10), max_size=20), st.lists(st.floats(0, 10), max_size=20), st.floats(0.0, 2.0))
+@settings(deadline=None)
+def test_nearest_stamps_are_the_nearest(first: list[float], second: list[float], tolerance_s: float) -> None:
+    stamps, others = np.unique(first), np.unique(second)
+    found = nearest_stamps(stamps, others, tolerance_s)
+    for stamp, at in zip(stamps, found, strict=True):
+        gaps = np.abs(others - stamp)
+        if at < 0:
+            assert len(others) == 0 or gaps.min() > tolerance_s
+        else:
+            assert gaps[at] == gaps.min()
+            assert gaps[at] <= tolerance_s + 1e-6
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_poses_are_undefined_with_their_number(count: int) -> None:
+    truth = helix(50)
+    pairs = associate(part(truth, slice(0, count)), truth, 0.02)
+    for compute in (align, errors.first_frame_rmse, errors.scale_drift):
+        with pytest.raises(Undefined, match=f"^{count} tracked"):
+            compute(pairs)
+
+
+def test_a_trajectory_that_stands_still_is_undefined() -> None:
+    truth = helix(50)
+    still = Trajectory(truth.timestamps_s, np.tile(np.eye(4), (50, 1, 1)))
+    pairs = Pairs(still, truth)
+    with pytest.raises(Undefined, match="one point or on one line"):
+        align(pairs)
+    with pytest.raises(Undefined, match="never left"):
+        errors.first_frame_rmse(pairs)
+    with pytest.raises(Undefined, match="does not move"):
+        errors.scale_drift(pairs)
