@@ -23,14 +23,19 @@ _STRIPE_BLOCKS = 4800
 
 
 def blocks_from_plane(
-    plane: Plane, steps: NDArray[np.float32], shift: float = 0.0, *, trace: Trace = NULL_TRACE
+    plane: Plane,
+    steps: NDArray[np.float32],
+    shift: float = 0.0,
+    *,
+    out: Blocks | None = None,
+    trace: Trace = NULL_TRACE,
 ) -> Blocks:
     """Quantised DCT coefficients of a plane.
 
     plane: (8m, 8n) uint8. steps: (64,) float32, natural order. shift: subtracted from every sample.
-    Returns (m * n, 64) int32: blocks in raster order, zigzag order within a block.
+    Returns (m * n, 64) int32, in `out` if given: blocks in raster order, zigzag order within a block.
     """
-    blocks = np.empty((plane.size // 64, 64), np.int32)
+    blocks = np.empty((plane.size // 64, 64), np.int32) if out is None else out
     coefficients, natural = _stripe_buffers(plane.shape)
     for rows, part in _stripes(plane.shape):
         count = part.stop - part.start

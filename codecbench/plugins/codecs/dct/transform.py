@@ -114,8 +114,7 @@ def forward_dct(plane: Any, shift: Any, coefficients: Any) -> None:
             block = block_row * columns + column
             for v in range(8):
                 for u in range(8):
-                    place = v * 8 + u
-                    coefficients[block, place] = target[u, column * 8 + v] * _FORWARD_SCALES[place]
+                    coefficients[block, v * 8 + u] = target[u, column * 8 + v] * _FORWARD_SCALES[v * 8 + u]
 
 
 @kernel
@@ -133,8 +132,7 @@ def inverse_dct(coefficients: Any, shift: Any, plane: Any) -> None:
             block = block_row * columns + column
             for v in range(8):
                 for u in range(8):
-                    place = v * 8 + u
-                    source[u, column * 8 + v] = coefficients[block, place] * _INVERSE_SCALES[place]
+                    source[u, column * 8 + v] = coefficients[block, v * 8 + u] * _INVERSE_SCALES[v * 8 + u]
         _inverse_down(source, target)
         _transpose_blocks(target, source)
         _inverse_down(source, target)

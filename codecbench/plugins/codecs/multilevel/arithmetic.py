@@ -200,7 +200,9 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
         shift += 1
     lookup = np.empty((total >> shift) + 1, np.int32)
     _fill_lookup(starts, shift, lookup)
-    left = counts.copy()
+    left = np.empty(counts.shape[0], np.int64)
+    for symbol in range(counts.shape[0]):
+        left[symbol] = counts[symbol]
     favourite = _most_frequent(counts)
     code = first_code(data)
     width = np.int64(TOP - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import ImageError
@@ -59,13 +60,20 @@ class Multilevel(Codec[MultilevelParams]):
         )
         if header.samples > MAX_SAMPLES:
             raise ImageError(f"image of shape {image.shape} needs {header.samples} samples; allowed: {MAX_SAMPLES}")
-        steps = steps_from_table(table, params.qf)
-        blocks = [
-            blocks_from_plane(padded(plane, trace=trace), steps, _shift(color, number), trace=trace)
-            for number, plane in enumerate(planes_from_image(image, color, trace))
-        ]
-        values = scanned(blocks[0] if len(blocks) == 1 else np.concatenate(blocks), params.scan, trace)
+        values = scanned(self._blocks(image, header, trace), params.scan, trace)
         return pack(sections.encoded(header, minimised(values, params.levels, self._key_maker(), trace), trace))
+
+    def _blocks(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
+        """Quantised blocks (b, 64) of all planes, in zigzag order."""
+        steps = steps_from_table(header.table, header.qf)
+        blocks = np.empty((header.samples // 64, 64), np.int32)
+        start = 0
+        for number, plane in enumerate(planes_from_image(image, header.color, trace)):
+            plane = padded(plane, trace=trace)
+            out = blocks[start : start + plane.size // 64]
+            blocks_from_plane(plane, steps, _shift(header.color, number), out=out, trace=trace)
+            start += len(out)
+        return blocks
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         """The image of a bitstream; of this instance's parameters only `search` matters, and only for speed.

@@ -86,11 +86,13 @@ def _minimised_once(
     codes = np.empty(groups, np.int64)
     with trace.stage("minimization") as run:
         run(minimise, values, offset, filler, keys, codes)
-    distinct, counts = np.empty(groups, np.int64), np.empty(groups, np.int64)
-    first, numbers = np.empty(groups, np.int32), np.empty(groups, np.int32)
-    slots = _FIRST_SLOTS
+    numbers = np.empty(groups, np.int32)
     with trace.stage("table") as run:
-        while (found := run(find_distinct, codes, np.zeros(slots, np.int32), distinct, counts, first, numbers)) < 0:
+        found, slots = -1, _FIRST_SLOTS
+        while found < 0:
+            distinct, counts = np.empty(slots // 2, np.int64), np.empty(slots // 2, np.int64)
+            first = np.empty(slots // 2, np.int32)
+            found = run(find_distinct, codes, np.zeros(slots, np.int32), distinct, counts, first, numbers)
             slots *= 4
         _check_alphabet(found, f"tuples at level {level}")
         order = np.empty(found, np.int32)

@@ -73,9 +73,9 @@ def _digit(values: Any, position: Any, offset: Any, filler: Any) -> Any:
 def find_distinct(codes: Any, slots: Any, distinct: Any, counts: Any, first: Any, numbers: Any) -> Any:
     """Number the distinct codes in order of appearance, with a hash table of open addressing.
 
-    codes: (n,) int64, non-negative. slots: (2^k,) int32, all zero. distinct, counts: (n,) int64; first,
-    numbers: (n,) int32. distinct[u] is the u-th new code, counts[u] how often it occurs, first[u] where first;
-    numbers[i] the u of codes[i]. Returns how many there are, or -1 where the slots would be over half full.
+    codes: (n,) int64, non-negative. slots: (2^k,) int32, all zero. distinct, counts: int64, and first: int32, each
+    (2^(k-1),): the u-th new code, how often it occurs, where first. numbers: (n,) int32, the u of codes[i].
+    Returns how many there are, or -1 where the slots would be over half full.
     """
     mask = slots.shape[0] - 1
     found = 0
@@ -88,7 +88,7 @@ def find_distinct(codes: Any, slots: Any, distinct: Any, counts: Any, first: Any
             while slots[slot] > 0 and distinct[slots[slot] - 1] != code:
                 slot = (slot + 1) & mask
             if slots[slot] == 0:
-                if 2 * found > mask:
+                if found == distinct.shape[0]:
                     return -1
                 distinct[found] = code
                 counts[found] = 0
