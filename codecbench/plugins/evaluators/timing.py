@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import cv2
-import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.codec import Codec
@@ -24,6 +23,7 @@ from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measure
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
+from codecbench.plugins.evaluators.sampling import evenly_spread
 
 _MAX_LOOPS = 1000
 _AGGREGATES = ("median", "p95")
@@ -39,10 +39,6 @@ class TimingParams(Params):
     repeats: Annotated[int, Field(ge=1)] = 5
     warmup: Annotated[int, Field(ge=1)] = 3
     min_ms: Annotated[float, Field(ge=0)] = 5.0
-
-    def identity(self) -> dict[str, Any]:
-        """All but `repeats`: more of them recompute nothing."""
-        return self.model_dump(mode="json", exclude={"repeats"})
 
 
 @dataclass(frozen=True)
@@ -73,9 +69,13 @@ class Timing(CodecEvaluator[TimingParams]):
     def repeats(self) -> int:
         return self.params.repeats
 
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        """All parameters but `repeats`: more of them recompute nothing."""
+        return self.params.model_dump(mode="json", exclude={"repeats"})
+
     def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
         cv2.setNumThreads(1)
-        images = {index: sequence.read(index).image for index in _spread(len(sequence), self.params.frames)}
+        images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
         for index in list(images)[:1]:
             for _ in range(self.params.warmup):
                 codec.decode(codec.encode(images[index]))
@@ -120,10 +120,6 @@ def _no_collection() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-def _spread(length: int, count: int) -> list[int]:
-    return np.unique(np.linspace(0, length - 1, min(length, count)).round().astype(int)).tolist()
 
 
 def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:

@@ -24,6 +24,7 @@ from codecbench.core.instrument.operations import CLASSES, COUNTERS, OperationCo
 from codecbench.core.instrument.trace import CountingTrace
 from codecbench.plugins.evaluators.operations import codec_models, machine
 from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
+from codecbench.plugins.evaluators.sampling import evenly_spread
 
 Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
@@ -80,7 +81,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
         families = self._available(codec)
-        for index in spread(len(sequence), self.params.frames):
+        for index in evenly_spread(len(sequence), self.params.frames):
             image = sequence.read(index).image
             for family in families:
                 for stage, counts in self._count(family, codec, image).items():
@@ -121,12 +122,6 @@ class Operations(CodecEvaluator[OperationsParams]):
         if self.params.nonzero_share == "measured" and codec.name.startswith("jpeg") and codec.name != "jpeg2000":
             share = codec_models.measured_nonzero_share(image, codec.encode(image))
         return codec_models.modelled(codec.name, values, planes, share)
-
-
-def spread(length: int, count: int) -> list[int]:
-    """Up to `count` frame indices spread evenly over `length`, the middles of equal parts."""
-    count = min(length, count)
-    return [int((position + 0.5) * length / count) for position in range(count)]
 
 
 def source_counts(codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
