@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,9 @@ def result(
         name: [getattr(one, name) for one in samples] for name in ("metric", "frame", "stage", "value", "reason")
     }
     metrics = {"psnr_db": PSNR, "ate_m": ATE}
-    return CellResult(cell, status, reason, own, summarise(samples, [PSNR]), metrics, lambda: pd.DataFrame(columns))
+    return CellResult(
+        cell, status, reason, own, summarise(samples, [PSNR]), metrics, lambda: pd.DataFrame(columns), Path()
+    )
 
 
 def test_tidy_has_one_row_a_measurement_and_the_columns_in_order() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +32,7 @@ class CellResult:
     measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
     aggregates over the frames of this repeat, by (metric, stage, aggregate). frames: reads the samples of
     single frames, a DataFrame of metric, frame, stage, value, reason. metrics: what the evaluator declares.
+    folder: where the record and its artifacts lie.
     """
 
     cell: Cell
@@ -40,6 +42,7 @@ class CellResult:
     summaries: dict[tuple[str, str, str], float]
     metrics: dict[str, Metric]
     frames: Callable[[], pd.DataFrame]
+    folder: Path
 
 
 def shown(setting: PluginSetting) -> str:

@@ -93,7 +93,7 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
          "note": f"{len({codec for codec, _ in settings})} codecs on {len(run.plan.sequences)} sequences"},
         {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
     ]  # fmt: skip
-    machines = [str(one.get("cpu", "unknown processor")) for one in run.environments.values()]
+    machines = [str(one.get("machine", {}).get("cpu") or "unknown processor") for one in run.environments.values()]
     several = f"{len(machines)} machines: do not compare times"
     note = "times hold for this machine alone" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]

@@ -1,0 +1,38 @@
+"""Markdown tables, and numbers written for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; cells are text or numbers, None and NaN become a dash."""
+    lines = [
+        "| " + " | ".join(heads) + " |",
+        "|" + "|".join("---" if not i else "---:" for i in range(len(heads))) + "|",
+    ]
+    lines += ["| " + " | ".join(cell(value) for value in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def cell(value: object) -> str:
+    """A value as a table shows it: four significant digits, thousands apart where it is a count."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, float):
+        if math.isinf(value):
+            return "∞"
+        if value.is_integer() and abs(value) >= 10_000:
+            return f"{int(value):,}"
+        return f"{value:.4g}" if abs(value) < 10_000 else f"{value:,.0f}"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    return str(value).replace("|", "\\|")
+
+
+def change(ours: float, theirs: float) -> str:
+    """How far our number is from theirs, in percent."""
+    if math.isnan(ours) or not theirs:
+        return "–"
+    return f"{100 * (ours - theirs) / theirs:+.0f} %"
