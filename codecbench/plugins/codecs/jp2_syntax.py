@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
@@ -20,14 +21,42 @@ _SOT = struct.Struct(">HIBB")
 _EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
 _DEFAULT_BLOCKS = (4, 4, 0)  # 64x64 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
+_OPENJPEG_COMMENT = b"Created by OpenJPEG version"
+_CRC_COMMENT = b"codecbench CRC-32: "
+_CRC_DIGITS = 8
+_MAIN_HEADER_BYTES = 400
+"""More than our longest header: boxes, SIZ, COD, QCD and the comment."""
+
+
+def with_checksum(bitstream: bytes) -> bytes:
+    """The file with a CRC-32 of all other bytes, in hexadecimal, where OpenJPEG wrote its name and version."""
+    place = bitstream.find(_OPENJPEG_COMMENT, 0, _MAIN_HEADER_BYTES)
+    (length,) = struct.unpack_from(">H", bitstream, place - 4)
+    text_bytes = length - 4
+    if place < 0 or text_bytes < len(_CRC_COMMENT) + _CRC_DIGITS:
+        raise RuntimeError("this OpenJPEG does not write the comment that the checksum takes the place of")
+    before = bitstream[:place] + _CRC_COMMENT
+    after = b" " * (text_bytes - len(_CRC_COMMENT) - _CRC_DIGITS) + bitstream[place + text_bytes :]
+    return before + b"%08x" % zlib.crc32(after, zlib.crc32(before)) + after
+
+
+def _check_crc(bitstream: bytes) -> None:
+    place = bitstream.find(_CRC_COMMENT, 0, _MAIN_HEADER_BYTES)
+    if place < 0:
+        raise BitstreamError("jpeg2000: not a file of ours, it has no checksum")
+    view, digits = memoryview(bitstream), place + len(_CRC_COMMENT)
+    crc = zlib.crc32(view[digits + _CRC_DIGITS :], zlib.crc32(view[:digits]))
+    if bitstream[digits : digits + _CRC_DIGITS] != b"%08x" % crc:
+        raise BitstreamError("jpeg2000: checksum mismatch, the file is damaged")
 
 
 def checked_shape(bitstream: bytes) -> tuple[int, ...]:
     """The shape that a JP2 file promises, once its structure has been checked from end to end.
 
     Takes what our encoder writes: four boxes, one tile in one part, one layer, 8-bit components without
-    subsampling, default precincts and code blocks. Raises BitstreamError for anything else.
+    subsampling, default precincts and code blocks, and a right checksum. Raises BitstreamError for anything else.
     """
+    _check_crc(bitstream)
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
         raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")

@@ -1,0 +1,258 @@
+"""JPEG 2000 against OpenJPEG's own tools, its rates, and the search for the library."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import skimage.data
+from pydantic import ValidationError
+from skimage.metrics import peak_signal_noise_ratio
+
+from codecbench import BitstreamError, Unsupported
+from codecbench.core.contracts.image import png_bytes
+from codecbench.plugins.codecs import jpeg2000
+from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
+
+PICTURE = np.ascontiguousarray(skimage.data.astronaut()[:240, :320])
+GRAY = np.ascontiguousarray(PICTURE[..., 1])
+IMAGES = pytest.mark.parametrize("image", [PICTURE, GRAY], ids=["rgb", "gray"])
+
+
+def _tool(name: str) -> str:
+    path = shutil.which(name)
+    if path is None:
+        pytest.skip(f"{name} is not installed; it comes with libopenjp2-tools")
+    return path
+
+
+def _opj_decompress(bitstream: bytes, folder: Path) -> np.ndarray:
+    (folder / "in.jp2").write_bytes(bitstream)
+    command = [_tool("opj_decompress"), "-i", str(folder / "in.jp2"), "-o", str(folder / "out.png"), "-quiet"]
+    subprocess.run(command, check=True, capture_output=True)
+    image = cv2.imread(str(folder / "out.png"), cv2.IMREAD_UNCHANGED)
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+@IMAGES
+@pytest.mark.parametrize(
+    "values", [{"ratio": 20}, {"lossless": True}, {"psnr_db": 35}, {"ratio": 10, "irreversible": False}]
+)
+def test_opj_decompress_reads_the_same_pixels(image: np.ndarray, values: dict[str, Any], tmp_path: Path) -> None:
+    codec = Jpeg2000.create(**values)
+    bitstream = codec.encode(image)
+    np.testing.assert_array_equal(_opj_decompress(bitstream, tmp_path), codec.decode(bitstream))
+
+
+@IMAGES
+@pytest.mark.parametrize("ratio", [8, 25, 60])
+def test_opj_compress_makes_files_of_the_same_size_and_quality(image: np.ndarray, ratio: int, tmp_path: Path) -> None:
+    (tmp_path / "in.png").write_bytes(png_bytes(image))
+    command = [_tool("opj_compress"), "-i", str(tmp_path / "in.png"), "-o", str(tmp_path / "out.jp2")]
+    subprocess.run([*command, "-r", str(ratio), "-I"], check=True, capture_output=True)
+    codec = Jpeg2000.create(ratio=ratio)
+    ours, theirs = codec.encode(image), (tmp_path / "out.jp2").read_bytes()
+    assert len(ours) == pytest.approx(len(theirs), rel=0.02)
+    psnr = [peak_signal_noise_ratio(image, _opj_decompress(stream, tmp_path)) for stream in (ours, theirs)]
+    assert psnr[0] == pytest.approx(psnr[1], abs=1)
+
+
+@IMAGES
+@pytest.mark.parametrize("cr_percent", [60, 73, 82, 85, 91, 97])
+def test_cr_percent_is_reached_and_not_exceeded(image: np.ndarray, cr_percent: float) -> None:
+    target = len(png_bytes(image)) * (1 - cr_percent / 100)
+    size = len(Jpeg2000.create(cr_percent=cr_percent).encode(image))
+    assert 0.98 * target <= size + 1
+    assert size <= target
+
+
+def test_cr_percent_that_no_file_can_reach_is_unsupported() -> None:
+    with pytest.raises(Unsupported, match=r"allows \d+ bytes, this frame takes \d+"):
+        Jpeg2000.create(cr_percent=90).encode(GRAY[:9, :9])
+
+
+def test_cr_percent_of_what_needs_less_is_coded_in_full() -> None:
+    image = np.full((64, 64, 3), 90, np.uint8)
+    image[:2] = np.random.default_rng(1).integers(0, 256, (2, 64, 3))
+    assert len(Jpeg2000.create(cr_percent=1, irreversible=False).encode(image)) <= len(png_bytes(image))
+
+
+@IMAGES
+def test_psnr_db_is_met(image: np.ndarray) -> None:
+    codec = Jpeg2000.create(psnr_db=36)
+    assert peak_signal_noise_ratio(image, codec.decode(codec.encode(image))) == pytest.approx(36, abs=1.5)
+
+
+def test_the_irreversible_wavelet_is_the_default_and_better() -> None:
+    psnr = []
+    for irreversible in (True, False):
+        codec = Jpeg2000.create(ratio=25, irreversible=irreversible)
+        psnr.append(peak_signal_noise_ratio(PICTURE, codec.decode(codec.encode(PICTURE))))
+    assert psnr[0] > psnr[1]
+    assert Jpeg2000.create(ratio=25).params.irreversible
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"ratio": 8, "psnr_db": 30},
+        {"lossless": True, "ratio": 8},
+        {"lossless": True, "irreversible": True},
+        {"lossless": False},
+        {"ratio": 1},
+        {"cr_percent": 100},
+    ],
+)
+def test_anything_but_one_rate_is_refused(values: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        Jpeg2000.create(**values)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 1, 3), (1, 200), (31, 2, 3), (32, 33)])
+def test_small_images_get_fewer_resolutions(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+    image = rng.integers(0, 256, shape, dtype=np.uint8)
+    codec = Jpeg2000.create(lossless=True)
+    np.testing.assert_array_equal(codec.decode(codec.encode(image)), image)
+
+
+def test_every_cut_is_noticed() -> None:
+    codec = Jpeg2000.create(ratio=20)
+    bitstream = codec.encode(GRAY[:64, :64])
+    for length in range(len(bitstream)):
+        with pytest.raises(BitstreamError):
+            codec.decode(bitstream[:length])
+
+
+def test_every_changed_byte_is_noticed(rng: np.random.Generator) -> None:
+    codec = Jpeg2000.create(ratio=20)
+    bitstream = codec.encode(GRAY[:64, :64])
+    for place in range(len(bitstream)):
+        damaged = bitstream[:place] + bytes([bitstream[place] ^ int(rng.integers(1, 256))]) + bitstream[place + 1 :]
+        with pytest.raises(BitstreamError):
+            codec.decode(damaged)
+
+
+def _sealed(bitstream: bytes) -> bytes:
+    """A changed file with its checksum made right again."""
+    place = bitstream.index(b"CRC-32: ") + 8
+    crc = zlib.crc32(bitstream[place + 8 :], zlib.crc32(bitstream[:place]))
+    return bitstream[:place] + b"%08x" % crc + bitstream[place + 8 :]
+
+
+def test_a_header_that_claims_too_much_is_refused() -> None:
+    bitstream = Jpeg2000.create(ratio=20).encode(GRAY)
+    height, width = (size.to_bytes(4, "big") for size in GRAY.shape)
+    huge = bitstream.replace(height, b"\0\0\xff\xff").replace(width, b"\0\0\xff\xff")
+    with pytest.raises(BitstreamError, match="65535x65535"):
+        Jpeg2000.create(ratio=20).decode(_sealed(huge))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (b"ihdr", b"bpcc", "image header"),
+        (b"jp2c", b"uuid", "boxes"),
+        (b"\xff\x52\x00\x0c\x00", b"\xff\x52\x00\x0c\x01", "coding style"),
+        (b"\xff\x52\x00\x0c\x00\x00\x00\x01", b"\xff\x52\x00\x0c\x00\x00\xff\xff", "coding style"),
+        (b"\xff\x5c", b"\xff\x5e", "FF5E"),
+        (b"\xff\x90\x00\x0a\x00\x00", b"\xff\x90\x00\x0a\x00\x01", "tile 1"),
+        (b"\xff\x93", b"\xff\x92", "SOD"),
+        (b"\x07\x01\x01\xff\x52", b"\x07\x02\x02\xff\x52", "SIZ"),
+    ],
+)
+def test_hostile_files_with_a_right_checksum_are_refused(old: bytes, new: bytes, reason: str) -> None:
+    bitstream = Jpeg2000.create(ratio=20).encode(GRAY)
+    assert old in bitstream
+    with pytest.raises(BitstreamError, match=reason):
+        Jpeg2000.create(ratio=20).decode(_sealed(bitstream.replace(old, new, 1)))
+
+
+def test_damage_inside_the_packets_with_a_right_checksum_neither_crashes_nor_raises(rng: np.random.Generator) -> None:
+    codec = Jpeg2000.create(ratio=20)
+    bitstream = codec.encode(GRAY)
+    start = bitstream.index(b"\xff\x93") + 2
+    refused = 0
+    for _ in range(150):
+        place = int(rng.integers(start, len(bitstream) - 30))
+        noise = rng.integers(0, 256, 20, dtype=np.uint8).tobytes()
+        try:
+            decoded = codec.decode(_sealed(bitstream[:place] + noise + bitstream[place + 20 :]))
+        except BitstreamError:
+            refused += 1
+        else:
+            assert decoded.shape == GRAY.shape
+    assert refused < 150
+
+
+def test_scratch_files_are_removed_also_on_failure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(jpeg2000.os, "access", lambda *_: False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    codec = Jpeg2000.create(ratio=20)
+    bitstream = codec.encode(GRAY)
+    codec.decode(bitstream)
+    with pytest.raises(TypeError):
+        codec._write(GRAY, nonsense=1)
+    packets = bitstream.index(b"\xff\x93") + 2
+    reasons = []
+    for seed in range(60):
+        noise = np.random.default_rng(seed).bytes(20)
+        try:
+            codec.decode(_sealed(bitstream[:packets] + noise + bitstream[packets + 20 :]))
+        except BitstreamError as error:
+            reasons.append(str(error))
+    assert any("OpenJPEG cannot read" in reason for reason in reasons)
+    assert list(tmp_path.iterdir()) == []
+
+
+_WITHOUT_SYSTEM_LIBRARY = """
+import ctypes.util
+find = ctypes.util.find_library
+ctypes.util.find_library = lambda name: None if "openjp2" in name else find(name)
+"""
+_ROUND_TRIP = """
+import numpy as np
+from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
+image = np.arange(64 * 64, dtype=np.uint8).reshape(64, 64)
+codec = Jpeg2000.create(lossless=True)
+assert (codec.decode(codec.encode(image)) == image).all()
+print(codec._glymur.lib.openjp2.OPENJP2._name)
+"""
+
+
+def _run(code: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "XDG_CONFIG_HOME": "/nonexistent"}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+
+
+def test_pillow_s_library_is_used_where_the_system_has_none() -> None:
+    done = _run(_WITHOUT_SYSTEM_LIBRARY + _ROUND_TRIP)
+    assert done.returncode == 0, done.stderr
+    assert "pillow" in done.stdout
+
+
+def test_pillow_s_library_is_used_also_where_glymur_was_imported_before() -> None:
+    done = _run(_WITHOUT_SYSTEM_LIBRARY + "import glymur\n" + _ROUND_TRIP)
+    assert done.returncode == 0, done.stderr
+    assert "pillow" in done.stdout
+
+
+def test_without_any_library_the_codec_is_unsupported_and_names_the_package() -> None:
+    nothing = "from codecbench.plugins.codecs import openjpeg\nopenjpeg._bundled_libraries = lambda: []\n"
+    done = _run(_WITHOUT_SYSTEM_LIBRARY + nothing + _ROUND_TRIP)
+    assert done.returncode != 0
+    assert "Unsupported" in done.stderr
+    assert "apt install libopenjp2-7" in done.stderr
+
+
+def test_libraries_are_recorded() -> None:
+    assert set(Jpeg2000.create(ratio=8).libraries()) == {"glymur", "openjpeg"}
