@@ -10,6 +10,7 @@ import pandas as pd
 
 from codecbench.core.contracts.evaluator import Metric
 from codecbench.core.results.curves import CurvePoint
+from codecbench.core.results.export import json_value
 from codecbench.core.results.table import CellResult, shown
 
 PRESETS: Final = (
@@ -46,13 +47,6 @@ def rows(wide: pd.DataFrame, points: dict[tuple[str, str], CurvePoint]) -> list[
         row["curve"] = points[row["codec"], row["setting"]].curve
         records.append(row)
     return records
-
-
-def json_value(value: Any) -> Any:
-    """A number, text or null, never NaN."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return value
 
 
 def columns(wide: pd.DataFrame, results: Iterable[CellResult]) -> dict[str, dict[str, str]]:

@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 from codecbench.core.engine.model import PluginSetting
+from codecbench.core.results.markdown import change, table
 from codecbench.core.results.reproduction import facts
-from codecbench.core.results.reproduction.markdown import change, table
 from codecbench.core.results.reproduction.measured import Measured
 
 _PSNR = "quality.psnr_gray_db.mean"

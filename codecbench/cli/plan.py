@@ -1,0 +1,69 @@
+"""`codecbench plan`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from codecbench.core.engine.model import Plan
+
+
+@click.command()
+@click.argument("matrix", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="The run folder; default runs/NAME.")
+@click.option("--cells", is_flag=True, help="List every coding job and cell.")
+def plan(matrix: Path, out: Path | None, cells: bool) -> None:
+    """Show what `codecbench run MATRIX` would do: coding jobs and cells, what is there already, what is unsupported."""
+    from codecbench.core.engine.estimate import estimate
+    from codecbench.core.engine.matrix import read_matrix
+    from codecbench.core.engine.plan import make_plan
+    from codecbench.core.engine.store import Store
+
+    made = make_plan(read_matrix(matrix))
+    folder = out or Path("runs") / made.name
+    store = Store(folder)
+    entries = store.entries() if folder.exists() else {}
+    done = {cell.id for cell in made.cells if cell.id in entries and entries[cell.id].status == "ok"}
+    unsupported = [cell for cell in made.cells if cell.unsupported is not None]
+    missing = [cell for cell in made.cells if cell.id not in done and cell.unsupported is None]
+    wanted = {cell.job_id for cell in missing if cell.job_id is not None}
+    coded = {job.id for job in made.jobs if store.coded_path(job.id).exists()}
+    to_code = [job for job in made.jobs if job.id in wanted - coded]
+    click.echo(f"{made.name}: {len(made.sequences)} sequences, run folder {folder}")
+    for entry in made.sequences:
+        facts = [f"{entry.frames} frames", "gray" if entry.channels == 1 else "colour"]
+        facts += [word for word, has in (("camera", entry.has_camera), ("ground truth", entry.has_ground_truth)) if has]
+        click.echo(f"  {entry.name}: {', '.join(facts)}")
+    click.echo(f"coding jobs: {len(made.jobs)}, of which {len(coded)} are coded and {len(to_code)} are to do")
+    click.echo(f"cells: {len(made.cells)}: {len(done)} done, {len(missing)} to do, {len(unsupported)} unsupported")
+    for reason, count in Counter(cell.unsupported for cell in unsupported).items():
+        click.echo(f"  unsupported ({count}): {reason}")
+    if cells:
+        _list_all(made, done, coded)
+    guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})
+    basis = f"{guess.measured} cells from measured durations, {guess.typical} from typical costs"
+    click.echo(f"estimated time: {_spoken(guess.seconds)} with {made.run.workers} workers ({basis})")
+
+
+def _list_all(made: Plan, done: set[str], coded: set[str]) -> None:
+    for job in made.jobs:
+        state = "coded" if job.id in coded else "to do"
+        click.echo(
+            f"  code  {job.id[:12]}  {state:5}  {job.sequence.name} | {job.codec.name} {job.codec.label}".rstrip()
+        )
+    for cell in made.cells:
+        state = "done" if cell.id in done else "unsupported" if cell.unsupported else "to do"
+        what = f"{cell.sequence.name} | {cell.codec.name} {cell.codec.label}".rstrip()
+        click.echo(
+            f"  cell  {cell.id[:12]}  {state:11}  {what} | {cell.evaluator.name} {cell.evaluator.label} #{cell.repeat}"
+        )
+
+
+def _spoken(seconds: float) -> str:
+    if seconds < 90:
+        return f"about {seconds:.0f} s"
+    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"

@@ -1,0 +1,45 @@
+"""`codecbench table`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+SHAPES = ("wide", "tidy")
+FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--wide", "shape", flag_value="wide", default=True, help="One row a sequence and codec setting (default)."
+)
+@click.option("--tidy", "shape", flag_value="tidy", help="One row a measurement.")
+@click.option("--format", "format_", type=click.Choice(FORMATS), default="text", show_default=True)
+@click.option("--columns", help="Only these columns of the wide table, separated by commas; `*` matches anything.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
+def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | None) -> None:
+    """Print or write a table of the RUN folder."""
+    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.export import chosen_columns, exported
+
+    result = open_run(run)
+    frame = result.wide if shape == "wide" else result.tidy
+    if columns is not None:
+        frame = chosen_columns(frame, columns)
+    if format_ == "text":
+        from codecbench.cli.show import show_table
+
+        if out is not None:
+            raise click.UsageError("--out needs a --format other than text")
+        show_table(frame, result)
+        return
+    content = exported(frame, format_)
+    if out is not None:
+        out.write_bytes(content)
+        click.echo(str(out))
+    elif format_ == "parquet":
+        raise click.UsageError("--format parquet is not text; name a file with --out")
+    else:
+        click.echo(content.decode(), nl=False)

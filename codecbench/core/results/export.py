@@ -1,0 +1,91 @@
+"""Tables in the formats that people and programs read."""
+
+from __future__ import annotations
+
+import fnmatch
+import io
+import json
+import math
+
+import pandas as pd
+
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.results.markdown import table as markdown_table
+
+_KEYS = ("sequence", "codec", "setting")
+
+
+def exported(frame: pd.DataFrame, format_: str) -> bytes:
+    """A table as the bytes of a file: `csv`, `parquet`, `json`, `markdown` or `latex`.
+
+    Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty.
+    """
+    if format_ == "csv":
+        return frame.to_csv(index=False).encode()
+    if format_ == "parquet":
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        return buffer.getvalue()
+    if format_ == "json":
+        records = [
+            {str(name): json_value(value) for name, value in record.items()}
+            for record in _objects(frame).to_dict("records")
+        ]
+        return (json.dumps(records, indent=1) + "\n").encode()
+    rows = _objects(frame).to_numpy().tolist()
+    if format_ == "markdown":
+        return markdown_table([str(name) for name in frame.columns], rows).encode()
+    if format_ == "latex":
+        return _latex(frame).encode()
+    raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
+
+
+def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
+    """The identifying columns and those that match one of the comma-separated patterns, in the patterns' order.
+
+    Raises ParamsError where a pattern matches nothing.
+    """
+    names = [str(name) for name in frame.columns]
+    chosen = [name for name in _KEYS if name in names]
+    for pattern in filter(None, (part.strip() for part in patterns.split(","))):
+        found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+        if not found:
+            raise ParamsError(f"no column matches {pattern!r}; there are: {', '.join(names)}")
+        chosen += [name for name in found if name not in chosen]
+    return frame[chosen]
+
+
+def _objects(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table with None for whatever is missing."""
+    return frame.astype(object).where(frame.notna(), None)
+
+
+def json_value(value: object) -> object:
+    """A value that JSON can hold: infinities as text, NaN as null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return value
+
+
+def _latex(frame: pd.DataFrame) -> str:
+    """A booktabs table; pandas would want jinja2's styler for less control."""
+    numeric = [pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns]
+    lines = ["\\begin{tabular}{" + "".join("r" if is_number else "l" for is_number in numeric) + "}", "\\toprule"]
+    lines.append(" & ".join(_escaped(str(name)) for name in frame.columns) + " \\\\")
+    lines.append("\\midrule")
+    lines += [" & ".join(map(_latex_cell, row)) + " \\\\" for row in _objects(frame).to_numpy().tolist()]
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
+
+
+def _latex_cell(value: object) -> str:
+    if value is None:
+        return "--"
+    if isinstance(value, float):
+        return "$\\infty$" if value == float("inf") else f"{value:.4g}"
+    return _escaped(str(value))
+
+
+def _escaped(text: str) -> str:
+    for special in "\\&%$#_{}":
+        text = text.replace(special, "\\textbackslash{}" if special == "\\" else f"\\{special}")
+    return text
