@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import mmap
+import os
 import struct
 import zlib
 from collections.abc import Iterable
@@ -98,7 +99,10 @@ class BitstreamFile:
 
 
 def _mapped(path: Path) -> bytes | mmap.mmap:
-    with open(path, "rb") as stream:
-        if path.stat().st_size == 0:
-            return b""
-        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    try:
+        with open(path, "rb") as stream:
+            if os.fstat(stream.fileno()).st_size == 0:
+                return b""
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except FileNotFoundError:
+        raise BitstreamDamage(f"{path}: missing") from None

@@ -82,15 +82,24 @@ def table_from_parquet(content: bytes) -> pyarrow.Table:
     return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
 
 
+def json_from_value(value: float) -> float | str | None:
+    """A value that JSON can hold: infinities as text, NaN as null."""
+    if math.isfinite(value):
+        return value
+    return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+
+
+def value_from_json(value: float | str | None) -> float:
+    """The value that `json_from_value` wrote."""
+    return math.nan if value is None else float(value)
+
+
 def json_from_measurement(one: Measurement) -> list[Any]:
-    """[metric, value, stage, reason] with values that JSON can hold: infinities as text, NaN as null."""
-    value: float | str | None = one.value
-    if not math.isfinite(one.value):
-        value = None if math.isnan(one.value) else ("inf" if one.value > 0 else "-inf")
-    return [one.metric, value, one.stage, one.reason]
+    """[metric, value, stage, reason] of a measurement that belongs to no frame."""
+    return [one.metric, json_from_value(one.value), one.stage, one.reason]
 
 
 def measurement_from_json(row: list[Any]) -> Measurement:
     """The measurement that `json_from_measurement` wrote."""
     metric, value, stage, reason = row
-    return Measurement(metric, math.nan if value is None else float(value), None, stage, reason)
+    return Measurement(metric, value_from_json(value), None, stage, reason)

@@ -1,0 +1,112 @@
+"""What a result was computed on: machine, system, Python, libraries, plugins, and the state of the checkout.
+
+Described inside a worker, because that is where the libraries are loaded. `environment_id` is a hash of what
+can change a result or a time; what changes by itself (`volatile`) is kept beside it and not hashed.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import re
+import subprocess
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+from codecbench.core.contracts.hooks import KINDS
+from codecbench.core.engine.identity import digest
+from codecbench.core.engine.registry import Registry
+
+_DISTRIBUTIONS: Final = (
+    "codecbench", "numpy", "scipy", "numba", "llvmlite", "opencv-python-headless", "opencv-python", "glymur",
+    "pillow", "scikit-image", "imagecodecs", "evo", "pandas", "pyarrow", "pydantic", "pebble", "distributed",
+    "pyorbslam3",
+)  # fmt: skip
+_THREAD_VARIABLES: Final = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
+)  # fmt: skip
+_CPU: Final = Path("/sys/devices/system/cpu")
+
+
+def environment_id(environment: dict[str, Any]) -> str:
+    """A digest of everything in the description that is not volatile."""
+    return digest({name: value for name, value in environment.items() if name != "volatile"})[:16]
+
+
+def describe_environment(registry: Registry) -> dict[str, Any]:
+    """The environment of this process as JSON types; what cannot be read is None."""
+    return {
+        "machine": _machine(),
+        "system": {"name": platform.system(), "release": platform.release(), "libc": " ".join(platform.libc_ver())},
+        "python": {"version": platform.python_version(), "implementation": platform.python_implementation()},
+        "distributions": _versions(),
+        "libraries": _bundled_libraries(),
+        "plugins": sorted({plugin.distribution for kind in KINDS for plugin in registry.plugins(kind)}),
+        "threads": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
+        "checkout": _checkout(),
+        "volatile": {"host": platform.node(), "governor": _text(_CPU / "cpu0/cpufreq/scaling_governor")},
+    }
+
+
+def _machine() -> dict[str, Any]:
+    cpu = _text(Path("/proc/cpuinfo")) or ""
+    flags = re.search(r"^flags\s*:(.*)$", cpu, re.MULTILINE)
+    model = re.search(r"^model name\s*:\s*(.*)$", cpu, re.MULTILINE)
+    memory = re.search(r"^MemTotal:\s*(\d+) kB", _text(Path("/proc/meminfo")) or "", re.MULTILINE)
+    known = flags.group(1).split() if flags else []
+    return {
+        "architecture": platform.machine(),
+        "cpu": model.group(1) if model else platform.processor() or None,
+        "cores": os.cpu_count(),
+        "simd": [name for name in ("sse4_2", "avx", "avx2", "avx512f", "neon") if name in known],
+        "memory_mb": int(memory.group(1)) // 1024 if memory else None,
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _DISTRIBUTIONS:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+def _bundled_libraries() -> dict[str, str]:
+    """Image libraries inside OpenCV's build, by what the build says of itself."""
+    import cv2
+
+    found = {}
+    for line in cv2.getBuildInformation().splitlines():
+        match = re.match(r"\s+(JPEG|PNG|JPEG 2000|ZLib):\s+(.*)", line)
+        if match:
+            found[f"opencv {match.group(1)}"] = match.group(2).strip()
+    return found
+
+
+@functools.cache
+def _checkout() -> dict[str, Any] | None:
+    """The commit of the source tree that codecbench runs from, and whether it has changes; None outside one."""
+    folder = Path(__file__).resolve().parents[3]
+    if not (folder / ".git").exists():
+        return None
+    commit = _git(folder, "rev-parse", "HEAD")
+    changes = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", "codecbench")
+    return {"commit": commit, "changed": None if changes is None else bool(changes)}
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    command = ["git", "-C", str(folder), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _text(path: Path) -> str | None:
+    with suppress(OSError):
+        return path.read_text(errors="replace").strip()
+    return None
