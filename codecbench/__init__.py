@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
     from codecbench.core.instrument.kernel import kernel
     from codecbench.core.instrument.trace import NULL_TRACE, Trace
+    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.running import run
 
 __version__ = "0.1.0"
 
@@ -66,6 +68,8 @@ _HOMES = {
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
     "codecbench.core.instrument.kernel": ("kernel",),
     "codecbench.core.instrument.trace": ("NULL_TRACE", "Trace"),
+    "codecbench.core.results.collect": ("open_run",),
+    "codecbench.core.results.running": ("run",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

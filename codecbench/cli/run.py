@@ -1,0 +1,107 @@
+"""`codecbench run`."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as ProgressBar
+
+if TYPE_CHECKING:
+    from codecbench.core.engine.progress import Progress
+    from codecbench.core.engine.run import RunSummary
+
+LEVELS = ("debug", "info", "warning", "error")
+
+
+@click.command()
+@click.argument("matrix", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/NAME.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default as the matrix says.")
+@click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Go on after a cell that fails.")
+@click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
+@click.option("--quiet", is_flag=True, help="No progress and no table: only what failed, and the run folder.")
+def run(matrix: Path, out: Path | None, workers: int | None, keep_going: bool, log_level: str, quiet: bool) -> None:
+    """Run a MATRIX: every codec setting on every sequence, evaluated.
+
+    Goes on where an earlier run in the same folder stopped. Exit status 0 only if no cell failed; 130 if stopped.
+    """
+    from codecbench.core.engine.matrix import read_matrix
+    from codecbench.core.engine.plan import make_plan
+    from codecbench.core.engine.run import run_plan
+
+    plan = make_plan(read_matrix(matrix))
+    folder = out or Path("runs") / plan.name
+    console = Console(stderr=True, quiet=quiet)
+    with _Display(console, keep_going) as display:
+        summary = run_plan(
+            plan, folder, workers=workers, listener=display.show, log_level=logging.getLevelName(log_level.upper())
+        )
+    _report(summary, quiet)
+
+
+class _Display:
+    """The bar, and one line for every cell that fails."""
+
+    def __init__(self, console: Console, keep_going: bool) -> None:
+        self._console = console
+        self._keep_going = keep_going
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        self._bar = ProgressBar(*columns, console=console, transient=True)
+        self._task = self._bar.add_task("starting", total=None, note="")
+
+    def __enter__(self) -> _Display:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def show(self, progress: Progress) -> None:
+        done = progress.cells_done + progress.cells_kept + progress.jobs_done
+        total = progress.cells_total + progress.jobs_total
+        left = "" if progress.remaining_s is None else f"{_clock(progress.remaining_s)} left"
+        failed = f"{progress.not_ok} without a result" if progress.not_ok else ""
+        note = ", ".join(filter(None, (left, failed)))
+        self._bar.update(self._task, description="cells", completed=done, total=total, note=note)
+        record, cell = progress.record, progress.cell
+        if record is None or cell is None or record.status in ("ok", "unsupported"):
+            return
+        what = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+        line = f"{record.status}: {cell.sequence.name} | {what} | {cell.evaluator.name} #{cell.repeat}: {record.reason}"
+        click.echo(line, err=True)
+        if not self._keep_going:
+            raise click.ClickException("stopped at the first failure (--fail-fast); what is finished is kept")
+
+
+def _report(summary: RunSummary, quiet: bool) -> None:
+    from codecbench.core.results.collect import open_run
+
+    if not quiet:
+        from codecbench.cli.show import show_summary
+
+        show_summary(open_run(summary.folder))
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
+    kept = f", {summary.kept} of them from before" if summary.kept else ""
+    click.echo(f"cells: {counts or 'none'}{kept}")
+    click.echo(f"run folder: {summary.folder}")
+    if summary.interrupted:
+        click.echo(f"stopped by {summary.interrupted}; the same command goes on from here", err=True)
+        sys.exit(130)
+    if any(count for status, count in summary.statuses.items() if status not in ("ok", "unsupported")):
+        sys.exit(1)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes}:{seconds:02d}" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

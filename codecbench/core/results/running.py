@@ -1,0 +1,34 @@
+"""Running a matrix from Python: `codecbench.run("matrix.yaml")`."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from codecbench.core.engine.matrix import read_matrix
+from codecbench.core.engine.plan import make_plan
+from codecbench.core.engine.run import Listener, run_plan
+from codecbench.core.results.collect import open_run
+from codecbench.core.results.run_result import RunResult
+
+
+def run(
+    matrix: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    listener: Listener | None = None,
+    log_level: int = logging.INFO,
+) -> RunResult:
+    """Compute what is missing of a matrix and return its results.
+
+    out: the run folder, by default `runs/NAME`. workers: processes, by default what the matrix says.
+    listener: called with the progress after every job and cell. Cells that fail are rows of the result, not
+    exceptions. Raises MatrixError for a wrong matrix and StoreError for a folder that is in use.
+
+    Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
+    """
+    plan = make_plan(read_matrix(matrix))
+    folder = Path(out) if out is not None else Path("runs") / plan.name
+    run_plan(plan, folder, workers=workers, listener=listener, log_level=log_level)
+    return open_run(folder)
