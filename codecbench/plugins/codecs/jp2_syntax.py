@@ -30,14 +30,14 @@ _MAIN_HEADER_BYTES = 400
 
 def with_checksum(bitstream: bytes) -> bytes:
     """The file with a CRC-32 of all other bytes, in hexadecimal, where OpenJPEG wrote its name and version."""
-    place = bitstream.find(_OPENJPEG_COMMENT, 0, _MAIN_HEADER_BYTES)
-    (length,) = struct.unpack_from(">H", bitstream, place - 4)
-    text_bytes = length - 4
-    if place < 0 or text_bytes < len(_CRC_COMMENT) + _CRC_DIGITS:
+    place = bitstream.find(_OPENJPEG_COMMENT, 4, _MAIN_HEADER_BYTES)
+    text_bytes = int.from_bytes(bitstream[place - 4 : place - 2], "big") - 4 if place > 0 else 0
+    if text_bytes < len(_CRC_COMMENT) + _CRC_DIGITS:
         raise RuntimeError("this OpenJPEG does not write the comment that the checksum takes the place of")
     before = bitstream[:place] + _CRC_COMMENT
     after = b" " * (text_bytes - len(_CRC_COMMENT) - _CRC_DIGITS) + bitstream[place + text_bytes :]
-    return before + b"%08x" % zlib.crc32(after, zlib.crc32(before)) + after
+    crc = zlib.crc32(after, zlib.crc32(before))
+    return before + f"{crc:08x}".encode() + after
 
 
 def _check_crc(bitstream: bytes) -> None:
@@ -46,7 +46,7 @@ def _check_crc(bitstream: bytes) -> None:
         raise BitstreamError("jpeg2000: not a file of ours, it has no checksum")
     view, digits = memoryview(bitstream), place + len(_CRC_COMMENT)
     crc = zlib.crc32(view[digits + _CRC_DIGITS :], zlib.crc32(view[:digits]))
-    if bitstream[digits : digits + _CRC_DIGITS] != b"%08x" % crc:
+    if bitstream[digits : digits + _CRC_DIGITS] != f"{crc:08x}".encode():
         raise BitstreamError("jpeg2000: checksum mismatch, the file is damaged")
 
 

@@ -1,0 +1,41 @@
+"""Time of every installed codec on one 640x480 picture. Run with `pytest tests/benchmarks`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import skimage.data
+
+from codecbench.core.engine.registry import installed
+
+DEFAULTS: dict[str, dict[str, Any]] = {"jpeg2000": {"ratio": 8}}
+"""What to set where a codec has no defaults."""
+
+
+@pytest.fixture(scope="module", params=["gray", "rgb"])
+def picture(request: pytest.FixtureRequest) -> np.ndarray:
+    image = cv2.resize(skimage.data.astronaut(), (640, 480), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(image if request.param == "rgb" else image[..., 1])
+
+
+@pytest.fixture(scope="module", params=[plugin.offer.name for plugin in installed().plugins("codec")])
+def codec(request: pytest.FixtureRequest) -> Any:
+    missing = installed().find("codec", request.param).missing
+    if missing is not None:
+        pytest.skip(missing)
+    return installed().create("codec", request.param, DEFAULTS.get(request.param, {}))
+
+
+def test_encode(benchmark: Any, codec: Any, picture: np.ndarray) -> None:
+    bitstream = benchmark.pedantic(codec.encode, (picture,), rounds=9, warmup_rounds=2)
+    benchmark.extra_info["size_bytes"] = len(bitstream)
+    assert codec.decode(bitstream).shape == picture.shape
+
+
+def test_decode(benchmark: Any, codec: Any, picture: np.ndarray) -> None:
+    bitstream = codec.encode(picture)
+    decoded = benchmark.pedantic(codec.decode, (bitstream,), rounds=9, warmup_rounds=2)
+    assert decoded.shape == picture.shape

@@ -1,0 +1,78 @@
+"""The codecs of imagecodecs: what their settings promise, and that the envelope notices damage."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+import skimage.data
+from damage import outcomes
+from skimage.metrics import peak_signal_noise_ratio
+
+pytest.importorskip("imagecodecs", reason="the extra `codecs` is not installed")
+
+from codecbench import BitstreamError
+from codecbench.plugins.codecs.imagecodecs import Avif, Htj2k, JpegLs, JpegXl, Webp
+
+PICTURE = np.ascontiguousarray(skimage.data.astronaut()[60:188, 100:261])
+GRAY = np.ascontiguousarray(PICTURE[..., 1])
+CODECS: list[Any] = [JpegXl, JpegLs, Htj2k, Webp, Avif]
+EVERY_CODEC = pytest.mark.parametrize("codec_class", CODECS, ids=lambda codec_class: codec_class.name)
+IMAGES = pytest.mark.parametrize("image", [PICTURE, GRAY], ids=["rgb", "gray"])
+_ENVELOPE_BYTES = 18
+
+
+@IMAGES
+@pytest.mark.parametrize(
+    ("codec_class", "better", "worse"),
+    [
+        (JpegXl, {"distance": 0.5}, {"distance": 3}),
+        (JpegLs, {"near": 1}, {"near": 5}),
+        (Htj2k, {"step": 0.005}, {"step": 0.05}),
+        (Webp, {"quality": 90}, {"quality": 20}),
+        (Avif, {"quality": 85}, {"quality": 30}),
+    ],
+)
+def test_settings_trade_size_for_quality(
+    codec_class: Any, better: dict[str, Any], worse: dict[str, Any], image: np.ndarray
+) -> None:
+    sizes, psnr = [], []
+    for setting in (better, worse):
+        codec = codec_class.create(**setting)
+        bitstream = codec.encode(image)
+        sizes.append(len(bitstream))
+        psnr.append(peak_signal_noise_ratio(image, codec.decode(bitstream)))
+    assert sizes[0] > sizes[1]
+    assert psnr[0] > psnr[1] > 22
+
+
+@IMAGES
+def test_near_lossless_keeps_its_bound(image: np.ndarray) -> None:
+    codec = JpegLs.create(near=4)
+    assert np.abs(codec.decode(codec.encode(image)).astype(int) - image).max() == 4
+
+
+@pytest.mark.parametrize("codec_class", [Webp, Avif], ids=lambda codec_class: codec_class.name)
+def test_what_the_envelope_holds_is_a_file_of_the_standard(codec_class: Any) -> None:
+    codec = codec_class.create()
+    bitstream = codec.encode(PICTURE)
+    theirs = np.asarray(PIL.Image.open(io.BytesIO(bitstream[_ENVELOPE_BYTES:])).convert("RGB"))
+    assert np.abs(theirs.astype(int) - codec.decode(bitstream)).max() <= 3
+
+
+@EVERY_CODEC
+def test_no_damage_goes_unnoticed(codec_class: Any) -> None:
+    codec = codec_class.create()
+    found = outcomes(codec, [codec.encode(image) for image in (PICTURE[:20, :30], GRAY[:7, :9])], 1_000, seed=2)
+    assert found["changed"] == 0
+
+
+@EVERY_CODEC
+def test_bitstreams_of_the_others_are_refused(codec_class: Any) -> None:
+    for other in CODECS:
+        if other is not codec_class:
+            with pytest.raises(BitstreamError, match="not a bitstream of this codec"):
+                codec_class.create().decode(other.create().encode(GRAY))
