@@ -1,0 +1,1 @@
+"""The embedded sequence: a furnished room with real photographs, rendered with its exact camera path."""

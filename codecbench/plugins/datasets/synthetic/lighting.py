@@ -1,0 +1,134 @@
+"""Soft light baked into textures: two ceiling lamps with soft shadows, and open sky darkened in corners.
+
+Light is computed at points of a coarse grid on every panel and multiplied into its texture, so that rendering
+a frame costs nothing for it and the picture of a surface does not change with the viewpoint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image
+from codecbench.plugins.datasets.synthetic.atlas import edges_of
+from codecbench.plugins.datasets.synthetic.scene import Panel
+from codecbench.plugins.datasets.synthetic.textures import rounded
+
+Floats = NDArray[np.float64]
+
+_GRID_M = 0.13
+_GRID_MOST = 48
+_SKY_RAYS = 24
+_SKY_REACH_M = 0.7
+_SKY = 0.80
+_LAMP = 4.6
+_LIFT_M = 1e-4
+"""Rays start this far in front of their surface."""
+
+
+def lit(panels: Sequence[Panel], lamps: Floats, rng: np.random.Generator) -> list[Panel]:
+    """The panels with light in their textures. lamps: (L, 3) points on lamps that shine downwards."""
+    edges = edges_of(panels)
+    sky = _cosine_directions(rng)
+    return [panel if panel.glows else replace(panel, texture=_lit(panel, edges, lamps, sky)) for panel in panels]
+
+
+def _lit(panel: Panel, edges: Floats, lamps: Floats, sky: Floats) -> Image:
+    counts = [max(2, min(_GRID_MOST, int(np.sqrt(edge @ edge) / _GRID_M) + 1)) for edge in (panel.down, panel.right)]
+    along, below = ((np.arange(count) + 0.5) / count for count in (counts[1], counts[0]))
+    points = panel.corner + below[:, None, None] * panel.down + along[None, :, None] * panel.right
+    starts = points.reshape(-1, 3) + _LIFT_M * panel.normal
+    light = _light(starts, panel.normal, edges, _within(panel, edges, _SKY_REACH_M), lamps, sky)
+    height, width = panel.texture.shape[:2]
+    shade = _spread(light.reshape(counts[0], counts[1]), height, width)
+    return rounded(panel.texture.astype(np.float32) * shade[:, :, None])
+
+
+def _within(panel: Panel, edges: Floats, reach: float) -> Floats:
+    """The panels whose bounding boxes come within `reach` of this panel's."""
+    low, high = _bounds(edges)
+    own_low, own_high = _bounds(edges_of([panel]))
+    return np.ascontiguousarray(edges[((low - reach <= own_high) & (high + reach >= own_low)).all(axis=1)])
+
+
+def _bounds(edges: Floats) -> tuple[Floats, Floats]:
+    corners = edges[:, :1] + np.stack([0 * edges[:, 1], edges[:, 1], edges[:, 2], edges[:, 1] + edges[:, 2]], axis=1)
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+def _spread(grid: Floats, height: int, width: int) -> NDArray[np.float32]:
+    """The grid, whose values lie at cell centres, at every texel: linear between centres."""
+    rows = np.clip((np.arange(height) + 0.5) * grid.shape[0] / height - 0.5, 0, grid.shape[0] - 1.0)
+    columns = np.clip((np.arange(width) + 0.5) * grid.shape[1] / width - 0.5, 0, grid.shape[1] - 1.0)
+    top, left = np.minimum(rows.astype(int), grid.shape[0] - 2), np.minimum(columns.astype(int), grid.shape[1] - 2)
+    fv, fu = (rows - top)[:, None], columns - left
+    between_rows = grid[top] * (1 - fv) + grid[top + 1] * fv
+    spread = between_rows[:, left] * (1 - fu) + between_rows[:, left + 1] * fu
+    return np.asarray(spread, dtype=np.float32)
+
+
+def _cosine_directions(rng: np.random.Generator) -> Floats:
+    """(R, 3) directions about +z, as dense as the cosine to it: points on a sphere that touches at the pole."""
+    points = rng.normal(size=(_SKY_RAYS, 3))
+    points /= np.sqrt((points * points).sum(axis=1, keepdims=True))
+    points[:, 2] += 1.0
+    return np.asarray(points / np.sqrt((points * points).sum(axis=1, keepdims=True)))
+
+
+@njit(cache=True)
+def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: Any) -> Any:
+    """The light (N,) that falls on points of one surface; `nearby` are the edges that its sky rays can reach."""
+    helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
+    first = np.cross(normal, helper)
+    first /= np.sqrt((first * first).sum())
+    second = np.cross(normal, first)
+    light = np.empty(len(points))
+    for i in range(len(points)):
+        point = points[i]
+        free = 0.0
+        for ray in range(len(sky)):
+            towards = sky[ray, 0] * first + sky[ray, 1] * second + sky[ray, 2] * normal
+            free += 1.0 - _nearest(point, towards, _SKY_REACH_M, nearby)
+        direct = 0.0
+        for lamp in range(len(lamps)):
+            towards = lamps[lamp] - point
+            square = (towards * towards).sum()
+            incidence = (towards * normal).sum()
+            if incidence > 0.0 and towards[2] > 0.0 and _nearest(point, towards, 1.0, edges) == 0.0:
+                direct += incidence * towards[2] / (square * square + 0.5 * square)
+        light[i] = _SKY * free / len(sky) + _LAMP * direct / len(lamps)
+    return light
+
+
+@njit(cache=True)
+def _nearest(point: Any, towards: Any, reach: float, edges: Any) -> float:
+    """How much of the light from one direction is kept off, 0..1: 1 for an obstacle at hand, 0 for none.
+
+    Obstacles count up to `reach` times `towards`; panels block from both sides.
+    """
+    nearest = reach
+    for k in range(len(edges)):
+        right, down = edges[k, 1], edges[k, 2]
+        nx = right[1] * down[2] - right[2] * down[1]
+        ny = right[2] * down[0] - right[0] * down[2]
+        nz = right[0] * down[1] - right[1] * down[0]
+        ox, oy, oz = edges[k, 0, 0] - point[0], edges[k, 0, 1] - point[1], edges[k, 0, 2] - point[2]
+        slope = nx * towards[0] + ny * towards[1] + nz * towards[2]
+        if slope == 0.0:
+            continue
+        distance = (nx * ox + ny * oy + nz * oz) / slope
+        if distance <= 0.0 or distance >= nearest:
+            continue
+        hx, hy, hz = distance * towards[0] - ox, distance * towards[1] - oy, distance * towards[2] - oz
+        along = hx * right[0] + hy * right[1] + hz * right[2]
+        below = hx * down[0] + hy * down[1] + hz * down[2]
+        wide = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
+        high = down[0] * down[0] + down[1] * down[1] + down[2] * down[2]
+        if 0.0 <= along <= wide and 0.0 <= below <= high:
+            nearest = distance
+    return 1.0 - nearest / reach

@@ -1,0 +1,215 @@
+"""Perspective pictures of an atlas: exact visibility per sample, perspective-correct trilinear textures.
+
+A point corner + s right + t down at depth z lies on the ray (x, y, 1) z. So s/z, t/z and 1/z are linear in the
+pixel, and a panel covers a pixel where 0 <= s/z <= 1/z and 0 <= t/z <= 1/z: four inequalities that need no
+clipping, even where a panel passes behind the camera (Olano and Greer, "Triangle Scan Conversion using 2D
+Homogeneous Coordinates", 1997). Only exactly rounded arithmetic is used, so frames do not depend on a
+mathematics library.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.sequence import Camera
+from codecbench.plugins.datasets.synthetic.atlas import Atlas
+
+Floats = NDArray[np.float64]
+_LEVEL_BIAS = 0.25
+"""Squared: a sample stands for about half a pixel's width, since several are averaged."""
+
+
+class Renderer:
+    """Renders one atlas through one camera without distortion; keeps its buffers between pictures."""
+
+    def __init__(self, atlas: Atlas, camera: Camera) -> None:
+        self.atlas = atlas
+        self.camera = camera
+        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        shape = (camera.height, camera.width)
+        self._nearness = np.empty(shape, np.float64)
+        self._panels = np.empty(shape, np.int32)
+
+    def mean_of_samples(self, world_from_cameras: Floats, offsets_px: Floats) -> NDArray[np.float32]:
+        """The average (H, W, 3), 0..255, of a picture from each pose (S, 4, 4), each moved by offsets_px (S, 2).
+
+        Distinct offsets within a pixel smooth edges; distinct poses within the exposure blur motion.
+        """
+        total = np.zeros((self.camera.height, self.camera.width, 3), np.float32)
+        for pose, offset in zip(world_from_cameras, offsets_px, strict=True):
+            planes = self._find_visible(pose, offset)
+            a = self.atlas
+            _shade(planes, self._panels, a.texels, a.first_level, a.level_count, a.levels, total)
+        return np.asarray(total / np.float32(len(world_from_cameras)), dtype=np.float32)
+
+    def visible(self, world_from_camera: Floats) -> tuple[NDArray[np.int32], Floats]:
+        """The panel in each pixel (H, W), -1 for none, and its depth (H, W) in metres, infinity for none."""
+        self._find_visible(world_from_camera, np.zeros(2))
+        with np.errstate(divide="ignore"):
+            return self._panels.copy(), 1.0 / self._nearness
+
+    def _find_visible(self, world_from_camera: Floats, offset_px: Floats) -> Floats:
+        planes = plane_equations(self.atlas.edges, world_from_camera, self._intrinsics, offset_px)
+        rows = _candidate_rows(planes, self.camera.width, self.camera.height)
+        self._nearness[:] = 0.0
+        self._panels[:] = -1
+        _cover(planes, rows, self._nearness, self._panels)
+        return planes
+
+
+def plane_equations(edges: Floats, world_from_camera: Floats, intrinsics: Floats, offset_px: Floats) -> Floats:
+    """For each panel the coefficients of x, y and 1 that give s/z, t/z and 1/z at a pixel: (P, 3, 3).
+
+    The rows are the inverse of the matrix [right down corner] in the camera's frame, times that of the
+    calibration matrix. All zero for a panel that is seen from behind or edge on.
+    """
+    rotation, center = world_from_camera[:3, :3], world_from_camera[:3, 3]
+    corner = (edges[:, 0] - center) @ rotation
+    right, down = edges[:, 1] @ rotation, edges[:, 2] @ rotation
+    normal = np.cross(right, down)
+    volume = np.einsum("pi,pi->p", normal, corner)
+    scale = np.where(volume > 1e-12, 1.0 / np.where(volume > 1e-12, volume, 1.0), 0.0)
+    rows = np.stack([np.cross(down, corner), np.cross(corner, right), normal], axis=1) * scale[:, None, None]
+    fx, fy, cx, cy = intrinsics
+    dx, dy = offset_px
+    planes = np.empty_like(rows)
+    planes[:, :, 0] = rows[:, :, 0] / fx
+    planes[:, :, 1] = rows[:, :, 1] / fy
+    planes[:, :, 2] = rows[:, :, 2] + planes[:, :, 0] * (dx - cx) + planes[:, :, 1] * (dy - cy)
+    return planes
+
+
+def _candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64]:
+    """First row and one past the last (P, 2) in which a panel may show; safe, not tight.
+
+    The inverse of a panel's matrix gives its corners: (x, y, 1) z at s, t in {0, 1}.
+    """
+    rows = np.zeros((len(planes), 2), np.int64)
+    facing = np.flatnonzero(planes[:, 2].any(axis=1))
+    shares = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    corners = np.linalg.inv(planes[facing]) @ shares.T
+    x, y, z = corners[:, 0], corners[:, 1], corners[:, 2]
+    outside = (x < -z).all(1) | (x > width * z).all(1) | (y < -z).all(1) | (y > height * z).all(1) | (z <= 0).all(1)
+    whole = (z > 1e-3).all(axis=1)
+    below = np.where(whole[:, None], y / np.where(whole[:, None], z, 1.0), [0.0, 0.0, 0.0, height])
+    rows[facing, 0] = np.clip(np.floor(below.min(axis=1)), 0, height)
+    rows[facing, 1] = np.where(outside, 0, np.clip(np.ceil(below.max(axis=1)) + 1, 0, height))
+    return rows
+
+
+@njit(cache=True)
+def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
+    """First column and one past the last at which a panel covers row y; empty where first >= last."""
+    first, last = 0.0, width - 1.0
+    for side in range(4):
+        row = side >> 1
+        slope, level = plane[row, 0], plane[row, 1] * y + plane[row, 2]
+        if side & 1:
+            slope = plane[2, 0] - slope
+            level = plane[2, 1] * y + plane[2, 2] - level
+        if slope > 0.0:
+            first = max(first, -level / slope)
+        elif slope < 0.0:
+            last = min(last, -level / slope)
+        elif level < 0.0:
+            return 0, 0
+    if not first <= last:
+        return 0, 0
+    return int(np.ceil(first)), int(np.floor(last)) + 1
+
+
+@njit(cache=True)
+def _cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
+    """Keep, in every pixel, the panel with the largest 1/z."""
+    width = nearness.shape[1]
+    for panel in range(len(planes)):
+        plane = planes[panel]
+        for y in range(rows[panel, 0], rows[panel, 1]):
+            first, last = _span(plane, y, width)
+            level = plane[2, 1] * y + plane[2, 2]
+            for x in range(first, last):
+                near = plane[2, 0] * x + level
+                if near > nearness[y, x]:
+                    nearness[y, x] = near
+                    panels[y, x] = panel
+
+
+@njit(cache=True)
+def _shade(planes: Any, panels: Any, texels: Any, first_level: Any, level_count: Any, levels: Any, total: Any) -> None:
+    """Add the texture's colour at every covered pixel to `total`."""
+    height, width = panels.shape
+    for y in range(height):
+        x = 0
+        while x < width:
+            panel, begin = panels[y, x], x
+            while x < width and panels[y, x] == panel:
+                x += 1
+            if panel >= 0:
+                some = levels[first_level[panel] : first_level[panel] + level_count[panel]]
+                _shade_run(planes[panel], y, begin, x, some, texels, total)
+
+
+@njit(cache=True)
+def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: Any, total: Any) -> None:
+    """Add one panel's colour to the pixels begin <= x < end of row y."""
+    sx, sy, tx, ty, nx, ny = plane[0, 0], plane[0, 1], plane[1, 0], plane[1, 1], plane[2, 0], plane[2, 1]
+    s1, t1, n1 = sy * y + plane[0, 2], ty * y + plane[1, 2], ny * y + plane[2, 2]
+    rows, columns, last = float(levels[0, 1]), float(levels[0, 2]), len(levels) - 1
+    for x in range(begin, end):
+        depth = 1.0 / (nx * x + n1)
+        along, below = (sx * x + s1) * depth, (tx * x + t1) * depth
+        ux, vx = (sx - along * nx) * columns, (tx - below * nx) * rows
+        uy, vy = (sy - along * ny) * columns, (ty - below * ny) * rows
+        reach = max(ux * ux + vx * vx, uy * uy + vy * vy) * (depth * depth * _LEVEL_BIAS)
+        level = 0
+        while reach > 4.0 and level < last:
+            reach *= 0.25
+            level += 1
+        blend = 0.0 if level == last else min(max((reach - 1.0) / 3.0, 0.0), 1.0)
+        fine = _texel(texels, levels, level, along, below)
+        coarse = _texel(texels, levels, level + 1, along, below) if blend > 0.0 else fine
+        share = np.float32(blend)
+        for channel in range(3):
+            low = np.float32((fine >> np.uint64(21 * channel)) & _LANE)
+            high = np.float32((coarse >> np.uint64(21 * channel)) & _LANE)
+            total[y, x, channel] += (low + share * (high - low)) * _UNIT
+
+
+_LANE = np.uint64((1 << 21) - 1)
+_UNIT = np.float32(1.0 / 4096.0)
+
+
+@njit(cache=True, inline="always")
+def _texel(texels: Any, levels: Any, level: int, along: float, below: float) -> Any:
+    """4096 times the bilinear colour of one level at (along, below) in 0..1: three numbers of 21 bits in one word.
+
+    One multiplication weighs all three channels; weights are multiples of 1/64 in each direction.
+    """
+    offset, rows, columns = levels[level, 0], levels[level, 1], levels[level, 2]
+    u = int(min(max(along * columns - 0.5, 0.0), columns - 1.0) * 64.0 + 0.5)
+    v = int(min(max(below * rows - 0.5, 0.0), rows - 1.0) * 64.0 + 0.5)
+    left, top = u >> 6, v >> 6
+    fu, fv = np.uint64(u & 63), np.uint64(v & 63)
+    a = np.uint64(offset + top * columns + left)
+    c = a + np.uint64(columns if top + 1 < rows else 0)
+    step = np.uint64(1 if left + 1 < columns else 0)
+    gu, gv = np.uint64(64) - fu, np.uint64(64) - fv
+    return (
+        gu * gv * _lanes(texels[a])
+        + fu * gv * _lanes(texels[a + step])
+        + gu * fv * _lanes(texels[c])
+        + fu * fv * _lanes(texels[c + step])
+    )
+
+
+@njit(cache=True, inline="always")
+def _lanes(texel: Any) -> Any:
+    """A texel's three bytes, 21 bits apart."""
+    word = np.uint64(texel)
+    return (
+        (word & np.uint64(0xFF)) | ((word & np.uint64(0xFF00)) << np.uint64(13)) | ((word & np.uint64(0xFF0000)) << np.uint64(26))
+    )

@@ -1,0 +1,151 @@
+"""Surfaces made of photographs: crops, tones, seamless large surfaces, planks, framed pictures.
+
+Everything here is plain arithmetic on arrays, not a library's resampling, so that the pixels do not depend on
+the version of a library. Textures are (H, W, 3) uint8 RGB; densities are texels per metre.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image
+from codecbench.plugins.datasets.synthetic.photographs import photograph
+
+Floats = NDArray[np.float32]
+Color = tuple[float, float, float]
+_CROP_TRIALS = 8
+
+
+def resized(image: NDArray[np.generic], height: int, width: int) -> Image:
+    """The image at another size: halved by averaging as often as it goes, then bilinear."""
+    pixels = image.astype(np.float32)
+    while pixels.shape[0] >= 2 * height and pixels.shape[1] >= 2 * width:
+        pixels = halved(pixels)
+    rows = np.clip((np.arange(height) + 0.5) * pixels.shape[0] / height - 0.5, 0, pixels.shape[0] - 1)
+    columns = np.clip((np.arange(width) + 0.5) * pixels.shape[1] / width - 0.5, 0, pixels.shape[1] - 1)
+    return rounded(_between(_between(pixels, rows, 0), columns, 1))
+
+
+def halved(pixels: Floats) -> Floats:
+    """Averages over 2 x 2 pixels; an odd last row or column is repeated."""
+    odd = (pixels.shape[0] % 2, pixels.shape[1] % 2)
+    even = np.pad(pixels, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else pixels
+    quarters = even[0::2, 0::2] + even[0::2, 1::2] + even[1::2, 0::2] + even[1::2, 1::2]
+    return np.asarray(quarters * np.float32(0.25), dtype=np.float32)
+
+
+def _between(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
+    low = places.astype(np.int64)
+    high = np.minimum(low + 1, pixels.shape[axis] - 1)
+    share = (places - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+    return pixels.take(low, axis) * (1 - share) + pixels.take(high, axis) * share
+
+
+def rounded(pixels: NDArray[np.floating]) -> Image:
+    return np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
+
+
+def crop(name: str, height: int, width: int, rng: np.random.Generator, zoom: float = 1.0) -> Image:
+    """A place in a photograph at the given size; of several places, the one with most detail.
+
+    zoom: texels per pixel of the photograph. A photograph too small for that is enlarged.
+    """
+    photo = photograph(name)
+    zoom = max(zoom, height / photo.shape[0], width / photo.shape[1])
+    rows, columns = max(int(height / zoom), 1), max(int(width / zoom), 1)
+    best, most = photo[:rows, :columns], -1.0
+    for _ in range(_CROP_TRIALS):
+        row = int(rng.integers(photo.shape[0] - rows + 1))
+        column = int(rng.integers(photo.shape[1] - columns + 1))
+        candidate = photo[row : row + rows, column : column + columns]
+        detail = float(np.abs(np.diff(candidate[:, :, 1].astype(np.float32), axis=1)).sum())
+        if detail > most:
+            best, most = candidate, detail
+    return resized(best, height, width)
+
+
+def toned(image: Image, color: Color, contrast: float = 1.0) -> Image:
+    """The brightness of an image, about its mean, in the shades of one colour (0..255)."""
+    gray = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+    deviation = (gray - gray.mean(dtype=np.float64)) / 128.0 * contrast
+    return rounded(np.array(color) * (1.0 + deviation[:, :, None]))
+
+
+def strewn(name: str, height: int, width: int, rng: np.random.Generator, patch: int, zoom: float = 1.0) -> Image:
+    """A large surface without repetition or seams, from overlapping random patches of a photograph.
+
+    Patches are weighted by a smooth window, and the sum is scaled so that contrast stays as it was.
+    Source: Heitz and Neyret, "High-Performance By-Example Noise using a Histogram-Preserving Blending
+    Operator", 2018, equation 2, without its histogram transform.
+    """
+    photo = photograph(name)
+    source = resized(photo, int(photo.shape[0] * zoom), int(photo.shape[1] * zoom)).astype(np.float32)
+    mean = source.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+    patch = min(patch, *source.shape[:2]) // 2 * 2
+    ramp = 1.0 - np.abs((np.arange(patch) + 0.5) / (patch / 2) - 1.0)
+    window = (ramp * ramp * (3 - 2 * ramp)).astype(np.float32)
+    weight = np.outer(window, window)[:, :, None]
+    total = np.zeros((height + 2 * patch, width + 2 * patch, 3), np.float32)
+    squares = np.zeros((height + 2 * patch, width + 2 * patch, 1), np.float32)
+    for top in range(0, height + patch, patch // 2):
+        for left in range(0, width + patch, patch // 2):
+            row = int(rng.integers(source.shape[0] - patch + 1))
+            column = int(rng.integers(source.shape[1] - patch + 1))
+            piece = source[row : row + patch, column : column + patch]
+            total[top : top + patch, left : left + patch] += weight * (piece - mean)
+            squares[top : top + patch, left : left + patch] += weight * weight
+    whole = mean + total / np.sqrt(np.maximum(squares, 1e-6))
+    return rounded(whole[patch : patch + height, patch : patch + width])
+
+
+def wood(height: int, width: int, rng: np.random.Generator, color: Color) -> Image:
+    """Wood with its grain along the width: the table in the photograph of a coffee cup."""
+    table = photograph("coffee")[300:395, 20:150]
+    top = int(rng.integers(0, 40))
+    left = int(rng.integers(0, 40))
+    piece = table[top : top + 50, left : left + 90]
+    if rng.random() < 0.5:
+        piece = piece[::-1]
+    if rng.random() < 0.5:
+        piece = piece[:, ::-1]
+    grain = toned(resized(piece, height, width), color, 0.9)
+    sheet = _fine_grain()
+    rows, columns = np.arange(height) % len(sheet), np.arange(width) % len(sheet)
+    top, left = (int(start) for start in rng.integers(len(sheet), size=2))
+    return rounded(grain * sheet[(rows + top) % len(sheet)][:, (columns + left) % len(sheet), None])
+
+
+@cache
+def _fine_grain() -> Floats:
+    """(1024, 1024) factors about 1: the roughness of every wooden surface, each taking another place of it."""
+    gray = toned(strewn("gravel", 1024, 1024, np.random.default_rng(1), 64, 0.4), (128.0, 128.0, 128.0), 0.16)
+    return np.asarray(gray[:, :, 0].astype(np.float32) / 128.0)
+
+
+def planks(height: int, width: int, rng: np.random.Generator, color: Color, plank: int) -> Image:
+    """A floor of planks `plank` texels wide, each with its own length, shade and grain."""
+    floor = np.zeros((height, width, 3), np.uint8)
+    for top in range(0, height, plank):
+        left = -int(rng.integers(plank * 4))
+        while left < width:
+            length = int(rng.integers(plank * 5, plank * 9))
+            light, warm = float(rng.uniform(0.78, 1.15)), float(rng.uniform(0.94, 1.06))
+            board = wood(plank, length, rng, (color[0] * light * warm, color[1] * light, color[2] * light / warm))
+            board[:2] = board[:2] // 3
+            board[:, :2] = board[:, :2] // 3
+            first, last = max(left, 0), min(left + length, width)
+            rows = min(plank, height - top)
+            floor[top : top + rows, first:last] = board[:rows, first - left : last - left]
+            left += length
+    return floor
+
+
+def matted(image: Image, border: int, color: Color = (236.0, 232.0, 224.0)) -> Image:
+    """A picture with a plain border."""
+    sheet = np.empty((image.shape[0] + 2 * border, image.shape[1] + 2 * border, 3), np.uint8)
+    sheet[:] = np.array(color, np.uint8)
+    sheet[border:-border, border:-border] = image
+    return sheet
