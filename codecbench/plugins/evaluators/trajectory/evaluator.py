@@ -143,7 +143,8 @@ def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     yield Measurement("times_lost", float(lost))
     yield Measurement("maps", float(run.maps))
     yield Measurement("keyframes", float(len(run.keyframe_indices)))
-    yield Measurement("map_points", float(len(run.points_world)))
+    untold = len(stamps_s) > 0 and len(run.points_world) == 0
+    yield _or_missing("map_points", None if untold else len(run.points_world), "the backend does not give its points")
     yield Measurement("loops_closed", float(len(run.loops)))
     yield _or_missing("loop_frame", min((one.frame for one in run.loops), default=None), "no loop was closed")
     inliers = [one.inliers for one in run.frames if one.state == "tracked"]

@@ -1,0 +1,82 @@
+"""The child process in which ORB-SLAM3 runs: it may crash, hang or print without taking anything down.
+
+Run as a script, with nothing of codecbench imported. Requests come on standard input, answers go to what was standard
+output, each a line of JSON; a frame's line is followed by its pixels. What ORB-SLAM3 prints goes to the log file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import sys
+import time
+from typing import Any, BinaryIO
+
+import numpy as np
+
+_PR_SET_PDEATHSIG, _SIGKILL = 1, 9
+
+
+def main(log_path: str) -> None:
+    """Answer requests until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
+    log = os.open(log_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    requests = sys.stdin.buffer
+    libc = ctypes.CDLL(None)
+    if sys.platform == "linux":
+        libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL)
+
+    def answer(**values: Any) -> None:
+        libc.fflush(None)  # so that the log holds all that was printed up to this answer
+        answers.write(json.dumps(values) + "\n")
+
+    start = json.loads(requests.readline())
+    try:
+        import pyorbslam3
+    except ImportError as error:
+        answer(unavailable=str(error))
+        os._exit(0)
+    slam = pyorbslam3.Slam(start["vocabulary"], start["settings"], pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
+    answer(ready=True)
+    _track(slam, requests, answer)
+    # Tearing down the foreign library's threads in order gains nothing and sometimes crashes.
+    os._exit(0)
+
+
+def _track(slam: Any, requests: BinaryIO, answer: Any) -> None:
+    """Track frames until the request to finish, none sooner after the one before than it was taken after it.
+
+    A frame that takes too long delays all later ones: catching up would take away the time that mapping needs.
+    """
+    origin: float | None = None
+    for line in iter(requests.readline, b""):
+        request = json.loads(line)
+        if "save" in request:
+            slam.shutdown()
+            slam.save_trajectory_euroc(os.path.join(request["save"], "frames.txt"))
+            slam.save_keyframe_trajectory_tum(os.path.join(request["save"], "keyframes.txt"))
+            answer(saved=True)
+            return
+        shape, stamp_s = request["shape"], request["timestamp_s"]
+        gray = np.frombuffer(requests.read(shape[0] * shape[1]), np.uint8).reshape(shape)
+        if origin is not None:
+            time.sleep(max(origin + stamp_s - time.monotonic(), 0.0))
+        origin = time.monotonic() - stamp_s
+        started = time.perf_counter()
+        result = slam.track_monocular(gray.copy(), stamp_s)
+        elapsed_ms = 1e3 * (time.perf_counter() - started)
+        pose = np.asarray(result.pose_wc, dtype=np.float64)
+        answer(
+            tracked=bool(result.pose_valid),
+            state=str(result.state),
+            world_from_camera=pose.tolist() if result.pose_valid else None,
+            inliers=int(result.num_tracked_points),
+            elapsed_ms=elapsed_ms,
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,83 @@
+"""From the files that ORB-SLAM3 saves to a SlamRun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.core.contracts.slam import SlamRun, TrackedFrame
+from codecbench.plugins.slam_backends.orbslam3_log import PrintedEvents
+
+STAMP_TOLERANCE_S: Final = 1e-3
+"""Saved stamps are rounded; frames are further apart than this."""
+
+
+@dataclass(frozen=True)
+class TrackedPose:
+    """A pose as it was when its frame was tracked: 4x4 nested lists."""
+
+    timestamp_s: float
+    world_from_camera: list[list[float]]
+
+
+def run_from_files(
+    folder: Path, states: list[TrackedFrame], poses: list[TrackedPose], events: PrintedEvents
+) -> SlamRun:
+    """The run whose trajectories ORB-SLAM3 saved as frames.txt (nanoseconds) and keyframes.txt (seconds)."""
+    stamps_s = np.array([one.timestamp_s for one in states])
+    saved = _read_rows(folder / "frames.txt")
+    saved[:, 0] *= 1e-9
+    at, rows = _frames_of(saved, stamps_s)
+    final = Trajectory(stamps_s[at], _poses(rows))
+    kept = set(final.timestamps_s.tolist())
+    as_tracked = [one for one in poses if one.timestamp_s in kept]
+    before = Trajectory(
+        np.array([one.timestamp_s for one in as_tracked]),
+        np.array([one.world_from_camera for one in as_tracked]).reshape(-1, 4, 4),
+    )
+    keyframes, _ = _frames_of(_read_rows(folder / "keyframes.txt"), stamps_s)
+    is_keyframe = set(keyframes.tolist())
+    return SlamRun(
+        frames=tuple(replace(one, keyframe=position in is_keyframe) for position, one in enumerate(states)),
+        trajectory=final,
+        trajectory_before_loops=before,
+        keyframe_indices=np.array([states[position].index for position in keyframes], dtype=np.int64),
+        points_world=np.empty((0, 3)),
+        loops=tuple(events.loops),
+        maps=events.maps_started,
+    )
+
+
+def _read_rows(path: Path) -> NDArray[np.float64]:
+    """(N, 8) stamp, position, quaternion x y z w; empty where nothing was saved."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+    return np.array(rows, dtype=np.float64).reshape(-1, 8)
+
+
+def _frames_of(
+    rows: NDArray[np.float64], stamps_s: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Positions of the frames that the rows belong to, increasing and without repeats, and those rows."""
+    if len(rows) == 0 or len(stamps_s) == 0:
+        return np.empty(0, np.int64), np.empty((0, 8))
+    nearest = np.abs(rows[:, :1] - stamps_s[None]).argmin(axis=1)
+    near = np.abs(rows[:, 0] - stamps_s[nearest]) <= STAMP_TOLERANCE_S
+    positions, first = np.unique(nearest[near], return_index=True)
+    return positions.astype(np.int64), rows[near][first]
+
+
+def _poses(rows: Sequence[Sequence[float]] | NDArray[np.float64]) -> NDArray[np.float64]:
+    table = np.asarray(rows, dtype=np.float64).reshape(-1, 8)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    if len(table):
+        poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+        poses[:, :3, 3] = table[:, 1:4]
+    return poses
