@@ -69,7 +69,7 @@ class FrameKeypoints:
 class Features(SequenceEvaluator[FeaturesParams]):
     """Keypoints found again, matches kept, descriptors changed, matches that obey a geometry.
 
-    docs/metrics.md defines each metric. A lossless codec scores 1, 1 and 0 in the first three.
+    docs/metrics.md defines each metric. A lossless codec scores 1, 0 and 1 in the first three.
     """
 
     name = "features"
