@@ -8,6 +8,7 @@ import numba.core.types
 from numba.core import compiler, compiler_machinery, ir, typed_passes
 from numba.extending import intrinsic
 
+from codecbench.core.instrument.costs import ALLOCATIONS, FILLED_ALLOCATIONS
 from codecbench.core.instrument.expressions import UncountableError
 
 types: Any = numba.core.types  # numba is typed in part, and differently in each version
@@ -31,6 +32,7 @@ def counted(typing_context: Any, counters: Any, times: Any, value: Any) -> Any:
     return value(counters, types.UniTuple(types.int64, len(times)), value), generate
 
 
+_ALLOCATIONS = {allocation.__name__ for allocation in (*ALLOCATIONS, *FILLED_ALLOCATIONS)}
 _VIEWS = (types.SliceType, types.EllipsisType, types.NoneType)
 
 
@@ -98,10 +100,10 @@ class _Checker:
         called = self._type(expression.func)
         definition = self._ir.get_definition(expression.func)
         callee = getattr(definition, "value", None)
-        if isinstance(called, types.Dispatcher) or callee is counted or callee is len:
+        if isinstance(called, types.Dispatcher | types.RecursiveCall) or callee is counted or callee is len:
             return
-        if isinstance(self._type(statement.target), types.Array):
-            return  # an allocation: the rewriting lets no other function of arrays through
+        if getattr(definition, "attr", getattr(callee, "__name__", "")) in _ALLOCATIONS:
+            return
         if any(isinstance(self._type(argument), types.Array) for argument in expression.args):
             self._fail(statement, "calls a function of whole arrays", "write a loop over the elements")
 

@@ -217,7 +217,7 @@ class Expressions:
         except (KeyError, AttributeError):
             raise self.error(node, f"calls {called!r}", "call kernels and functions by global names") from None
         if hasattr(type(callee), "counting_build"):
-            return self._kernel_call(node, callee, tally)
+            return self._kernel_call(node, callee, tally, index)
         if callee in FILLED_ALLOCATIONS:
             raise self.error(node, f"uses {called!r} inside a statement", "give the new array a name first")
         if callee in ALLOCATIONS:
@@ -244,10 +244,10 @@ class Expressions:
         keywords = [ast.keyword(k.arg, self.expression(k.value, tally, index)) for k in node.keywords]
         return ast.Call(node.func, arguments, keywords)
 
-    def _kernel_call(self, node: ast.Call, callee: Any, tally: Tally) -> ast.Call:
+    def _kernel_call(self, node: ast.Call, callee: Any, tally: Tally, index: bool) -> ast.Call:
         name = PREFIX + ast.unparse(node.func).replace(".", "__")
         self.kernels[name] = callee
-        call = self.arguments(node, tally, False)
+        call = self.arguments(node, tally, index)
         return ast.Call(load(name), [load(ARRAY), *call.args], call.keywords)
 
     def _cost(self, node: ast.AST, operator: ast.AST) -> tuple[str, ...]:

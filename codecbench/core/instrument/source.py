@@ -49,11 +49,15 @@ def _content(code: CodeType) -> str:
     """What code does, whatever its module imports: that decides how attributes are called, and so where jumps go."""
     jumps = {*dis.hasjrel, *dis.hasjabs}
     steps = [
-        (step.opname.replace("LOAD_METHOD", "LOAD_ATTR"), None if step.opcode in jumps else step.argval)
+        (step.opname.replace("LOAD_METHOD", "LOAD_ATTR"), None if step.opcode in jumps else _plain(step.argval))
         for step in dis.get_instructions(code)
         if step.opname not in ("PUSH_NULL", "EXTENDED_ARG")
     ]
-    return repr((code.co_consts, code.co_varnames, steps))
+    return repr(([_plain(constant) for constant in code.co_consts], code.co_varnames, steps))
+
+
+def _plain(value: object) -> object:
+    return _content(value) if isinstance(value, CodeType) else value
 
 
 def _strip(tree: ast.FunctionDef) -> None:
