@@ -64,6 +64,8 @@ INIT_WINNER_SHARE: Final = 0.9
 """Of the inliers: share of points that the winning motion must triangulate (own)."""
 INIT_RIVAL_SHARE: Final = 0.7
 """Of the winner's points: a rival motion with more makes the start ambiguous (ORB-SLAM IV: one clear winner)."""
+INIT_MAX_COSINE: Final = 0.99998
+"""Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90
 """Frames: age at which the reference frame is replaced though it still matches (own)."""
 
@@ -72,6 +74,8 @@ TRACK_WINDOW_PX: Final = 15.0
 """Pixels at the finest level: search radius round a position that the motion model predicts (own)."""
 TRACK_WINDOW_WIDE_PX: Final = 30.0
 """Pixels at the finest level: second try."""
+TRACK_RATIO: Final = 0.9
+"""Best over second-best distance, where both lie on one level, of a match in those windows (own)."""
 TRACK_MIN_MATCHES: Final = 20
 """Matches: fewer by the motion model and the wide window, then the reference keyframe, is tried (ORB-SLAM V-B)."""
 TRACK_MIN_INLIERS: Final = 10
@@ -106,6 +110,10 @@ SMALL_MAP_KEYFRAMES: Final = 5
 # Keyframe decision --------------------------------------------------------------------------------------------------
 KEYFRAME_MIN_INLIERS: Final = 50
 """Points: a frame with fewer makes no keyframe unless tracking is about to fail (ORB-SLAM V-E)."""
+KEYFRAME_MIN_INTERVAL_S: Final = 0.1
+"""Seconds: between two keyframes, unless tracking weakens (own; stands for a mapper that is still busy)."""
+KEYFRAME_URGENT_SHARE: Final = 0.6
+"""Of the reference keyframe's points: a frame with fewer makes a keyframe at once (own)."""
 KEYFRAME_MAX_SHARE: Final = 0.9
 """Of the reference keyframe's points: a frame with more makes no keyframe (ORB-SLAM V-E)."""
 KEYFRAME_MAX_INTERVAL_S: Final = 1.0

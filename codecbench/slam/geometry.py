@@ -1,0 +1,230 @@
+"""Two-view geometry: homography, fundamental matrix, what motion they mean, and triangulation.
+
+Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 9, 11, 12. Pixels are
+undistorted; `b_from_a` maps image or camera a to b.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True)
+def normalize_pixels(pixels: Any) -> Any:
+    """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the matrix (3, 3) doing it."""
+    x, y = pixels[:, 0].mean(), pixels[:, 1].mean()
+    distance = np.sqrt((pixels[:, 0] - x) ** 2 + (pixels[:, 1] - y) ** 2).mean()
+    scale = math.sqrt(2.0) / max(distance, 1e-12)
+    normalizer = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y], [0.0, 0.0, 1.0]])
+    normalized = np.empty_like(pixels)
+    normalized[:, 0] = (pixels[:, 0] - x) * scale
+    normalized[:, 1] = (pixels[:, 1] - y) * scale
+    return normalized, normalizer
+
+
+@njit(cache=True)
+def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
+    """Homography `b_from_a` (3, 3) of N >= 4 matches (N, 2) by the direct linear transform; normalise them first."""
+    n = len(pixels_a)
+    system = np.zeros((max(2 * n, 9), 9))
+    for i in range(n):
+        x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
+        system[2 * i, 3], system[2 * i, 4], system[2 * i, 5] = -x, -y, -1.0
+        system[2 * i, 6], system[2 * i, 7], system[2 * i, 8] = v * x, v * y, v
+        system[2 * i + 1, 0], system[2 * i + 1, 1], system[2 * i + 1, 2] = x, y, 1.0
+        system[2 * i + 1, 6], system[2 * i + 1, 7], system[2 * i + 1, 8] = -u * x, -u * y, -u
+    _, _, vt = np.linalg.svd(system)
+    return vt[8].copy().reshape((3, 3))
+
+
+@njit(cache=True)
+def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
+    """Fundamental matrix (3, 3), x_b' F x_a = 0, of N >= 8 matches (N, 2), of rank two; normalise them first."""
+    n = len(pixels_a)
+    system = np.zeros((max(n, 9), 9))
+    for i in range(n):
+        x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
+        system[i] = np.array([u * x, u * y, u, v * x, v * y, v, x, y, 1.0])
+    _, _, vt = np.linalg.svd(system)
+    u3, s3, vt3 = np.linalg.svd(vt[8].copy().reshape((3, 3)))
+    s3[2] = 0.0
+    return u3 @ np.diag(s3) @ vt3
+
+
+@njit(cache=True)
+def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
+    """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,)."""
+    determinant = np.linalg.det(b_from_a)
+    if abs(determinant) < 1e-12:
+        inliers[:] = False
+        return 0.0
+    a_from_b = np.linalg.inv(b_from_a)
+    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
+    score = 0.0
+    for i in range(len(pixels_a)):
+        forward = _transfer_error2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
+        backward = _transfer_error2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        inliers[i] = forward <= CHI2_95_2DOF and backward <= CHI2_95_2DOF
+        score += max(CHI2_95_2DOF - forward, 0.0) + max(CHI2_95_2DOF - backward, 0.0)
+    return score
+
+
+@njit(cache=True)
+def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
+    x, y = pixel_a[0], pixel_a[1]
+    w = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    if abs(w) < 1e-12:
+        return np.inf
+    dx = (b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]) / w - pixel_b[0]
+    dy = (b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]) / w - pixel_b[1]
+    return float(dx * dx + dy * dy)
+
+
+@njit(cache=True)
+def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
+    """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,)."""
+    a_from_b = b_from_a.T.copy()
+    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
+    score = 0.0
+    for i in range(len(pixels_a)):
+        forward = _line_distance2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
+        backward = _line_distance2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        inliers[i] = forward <= CHI2_95_1DOF and backward <= CHI2_95_1DOF
+        if forward <= CHI2_95_1DOF:
+            score += CHI2_95_2DOF - forward
+        if backward <= CHI2_95_1DOF:
+            score += CHI2_95_2DOF - backward
+    return score
+
+
+@njit(cache=True)
+def _line_distance2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
+    x, y = pixel_a[0], pixel_a[1]
+    a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
+    b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
+    c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    norm2 = a * a + b * b
+    if norm2 < 1e-24:
+        return np.inf
+    distance = a * pixel_b[0] + b * pixel_b[1] + c
+    return float(distance * distance / norm2)
+
+
+def decompose_homography(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
+    """The motions `b_from_a` (4, 4), unit or zero translation, that a homography of pixels allows (Malis 2007)."""
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(b_from_a, camera_matrix)
+    return [_motion(r, t.ravel()) for r, t in zip(rotations, translations, strict=True)]
+
+
+def decompose_fundamental(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
+    """The four motions `b_from_a` (4, 4), unit translation, that a fundamental matrix allows (section 9.6.2)."""
+    u, _, vt = np.linalg.svd(camera_matrix.T @ b_from_a @ camera_matrix)
+    u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotations = (u @ turn @ vt, u @ turn.T @ vt)
+    return [_motion(rotation, sign * u[:, 2]) for rotation in rotations for sign in (1.0, -1.0)]
+
+
+def _motion(rotation: Floats, translation: Floats) -> Floats:
+    motion = np.eye(4)
+    motion[:3, :3] = rotation
+    length = float(np.linalg.norm(translation))
+    motion[:3, 3] = translation / length if length > 1e-12 else translation
+    return motion
+
+
+def fundamental_between(a_from_world: Floats, b_from_world: Floats, camera_matrix: Floats) -> tuple[Floats, Floats]:
+    """Fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,) in image b, pixels.
+
+    An epipole at infinity comes back 1e6 pixels out in its direction.
+    """
+    b_from_a = b_from_world @ np.linalg.inv(a_from_world)
+    t = b_from_a[:3, 3]
+    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+    inverse = np.linalg.inv(camera_matrix)
+    projected = camera_matrix @ t
+    depth = projected[2] if abs(projected[2]) > 1e-6 * np.linalg.norm(projected[:2]) else 0.0
+    if depth == 0.0:
+        epipole = projected[:2] / max(float(np.linalg.norm(projected[:2])), 1e-300) * 1e6
+    else:
+        epipole = projected[:2] / depth
+    return inverse.T @ cross @ b_from_a[:3, :3] @ inverse, epipole
+
+
+@njit(cache=True)
+def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any) -> Any:
+    """Points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
+
+    Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. A point at infinity has coordinates that are not
+    finite.
+    """
+    fx, fy, cx, cy = intrinsics
+    points = np.empty((len(pixels_a), 3))
+    system = np.empty((4, 4))
+    for i in range(len(pixels_a)):
+        xa, ya = (pixels_a[i, 0] - cx) / fx, (pixels_a[i, 1] - cy) / fy
+        xb, yb = (pixels_b[i, 0] - cx) / fx, (pixels_b[i, 1] - cy) / fy
+        for k in range(4):
+            system[0, k] = xa * a_from_world[2, k] - a_from_world[0, k]
+            system[1, k] = ya * a_from_world[2, k] - a_from_world[1, k]
+            system[2, k] = xb * b_from_world[2, k] - b_from_world[0, k]
+            system[3, k] = yb * b_from_world[2, k] - b_from_world[1, k]
+        _, _, vt = np.linalg.svd(system)
+        for k in range(3):
+            points[i, k] = vt[3, k] / vt[3, 3] if vt[3, 3] != 0.0 else np.inf
+    return points
+
+
+@njit(cache=True)
+def judge_points(
+    points: Any, a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any,
+    errors_a: Any, errors_b: Any, depths_a: Any, depths_b: Any, cosines: Any,
+) -> None:  # fmt: skip
+    """Fill in, for each point (N, 3), its squared reprojection errors, depths and the cosine between its two rays."""
+    fx, fy, cx, cy = intrinsics
+    rotation_a, rotation_b = a_from_world[:3, :3].copy(), b_from_world[:3, :3].copy()
+    translation_a, translation_b = a_from_world[:3, 3].copy(), b_from_world[:3, 3].copy()
+    for i in range(len(points)):
+        x = rotation_a @ points[i] + translation_a
+        y = rotation_b @ points[i] + translation_b
+        depths_a[i], depths_b[i] = x[2], y[2]
+        za = x[2] if x[2] != 0.0 else 1e-12
+        zb = y[2] if y[2] != 0.0 else 1e-12
+        errors_a[i] = (fx * x[0] / za + cx - pixels_a[i, 0]) ** 2 + (fy * x[1] / za + cy - pixels_a[i, 1]) ** 2
+        errors_b[i] = (fx * y[0] / zb + cx - pixels_b[i, 0]) ** 2 + (fy * y[1] / zb + cy - pixels_b[i, 1]) ** 2
+        ray_a, ray_b = x @ rotation_a, y @ rotation_b
+        norm = math.sqrt((ray_a @ ray_a) * (ray_b @ ray_b))
+        cosines[i] = (ray_a @ ray_b) / norm if norm > 0.0 else 1.0
+
+
+class TwoViewPoints:
+    """Points triangulated from two views, with what there is to judge them by.
+
+    `points` (N, 3) in the world; `errors_a`, `errors_b` squared reprojection errors, px^2; `depths_a`, `depths_b`;
+    `cosines` between the two rays; (N,) each. Points at infinity have depth -1 and cosine 1.
+    """
+
+    def __init__(
+        self, a_from_world: Floats, b_from_world: Floats, pixels_a: Floats, pixels_b: Floats, intrinsics: Floats
+    ) -> None:
+        points = triangulate(a_from_world, b_from_world, pixels_a, pixels_b, intrinsics)
+        far = ~np.isfinite(points).all(axis=1)
+        points[far] = 0.0
+        self.points: Floats = points
+        self.errors_a, self.errors_b, self.depths_a, self.depths_b, self.cosines = np.empty((5, len(points)))
+        judge_points(
+            points, np.ascontiguousarray(a_from_world), np.ascontiguousarray(b_from_world), pixels_a, pixels_b,
+            intrinsics, self.errors_a, self.errors_b, self.depths_a, self.depths_b, self.cosines,
+        )  # fmt: skip
+        self.depths_a[far] = self.depths_b[far] = -1.0
+        self.cosines[far] = 1.0

@@ -1,0 +1,195 @@
+"""The first map, from two frames of unknown motion (ORB-SLAM IV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.slam import geometry, thresholds
+from codecbench.slam.camera import Camera
+from codecbench.slam.features import Features
+from codecbench.slam.frame import Frame
+from codecbench.slam.map import Map
+from codecbench.slam.mapping import Mapper, adjust_keyframes
+from codecbench.slam.matching import keep_consistent_rotations, match_in_windows
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TwoViewStart:
+    """A motion and points that two frames agree on.
+
+    `second_from_first` (4, 4), unit translation; `points_first` (N, 3) in the first camera; `features_first`,
+    `features_second` (N,) indices of the features that show them; `model` is "homography" or "fundamental".
+    """
+
+    second_from_first: Floats
+    points_first: Floats
+    features_first: NDArray[np.int64]
+    features_second: NDArray[np.int64]
+    model: str
+
+
+def match_for_start(first: Features, second: Features) -> NDArray[np.int64]:
+    """Features of `second` that match those of `first` (N,), -1 for none: within a window, on the same level."""
+    octaves = first.octaves.astype(np.int64)
+    matches = match_in_windows(
+        first.pixels, np.full(len(first), thresholds.INIT_WINDOW_PX), octaves, octaves, first.descriptors,
+        second, np.ones(len(second), np.bool_), thresholds.HAMMING_LOW, thresholds.INIT_RATIO,
+    )  # fmt: skip
+    return np.asarray(keep_consistent_rotations(matches, first.angles, second.angles))
+
+
+def start_from_two_views(
+    first: Features, second: Features, matches: NDArray[np.int64], camera: Camera, rng: np.random.Generator
+) -> TwoViewStart | str:
+    """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
+
+    Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
+    motion is accepted when it alone puts most points in front of both cameras with enough parallax.
+    """
+    features_first = np.nonzero(matches >= 0)[0]
+    features_second = matches[features_first]
+    pixels_a, pixels_b = first.pixels[features_first], second.pixels[features_second]
+    if len(features_first) < thresholds.INIT_MIN_MATCHES:
+        return f"{len(features_first)} matches between the first two frames"
+    samples = np.array([rng.choice(len(pixels_a), 8, False) for _ in range(thresholds.INIT_RANSAC_ITERATIONS)])
+    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, samples)
+    if score_h + score_f <= 0.0:
+        return "neither a homography nor a fundamental matrix fits"
+    planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
+    inliers = inliers_h if planar else inliers_f
+    if planar:
+        motions = geometry.decompose_homography(homography, camera.matrix)
+    else:
+        motions = geometry.decompose_fundamental(fundamental, camera.matrix)
+    chosen = _choose_motion(motions, pixels_a[inliers], pixels_b[inliers], camera)
+    if isinstance(chosen, str):
+        return chosen
+    motion, points, good = chosen
+    kept = np.nonzero(inliers)[0][good]
+    return TwoViewStart(
+        motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
+    )
+
+
+@njit(cache=True)
+def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
+    """The best homography and fundamental matrix of the samples (S, 8), each fitted again to its own inliers."""
+    normalized_a, normalizer_a = geometry.normalize_pixels(pixels_a)
+    normalized_b, normalizer_b = geometry.normalize_pixels(pixels_b)
+    undo_b = np.linalg.inv(normalizer_b)
+    n = len(pixels_a)
+    homography, fundamental = np.eye(3), np.zeros((3, 3))
+    inliers_h, inliers_f = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    trial = np.zeros(n, np.bool_)
+    score_h, score_f = 0.0, 0.0
+    for s in range(len(samples) + 2):
+        if s < len(samples):
+            chosen_h = samples[s]
+            chosen_f = samples[s]
+        else:  # the last two rounds refine
+            chosen_h, chosen_f = np.nonzero(inliers_h)[0], np.nonzero(inliers_f)[0]
+        if len(chosen_h) >= 4:
+            fitted = geometry.fit_homography(normalized_a[chosen_h], normalized_b[chosen_h])
+            fitted = undo_b @ fitted @ normalizer_a
+            score = geometry.score_homography(fitted, pixels_a, pixels_b, 1.0, trial)
+            if score > score_h:
+                homography, score_h = fitted, score
+                inliers_h[:] = trial
+        if len(chosen_f) >= 8:
+            fitted = geometry.fit_fundamental(normalized_a[chosen_f], normalized_b[chosen_f])
+            fitted = normalizer_b.T @ fitted @ normalizer_a
+            score = geometry.score_fundamental(fitted, pixels_a, pixels_b, 1.0, trial)
+            if score > score_f:
+                fundamental, score_f = fitted, score
+                inliers_f[:] = trial
+    return homography, inliers_h, score_h, fundamental, inliers_f, score_f
+
+
+def _choose_motion(
+    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, camera: Camera
+) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
+    """The one motion that most points agree with, its points (N, 3) and which of them are good (N,)."""
+    results = []
+    for motion in motions:
+        views = geometry.TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
+        agree = (views.depths_a > 0.0) & (views.depths_b > 0.0)
+        agree &= (views.errors_a < thresholds.CHI2_95_2DOF) & (views.errors_b < thresholds.CHI2_95_2DOF)
+        results.append((int(agree.sum()), motion, views, agree))
+    results.sort(key=lambda result: -result[0])
+    count, motion, views, agree = results[0]
+    if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * len(pixels_a)):
+        return f"the best motion agrees with {count} of {len(pixels_a)} points"
+    if len(results) > 1 and results[1][0] > thresholds.INIT_RIVAL_SHARE * count:
+        return f"two motions agree with {count} and {results[1][0]} points"
+    angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
+    parallax = float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
+    if parallax < thresholds.INIT_MIN_PARALLAX_DEG:
+        return f"parallax of {parallax:.2f} degrees"
+    return motion, views.points, agree & (views.cosines < thresholds.INIT_MAX_COSINE)
+
+
+class Initializer:
+    """Waits for two frames from which a map can be started."""
+
+    def __init__(self, camera: Camera, scale_factors: Floats, features_limit: int, rng: np.random.Generator) -> None:
+        self._camera = camera
+        self._scale_factors = scale_factors
+        self._features_limit = features_limit
+        self._rng = rng
+        self._first: Frame | None = None
+
+    def restart(self) -> None:
+        """Forget the reference frame."""
+        self._first = None
+
+    def add(self, frame: Frame, map_index: int) -> tuple[Map, Mapper, Frame] | str:
+        """Try to start map number `map_index` from the reference frame and `frame`.
+
+        Returns the map, its mapper and the reference frame, or the reason why there is none yet. On success both
+        frames hold their poses and points and are keyframes 0 and 1, and the median depth in the first is 1.
+        """
+        enough = len(frame.features) >= thresholds.INIT_MIN_FEATURES
+        first = self._first
+        if first is None or frame.index - first.index > thresholds.INIT_MAX_FRAMES:
+            self._first = frame if enough else None
+            return "waiting for a second view" if enough else f"{len(frame.features)} features"
+        matches = match_for_start(first.features, frame.features)
+        if not enough or int((matches >= 0).sum()) < thresholds.INIT_MIN_MATCHES:
+            self._first = frame if enough else None
+            return f"{int((matches >= 0).sum())} matches between the first two frames"
+        start = start_from_two_views(first.features, frame.features, matches, self._camera, self._rng)
+        if isinstance(start, str):
+            return start
+        started = self._build(first, frame, start, map_index)
+        if not isinstance(started, str):
+            self._first = None
+        return started
+
+    def _build(self, first: Frame, second: Frame, start: TwoViewStart, index: int) -> tuple[Map, Mapper, Frame] | str:
+        """Map from two views: bundle adjustment over both, then the scale."""
+        slam_map = Map(index, self._scale_factors, self._features_limit)
+        mapper = Mapper(slam_map, self._camera)
+        second.camera_from_world = start.second_from_first
+        first.camera_from_world = np.eye(4)
+        mapper.add(first)
+        mapper.add(second)
+        mapper.add_points(1, start.features_second, 0, start.features_first, start.points_first)
+        points = slam_map.alive_points
+        adjust_keyframes(slam_map, self._camera, np.array([1]), np.array([0]), points, (20, 20))
+        points = slam_map.alive_points
+        depth = mapper.median_depth(0)
+        if depth <= 0.0 or len(points) < thresholds.INIT_MIN_POINTS:
+            return f"{len(points)} points left after bundle adjustment"
+        slam_map.rescale(1.0 / depth)
+        for keyframe, frame in enumerate((first, second)):
+            frame.camera_from_world = slam_map.keyframes.camera_from_world[keyframe].copy()
+            frame.points = slam_map.keyframes.points[keyframe, : len(frame.features)].copy()
+            frame.reference = 1
+        return slam_map, mapper, first

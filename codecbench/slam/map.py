@@ -1,0 +1,315 @@
+"""The map: keyframes, points, and which keyframe sees which point (ORB-SLAM III-C, III-D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.slam import map_kernels
+from codecbench.slam.features import Features
+from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
+from codecbench.slam.transforms import Array
+
+Indices = NDArray[np.int64]
+NONE = -1
+"""The index of no point or no keyframe."""
+
+
+def grown(array: NDArray[Any], rows: int, fill: Any) -> NDArray[Any]:
+    """`array` with at least `rows` rows, twice as many as before when it must grow; new ones hold `fill`."""
+    if rows <= len(array):
+        return array
+    longer = np.full((max(2 * len(array), rows), *array.shape[1:]), fill, array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+class PointTable:
+    """The points, one a row: `count` rows are in use, dead ones among them (`alive`).
+
+    `positions`, `normals` (mean viewing direction) (P, 3) in the world; `min_distances`, `max_distances` at which the
+    pyramid can show the point; `descriptors` (P, 4); `visible` and `found`: frames that should see and do see it;
+    `born`: number of keyframes made before it; `references`: keyframe whose view gave its scale; `replaced_by`: the
+    point that took its place, or NONE.
+    """
+
+    def __init__(self, capacity: int = 4096) -> None:
+        self.count = 0
+        self.positions = np.zeros((capacity, 3))
+        self.normals = np.zeros((capacity, 3))
+        self.min_distances = np.zeros(capacity)
+        self.max_distances = np.zeros(capacity)
+        self.descriptors = np.zeros((capacity, 4), np.uint64)
+        self.alive = np.zeros(capacity, np.bool_)
+        self.visible = np.zeros(capacity, np.int64)
+        self.found = np.zeros(capacity, np.int64)
+        self.born = np.zeros(capacity, np.int64)
+        self.references = np.full(capacity, NONE, np.int64)
+        self.replaced_by = np.full(capacity, NONE, np.int64)
+        self.heads = np.full(capacity, NONE, np.int64)
+        self.observation_counts = np.zeros(capacity, np.int64)
+
+    def add(self, positions: Array, reference: int, born: int) -> Indices:
+        """New points at `positions` (N, 3); returns their indices (N,)."""
+        rows = self.count + len(positions)
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                fill = NONE if name in ("references", "replaced_by", "heads") else 0
+                setattr(self, name, grown(array, rows, fill))
+        added = np.arange(self.count, rows)
+        self.count = rows
+        self.positions[added] = positions
+        self.alive[added] = True
+        self.visible[added] = self.found[added] = 1
+        self.born[added], self.references[added] = born, reference
+        return added
+
+
+class KeyframeTable:
+    """The keyframes, one a row: `count` rows are in use, dead ones among them (`alive`).
+
+    `camera_from_world` (K, 4, 4); `centers_world` (K, 3); `octaves`, `pixels`, `descriptors`, `points` (K, F, ...) by
+    feature, `points` NONE where a feature has none; `frame_indices` and `parents` (in the spanning tree) (K,);
+    `scales`: by how much loop corrections have stretched the neighbourhood; `features` the Features objects.
+    """
+
+    def __init__(self, features_limit: int, capacity: int = 64) -> None:
+        self.count = 0
+        self.camera_from_world = np.tile(np.eye(4), (capacity, 1, 1))
+        self.centers_world = np.zeros((capacity, 3))
+        self.pixels = np.zeros((capacity, features_limit, 2))
+        self.octaves = np.zeros((capacity, features_limit), np.int32)
+        self.descriptors = np.zeros((capacity, features_limit, 4), np.uint64)
+        self.points = np.full((capacity, features_limit), NONE, np.int64)
+        self.frame_indices = np.full(capacity, NONE, np.int64)
+        self.parents = np.full(capacity, NONE, np.int64)
+        self.scales = np.ones(capacity)
+        self.alive = np.zeros(capacity, np.bool_)
+        self.features: list[Features] = []
+        self.timestamps_s: list[float] = []
+        self.words: list[Any] = []
+
+    def add(self, features: Features, camera_from_world: Array, frame_index: int, timestamp_s: float) -> int:
+        """A new keyframe that sees no point yet; returns its index."""
+        k = self.count
+        fills = {"points": NONE, "frame_indices": NONE, "parents": NONE, "scales": 1.0}
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                setattr(self, name, grown(array, k + 1, fills.get(name, 0)))
+        self.count = k + 1
+        n = len(features)
+        self.pixels[k, :n] = features.pixels
+        self.octaves[k, :n] = features.octaves
+        self.descriptors[k, :n] = features.descriptors
+        self.alive[k] = True
+        self.frame_indices[k] = frame_index
+        self.features.append(features)
+        self.timestamps_s.append(timestamp_s)
+        self.set_pose(k, camera_from_world)
+        return k
+
+    def set_pose(self, keyframe: int | Indices, camera_from_world: Array) -> None:
+        """Set one pose (4, 4) or several (N, 4, 4)."""
+        self.camera_from_world[keyframe] = camera_from_world
+        rotations, translations = camera_from_world[..., :3, :3], camera_from_world[..., :3, 3]
+        self.centers_world[keyframe] = -np.einsum("...ji,...j->...i", rotations, translations)
+
+
+@dataclass(frozen=True)
+class CulledKeyframe:
+    """Where a removed keyframe stays attached: to `anchor`, with the anchor's scale at that time."""
+
+    anchor: int
+    camera_from_anchor: Array
+    anchor_scale: float
+
+
+class Map:
+    """Keyframes and points with the graph between them."""
+
+    def __init__(self, index: int, scale_factors: Array, features_limit: int) -> None:
+        self.index = index
+        self.scale_factors = scale_factors
+        self.points = PointTable()
+        self.keyframes = KeyframeTable(features_limit)
+        self.culled: dict[int, CulledKeyframe] = {}
+        self.loop_edges: list[tuple[int, int]] = []
+        self._links = 0
+        self._following = np.empty(16384, np.int64)
+        self._link_keyframes = np.empty(16384, np.int64)
+        self._link_features = np.empty(16384, np.int64)
+
+    # Observations ---------------------------------------------------------------------------------------------
+
+    def observe(self, keyframe: int, features: Indices, points: Indices) -> None:
+        """Record that `keyframe` sees points[i] at features[i]; neither may have an observation there yet."""
+        rows = self._links + len(points)
+        self._following = grown(self._following, rows, NONE)
+        self._link_keyframes = grown(self._link_keyframes, rows, NONE)
+        self._link_features = grown(self._link_features, rows, NONE)
+        map_kernels.add_links(
+            points, keyframe, features, self._links, self.points.heads, self.points.observation_counts,
+            self._following, self._link_keyframes, self._link_features,
+        )  # fmt: skip
+        self._links = rows
+        self.keyframes.points[keyframe, features] = points
+
+    def unobserve(self, keyframe: int, feature: int) -> None:
+        """Forget what `keyframe` sees at `feature`; a point that fewer than two keyframes see dies."""
+        point = int(self.keyframes.points[keyframe, feature])
+        if point < 0:
+            return
+        self._unlink(point, keyframe)
+        self.keyframes.points[keyframe, feature] = NONE
+        if self.points.observation_counts[point] < 2:
+            self.remove_point(point)
+
+    def _unlink(self, point: int, keyframe: int) -> None:
+        table = self.points
+        map_kernels.remove_link(
+            point, keyframe, table.heads, table.observation_counts, self._following, self._link_keyframes
+        )
+
+    def observations(self, points: Indices) -> tuple[Indices, Indices, Indices]:
+        """Index into `points`, keyframe and feature of each observation, (M,) each."""
+        which, keyframes, features = map_kernels.list_observations(
+            points, self.points.observation_counts, self.points.heads, self._following,
+            self._link_keyframes, self._link_features,
+        )  # fmt: skip
+        return which, keyframes, features
+
+    def remove_point(self, point: int) -> None:
+        """Let a point die and forget who saw it."""
+        _, keyframes, features = self.observations(np.array([point]))
+        self.keyframes.points[keyframes, features] = NONE
+        self.points.heads[point] = NONE
+        self.points.observation_counts[point] = 0
+        self.points.alive[point] = False
+
+    def replace_point(self, old: int, new: int) -> None:
+        """Let `new` be seen wherever `old` was, where it is not seen already; `old` dies."""
+        if old == new:
+            return
+        _, keyframes, features = self.observations(np.array([old]))
+        _, already, _ = self.observations(np.array([new]))
+        self.remove_point(old)
+        for keyframe, feature in zip(keyframes, features, strict=True):
+            if keyframe not in already:
+                self.observe(int(keyframe), np.array([feature]), np.array([new]))
+        self.points.replaced_by[old] = new
+        self.points.found[new] += self.points.found[old]
+        self.points.visible[new] += self.points.visible[old]
+
+    def resolve_points(self, points: Indices) -> Indices:
+        """`points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
+        resolved = points.copy()
+        while True:
+            replaced = (resolved >= 0) & (self.points.replaced_by[resolved] >= 0)
+            if not replaced.any():
+                break
+            resolved[replaced] = self.points.replaced_by[resolved[replaced]]
+        resolved[(resolved >= 0) & ~self.points.alive[resolved]] = NONE
+        return resolved
+
+    def refresh_points(self, points: Indices) -> None:
+        """Recompute what a point derives from its observations: normal, distances, descriptor."""
+        table, keyframes = self.points, self.keyframes
+        map_kernels.refresh_points(
+            points, table.positions, table.references, table.heads, self._following,
+            self._link_keyframes, self._link_features,
+            keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
+            table.normals, table.min_distances, table.max_distances, table.descriptors,
+        )  # fmt: skip
+
+    # The graph ------------------------------------------------------------------------------------------------
+
+    def covisibility(self, points: Indices) -> Indices:
+        """How many of `points` each keyframe sees (K,); NONE is skipped."""
+        return np.asarray(
+            map_kernels.count_covisible(
+                points, self.keyframes.count, self.points.heads, self._following, self._link_keyframes
+            )
+        )
+
+    def neighbors(
+        self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
+    ) -> tuple[Indices, Indices]:
+        """Keyframes that share `min_points` points with `keyframe`, most first, and how many they share."""
+        weights = self.covisibility(self.keyframes.points[keyframe])
+        weights[keyframe] = 0
+        order = np.argsort(-weights, kind="stable")
+        order = order[weights[order] >= max(min_points, 1)][:limit]
+        return order, weights[order]
+
+    def points_of(self, keyframes: Indices) -> Indices:
+        """The points that any of `keyframes` sees, ascending."""
+        return np.asarray(map_kernels.unite_points(keyframes, self.keyframes.points, self.points.count))
+
+    def redundancy(self, keyframe: int, needed: int) -> float:
+        """Share of the points of `keyframe` that `needed` other keyframes see at least as finely."""
+        total, redundant = map_kernels.count_redundant(
+            keyframe, needed, self.keyframes.points, self.keyframes.octaves, self.points.heads,
+            self._following, self._link_keyframes, self._link_features,
+        )  # fmt: skip
+        return float(redundant / total) if total else 1.0
+
+    # Keyframes ------------------------------------------------------------------------------------------------
+
+    def attach(self, keyframe: int) -> None:
+        """Hang `keyframe` into the spanning tree, below the older keyframe with which it shares most points."""
+        weights = self.covisibility(self.keyframes.points[keyframe])[:keyframe]
+        if len(weights) and weights.max() > 0:
+            self.keyframes.parents[keyframe] = int(np.argmax(weights))
+        elif keyframe > 0:
+            self.keyframes.parents[keyframe] = int(np.nonzero(self.keyframes.alive[:keyframe])[0][-1])
+
+    def remove_keyframe(self, keyframe: int) -> None:
+        """Take a keyframe out; frames and children that hang on it hang on its parent from now on."""
+        table = self.keyframes
+        parent = int(table.parents[keyframe])
+        camera_from_anchor = table.camera_from_world[keyframe] @ np.linalg.inv(table.camera_from_world[parent])
+        self.culled[keyframe] = CulledKeyframe(parent, camera_from_anchor, float(table.scales[parent]))
+        for feature in np.nonzero(table.points[keyframe] >= 0)[0]:
+            self.unobserve(keyframe, int(feature))
+        table.alive[keyframe] = False
+        for child in np.nonzero((table.parents[: table.count] == keyframe) & table.alive[: table.count])[0]:
+            self.attach(int(child))
+
+    def pose(self, keyframe: int) -> Array:
+        """camera_from_world (4, 4) of a keyframe, be it alive or culled."""
+        pose = np.eye(4)
+        while keyframe in self.culled:
+            link = self.culled[keyframe]
+            step = link.camera_from_anchor.copy()
+            step[:3, 3] *= self.keyframes.scales[link.anchor] / link.anchor_scale
+            pose, keyframe = pose @ step, link.anchor
+        return pose @ self.keyframes.camera_from_world[keyframe]
+
+    def scale_of(self, keyframe: int) -> float:
+        """By how much loop corrections have stretched the neighbourhood of a keyframe, be it alive or culled."""
+        scale = 1.0
+        while keyframe in self.culled:
+            link = self.culled[keyframe]
+            scale *= float(self.keyframes.scales[keyframe]) / link.anchor_scale
+            keyframe = link.anchor
+        return scale * float(self.keyframes.scales[keyframe])
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all lengths by `factor`."""
+        table = self.keyframes
+        poses = table.camera_from_world[: table.count]
+        poses[:, :3, 3] *= factor
+        table.set_pose(np.arange(table.count), poses)
+        self.points.positions *= factor
+        self.refresh_points(self.alive_points)
+
+    @property
+    def alive_keyframes(self) -> Indices:
+        return np.nonzero(self.keyframes.alive[: self.keyframes.count])[0]
+
+    @property
+    def alive_points(self) -> Indices:
+        return np.nonzero(self.points.alive[: self.points.count])[0]

@@ -1,0 +1,224 @@
+"""Growing and tending the map around a new keyframe (ORB-SLAM VI), in step with tracking."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codecbench.slam import thresholds
+from codecbench.slam.bundle_adjustment import adjust
+from codecbench.slam.camera import Camera
+from codecbench.slam.frame import Frame
+from codecbench.slam.geometry import TwoViewPoints, fundamental_between
+from codecbench.slam.map import NONE, Indices, Map
+from codecbench.slam.matching import match_in_windows, match_on_epipolar_lines
+from codecbench.slam.projection import project_map_points
+from codecbench.slam.transforms import Array
+
+
+class Mapper:
+    """Inserts keyframes into one map."""
+
+    def __init__(self, slam_map: Map, camera: Camera) -> None:
+        self.map = slam_map
+        self.camera = camera
+        self._probation: Indices = np.empty(0, np.int64)
+
+    def insert(self, frame: Frame) -> int:
+        """Make `frame`, whose pose and points are known, a keyframe; returns its index.
+
+        Culls points on probation, triangulates new ones, merges duplicates, adjusts the neighbourhood and culls
+        redundant keyframes; `frame` gets the keyframe's adjusted pose and points.
+        """
+        keyframe = self.add(frame)
+        self._cull_points()
+        neighbors, _ = self.map.neighbors(keyframe, thresholds.TRIANGULATION_NEIGHBORS)
+        for neighbor in neighbors:
+            self._triangulate(keyframe, int(neighbor))
+        self._fuse_neighborhood(keyframe, neighbors)
+        self.adjust_locally(keyframe)
+        self._cull_keyframes(keyframe)
+        frame.camera_from_world = self.map.keyframes.camera_from_world[keyframe].copy()
+        frame.points = self.map.keyframes.points[keyframe, : len(frame.features)].copy()
+        return keyframe
+
+    def add(self, frame: Frame) -> int:
+        """Put `frame` into the map with the points that it shows, and nothing more; returns its index."""
+        slam_map = self.map
+        keyframe = slam_map.keyframes.add(frame.features, frame.camera_from_world, frame.index, frame.timestamp_s)
+        frame.points = slam_map.resolve_points(frame.points)
+        _keep_first(frame.points)
+        matched = frame.matched
+        slam_map.observe(keyframe, matched, frame.points[matched])
+        slam_map.refresh_points(frame.points[matched])
+        slam_map.attach(keyframe)
+        frame.reference = keyframe
+        return keyframe
+
+    def add_points(self, keyframe: int, features: Indices, other: int, other_features: Indices, points: Array) -> None:
+        """New map points (N, 3), seen by two keyframes at the features given."""
+        slam_map = self.map
+        added = slam_map.points.add(points, keyframe, slam_map.keyframes.count)
+        slam_map.observe(keyframe, features, added)
+        slam_map.observe(other, other_features, added)
+        slam_map.refresh_points(added)
+        self._probation = np.concatenate([self._probation, added])
+
+    # Points ---------------------------------------------------------------------------------------------------
+
+    def _cull_points(self) -> None:
+        """Let points die that are seldom found, or that too few keyframes see after a trial (ORB-SLAM VI-B)."""
+        table = self.map.points
+        young = self._probation[table.alive[self._probation]]
+        ages = self.map.keyframes.count - table.born[young]
+        seldom = table.found[young] < thresholds.POINT_MIN_FOUND_SHARE * table.visible[young]
+        unseen = table.observation_counts[young] < thresholds.POINT_MIN_OBSERVATIONS
+        dying = seldom | ((ages >= thresholds.POINT_TRIAL_KEYFRAMES) & unseen)
+        for point in young[dying]:
+            self.map.remove_point(int(point))
+        self._probation = young[~dying & (ages < thresholds.POINT_PROBATION_KEYFRAMES)]
+
+    def _triangulate(self, keyframe: int, neighbor: int) -> None:
+        """Match free features of two keyframes on epipolar lines and keep the points that pass (ORB-SLAM VI-C)."""
+        table, camera = self.map.keyframes, self.camera
+        pose_a, pose_b = table.camera_from_world[keyframe], table.camera_from_world[neighbor]
+        baseline = float(np.linalg.norm(table.centers_world[keyframe] - table.centers_world[neighbor]))
+        if baseline < thresholds.TRIANGULATION_MIN_BASELINE * self.median_depth(neighbor):
+            return
+        fundamental, epipole = fundamental_between(pose_a, pose_b, camera.matrix)
+        a, b = table.features[keyframe], table.features[neighbor]
+        factors = self.map.scale_factors
+        matches = match_on_epipolar_lines(
+            a.pixels, a.octaves, a.descriptors, table.points[keyframe, : len(a)] < 0,
+            b.pixels, b.octaves, b.descriptors, table.points[neighbor, : len(b)] < 0,
+            fundamental, epipole, factors, thresholds.HAMMING_LOW, thresholds.EPIPOLE_RADIUS_PX,
+        )  # fmt: skip
+        features_a = np.nonzero(matches >= 0)[0]
+        features_b = matches[features_a]
+        views = TwoViewPoints(pose_a, pose_b, a.pixels[features_a], b.pixels[features_b], camera.intrinsics)
+        scales_a, scales_b = factors[a.octaves[features_a]], factors[b.octaves[features_b]]
+        good = (views.depths_a > 0.0) & (views.depths_b > 0.0)
+        good &= (views.cosines < thresholds.TRIANGULATION_MAX_COSINE) & (views.cosines > 0.0)
+        good &= views.errors_a < thresholds.CHI2_95_2DOF * scales_a**2
+        good &= views.errors_b < thresholds.CHI2_95_2DOF * scales_b**2
+        distances_a = np.linalg.norm(views.points - table.centers_world[keyframe], axis=1)
+        distances_b = np.linalg.norm(views.points - table.centers_world[neighbor], axis=1)
+        stretch = (distances_b * scales_a) / np.maximum(distances_a * scales_b, 1e-12)
+        limit = thresholds.SCALE_CONSISTENCY * factors[min(1, len(factors) - 1)]
+        good &= (stretch < limit) & (stretch > 1.0 / limit)
+        if good.any():
+            self.add_points(keyframe, features_a[good], neighbor, features_b[good], views.points[good])
+
+    def median_depth(self, keyframe: int) -> float:
+        """Median depth of the points that `keyframe` sees; 1 where it sees none."""
+        points = self.map.keyframes.points[keyframe]
+        points = points[points >= 0]
+        if len(points) == 0:
+            return 1.0
+        pose = self.map.keyframes.camera_from_world[keyframe]
+        return float(np.median(self.map.points.positions[points] @ pose[2, :3] + pose[2, 3]))
+
+    # Duplicates -----------------------------------------------------------------------------------------------
+
+    def _fuse_neighborhood(self, keyframe: int, neighbors: Indices) -> None:
+        """Search the keyframe's points in its neighbours and theirs in it; merge duplicates (ORB-SLAM VI-C)."""
+        targets = list(dict.fromkeys(int(n) for n in neighbors))
+        for neighbor in neighbors[:5]:
+            for second in self.map.neighbors(int(neighbor), 5)[0]:
+                if second != keyframe and int(second) not in targets:
+                    targets.append(int(second))
+        own = self.map.keyframes.points[keyframe]
+        for target in targets:
+            fuse(self.map, self.camera, target, own[own >= 0].copy(), self.map.keyframes.camera_from_world[target])
+        theirs = self.map.points_of(np.array(targets, dtype=np.int64))
+        fuse(self.map, self.camera, keyframe, theirs, self.map.keyframes.camera_from_world[keyframe])
+        own = self.map.keyframes.points[keyframe]
+        self.map.refresh_points(own[own >= 0])
+
+    # Adjustment -----------------------------------------------------------------------------------------------
+
+    def adjust_locally(self, keyframe: int) -> None:
+        """Bundle adjustment of a keyframe, its neighbours and their points; who else sees them is held fixed."""
+        neighbors, _ = self.map.neighbors(keyframe, thresholds.LOCAL_BUNDLE_KEYFRAMES - 1)
+        free = np.concatenate([[keyframe], neighbors])
+        points = self.map.points_of(free)
+        weights = self.map.covisibility(points)
+        weights[free] = 0
+        order = np.argsort(-weights, kind="stable")
+        fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
+        if len(fixed) == 0:  # the oldest keyframe, and if it must be another one for the scale, carry the gauge
+            oldest = np.sort(free)[: min(2, len(free) - 1)]
+            fixed, free = oldest, np.setdiff1d(free, oldest)
+        adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10))
+
+    def _cull_keyframes(self, keyframe: int) -> None:
+        """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
+        for neighbor in self.map.neighbors(keyframe)[0]:
+            if neighbor == 0:
+                continue
+            redundancy = self.map.redundancy(int(neighbor), thresholds.REDUNDANT_OBSERVATIONS)
+            if redundancy > thresholds.REDUNDANT_SHARE:
+                self.map.remove_keyframe(int(neighbor))
+
+
+def _keep_first(points: Indices) -> None:
+    """Set repeated points to NONE, in place."""
+    order = np.argsort(points, kind="stable")
+    repeated = order[1:][points[order[1:]] == points[order[:-1]]]
+    points[repeated] = NONE
+
+
+def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_from_world: Array) -> int:
+    """Project `points` into a keyframe: where a feature is free they are observed, where it shows another point the
+    two become one, the one that more keyframes see. Returns how many were matched.
+
+    `camera_from_world` (4, 4) may differ from the keyframe's pose: a corrected one while a loop is closed.
+    """
+    table, keyframes = slam_map.points, slam_map.keyframes
+    features = keyframes.features[keyframe]
+    shown = keyframes.points[keyframe, : len(features)]
+    points = np.setdiff1d(points[table.alive[points]], shown, assume_unique=True)
+    projections = project_map_points(slam_map, points, camera_from_world, camera, thresholds.VIEWING_COSINE)
+    radii = thresholds.FUSE_WINDOW_PX * slam_map.scale_factors[projections.octaves]
+    matches = match_in_windows(
+        projections.pixels, radii, projections.octaves - 1, projections.octaves,
+        table.descriptors[projections.points], features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
+    )  # fmt: skip
+    queries = np.nonzero(matches >= 0)[0]
+    found = matches[queries]
+    offsets = features.pixels[found] - projections.pixels[queries]
+    errors = (offsets**2).sum(axis=1) / slam_map.scale_factors[features.octaves[found]] ** 2
+    close = errors < thresholds.CHI2_95_2DOF
+    candidates, found = projections.points[queries[close]], found[close]
+    others = keyframes.points[keyframe, found].copy()
+    free = others < 0
+    slam_map.observe(keyframe, found[free], candidates[free])
+    for point, other in zip(candidates[~free], others[~free], strict=True):
+        if table.observation_counts[point] > table.observation_counts[other]:
+            slam_map.replace_point(int(other), int(point))
+        else:
+            slam_map.replace_point(int(point), int(other))
+    return len(candidates)
+
+
+def adjust_keyframes(
+    slam_map: Map, camera: Camera, free: Indices, fixed: Indices, points: Indices, iterations: tuple[int, ...]
+) -> None:
+    """Bundle adjustment of `free` keyframes and `points`, with `fixed` keyframes; outliers lose their observation."""
+    table, keyframes = slam_map.points, slam_map.keyframes
+    chosen = np.concatenate([free, fixed]).astype(np.int64)
+    slots = np.full(keyframes.count, NONE, np.int64)
+    slots[chosen] = np.arange(len(chosen))
+    which, seen_by, features = slam_map.observations(points)
+    inside = slots[seen_by] >= 0
+    which, seen_by, features = which[inside], seen_by[inside], features[inside]
+    octaves = keyframes.octaves[seen_by, features]
+    result = adjust(
+        keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
+        keyframes.pixels[seen_by, features], slam_map.scale_factors[octaves] ** -2.0, camera.intrinsics,
+        np.arange(len(chosen)) >= len(free), iterations=iterations,
+    )  # fmt: skip
+    keyframes.set_pose(free, result.camera_from_world[: len(free)])
+    table.positions[points] = result.points_world
+    for keyframe, feature in zip(seen_by[~result.inliers], features[~result.inliers], strict=True):
+        slam_map.unobserve(int(keyframe), int(feature))
+    slam_map.refresh_points(points[table.alive[points]])
