@@ -20,10 +20,14 @@ from codecbench.core.instrument.kernel import kernel
 TOP = 1 << 48
 _BOTTOM = 1 << 40
 _BELOW_BOTTOM = _BOTTOM - 1
+_BELOW_LAST_BYTES = (1 << 32) - 1
 _SLIGHTLY_LESS = 1.0 - 2.0**-50
 
 LOOK_AHEAD = 6
-"""Bytes that the decoder is ahead of the encoder: 48 bits."""
+"""Bytes that the decoder reads before the first symbol: 48 bits."""
+
+UNWRITTEN = 4
+"""Bytes, all zero, that the decoder reads beyond what the encoder wrote."""
 
 _LOOKUP_LIMIT = 1 << 17
 
@@ -61,22 +65,15 @@ def _carry(out: Any, position: Any) -> None:
 
 
 @kernel
-def finish_encoder(low: Any, width: Any, position: Any, out: Any) -> Any:
-    """Write the shortest number inside the range; returns the length of the output."""
-    high = low + width - 1
-    length = 0
-    mask = TOP - 1
-    while ((low + mask) & ~mask) > high:
-        length += 1
-        mask >>= 8
-    low = (low + mask) & ~mask
+def finish_encoder(low: Any, position: Any, out: Any) -> Any:
+    """Write two more bytes, which name a number inside any range; returns the length of the output."""
+    low = (low + _BELOW_LAST_BYTES) & ~_BELOW_LAST_BYTES
     if low >= TOP:
+        low -= TOP
         _carry(out, position)
-    for _ in range(length):
-        out[position] = np.uint8((low >> 40) & 255)
-        position += 1
-        low <<= 8
-    return position
+    out[position] = np.uint8(low >> 40)
+    out[position + 1] = np.uint8((low >> 32) & 255)
+    return position + 2
 
 
 @kernel
@@ -183,7 +180,7 @@ def encode_symbols(symbols: Any, counts: Any, starts: Any, out: Any) -> Any:
         symbol = symbols[i]
         unit = np.int64(width * inverse)
         low, width, position = encode_interval(low, width, position, out, starts[symbol], counts[symbol], unit)
-    return finish_encoder(low, width, position, out)
+    return finish_encoder(low, position, out)
 
 
 @kernel

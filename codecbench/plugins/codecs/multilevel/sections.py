@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError, KeyCollision, ParamsError
 from codecbench.core.instrument.trace import Trace
-from codecbench.plugins.codecs.multilevel.arithmetic import LOOK_AHEAD, decode_symbols, encode_symbols
+from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN, decode_symbols, encode_symbols
 from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Header, Level, filled_up, least_size
 from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
 from codecbench.plugins.codecs.multilevel.levels import KeyMaker, LevelTable, Minimised
@@ -188,8 +188,9 @@ def _check_table(level: Level, read: int, number: int) -> None:
 
 
 def _check_end(section: bytes, read: int, items: int, what: str) -> None:
-    """Refuse a section that ends before its code does, or goes on after it other than by filling up."""
-    if read > len(section) + LOOK_AHEAD:
+    """Refuse a section that is not exactly as long as its encoder would have made it."""
+    written = read - UNWRITTEN
+    if len(section) < written:
         raise BitstreamError(f"{what}: truncated")
-    if len(section) > max(read, least_size(items)) or any(section[read:]):
+    if len(section) > max(written, least_size(items)) or any(section[written:]):
         raise BitstreamError(f"{what}: trailing bytes")

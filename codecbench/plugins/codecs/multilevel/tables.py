@@ -14,6 +14,7 @@ from codecbench.core.instrument.kernel import kernel
 from codecbench.plugins.codecs.multilevel.arithmetic import (
     LOOK_AHEAD,
     TOP,
+    UNWRITTEN,
     decode_bit,
     decode_interval,
     encode_bit,
@@ -132,7 +133,7 @@ def encode_tuples(tuples: Any, counts: Any, out: Any) -> Any:
             kind = 2 * group + _magnitude(before, _COUNT_KINDS)
             low, width, position = _encode_number(low, width, position, out, models, kind, counts[row] - 1)
             before = counts[row] - 1
-    return finish_encoder(low, width, position, out)
+    return finish_encoder(low, position, out)
 
 
 @kernel
@@ -161,7 +162,7 @@ def decode_tuples(data: Any, radix: Any, total: Any, tuples: Any, counts: Any) -
     before = np.int64(0)
     left = total
     for row in range(size):
-        if position > data.shape[0] + LOOK_AHEAD:
+        if position > data.shape[0] + UNWRITTEN:
             return OVERRUN
         changed = 0
         for j in range(group - 1, -1, -1):
@@ -218,7 +219,7 @@ def encode_codes(codes: Any, counts: Any, out: Any) -> Any:
             kind = _GAP_KINDS + _magnitude(before, _COUNT_KINDS)
             low, width, position = _encode_number(low, width, position, out, models, kind, counts[row] - 1)
             before = counts[row] - 1
-    return finish_encoder(low, width, position, out)
+    return finish_encoder(low, position, out)
 
 
 @kernel
@@ -236,7 +237,7 @@ def decode_codes(data: Any, largest: Any, total: Any, codes: Any, counts: Any) -
     before = np.int64(0)
     left = total
     for row in range(codes.shape[0]):
-        if position > data.shape[0] + LOOK_AHEAD:
+        if position > data.shape[0] + UNWRITTEN:
             return OVERRUN
         kind = _magnitude(gap, _GAP_KINDS)
         gap, code, width, position = _decode_number(code, width, position, data, models, kind)
