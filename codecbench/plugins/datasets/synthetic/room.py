@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from codecbench.plugins.datasets.synthetic import furniture
+from codecbench.plugins.datasets.synthetic.atlas import Atlas, make_atlas
 from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, texels
 from codecbench.plugins.datasets.synthetic.lighting import lit
 from codecbench.plugins.datasets.synthetic.photographs import photograph
@@ -26,12 +27,17 @@ _WALL_DENSITY = 260.0
 
 
 @cache
-def furnished_room() -> tuple[Panel, ...]:
-    """All panels of the room with the light in their textures; takes a few seconds, once a process."""
+def room_atlas() -> Atlas:
+    """The room for the renderer; made once a process."""
+    return make_atlas(furnished_room())
+
+
+def furnished_room() -> list[Panel]:
+    """All panels of the room with the light in their textures; takes some seconds."""
     rng = np.random.default_rng(_ARRANGEMENT)
     panels = _shell(rng) + _lamps()
     panels += _north(rng) + _east(rng) + _south(rng) + _west(rng) + _table(rng)
-    return tuple(lit(panels, _lamp_points(rng), rng))
+    return lit(panels, _lamp_points(rng), rng)
 
 
 def _at_wall(panels: list[Panel], wall: str, along: float, foot: float = 0.0) -> list[Panel]:

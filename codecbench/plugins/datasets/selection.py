@@ -1,0 +1,46 @@
+"""Which frames of a sequence are used, and as what: parameters that all datasets share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import Image, channel_count, gray_from_image
+from codecbench.core.contracts.params import Params
+
+Color = Literal["as_is", "rgb", "gray"]
+
+
+class Selection(Params):
+    """Frames start, start + stride, ... before stop, counted from 0; without stop, up to the last.
+
+    color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert.
+    """
+
+    start: Annotated[int, Field(ge=0, description="first frame, counted from 0")] = 0
+    stop: Annotated[int | None, Field(ge=1, description="frame before which to stop; default: after the last")] = None
+    stride: Annotated[int, Field(ge=1, description="use every stride-th frame")] = 1
+    color: Annotated[Color, Field(description="as_is keeps the files' channels; rgb and gray convert")] = "as_is"
+
+    def indices(self, count: int, where: str) -> range:
+        """The selected frames of `count`. Raises DatasetError, naming `where`, for a selection that is not there."""
+        stop = count if self.stop is None else self.stop
+        if stop > count:
+            raise DatasetError(f"{where}: stop is {stop}, but there are {count} frames; leave it out to use them all")
+        if self.start >= stop:
+            limit = f"stop ({stop})" if self.stop is not None else f"the number of frames ({count})"
+            raise DatasetError(f"{where}: start is {self.start}, which is not below {limit}; no frame is left")
+        return range(self.start, stop, self.stride)
+
+
+def converted(image: Image, color: Color) -> Image:
+    """The image with the channels that `color` asks for."""
+    if color == "gray":
+        return gray_from_image(image)
+    if color == "rgb" and channel_count(image) == 1:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+    return image
