@@ -11,7 +11,7 @@ import struct
 import zlib
 from abc import abstractmethod
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -100,10 +100,10 @@ def _load_imagecodecs(function: str) -> ModuleType:
 
 
 class JpegXlParams(Params):
-    """`distance`: Butteraugli distance, 0 is lossless, 1 visually lossless. `effort`: 1 (fast) to 9 (small)."""
+    """libjxl's distance and effort."""
 
-    distance: Annotated[float, Field(ge=0, le=25)] = 1.0
-    effort: Annotated[int, Field(ge=1, le=9)] = 4
+    distance: float = Field(1.0, ge=0, le=25, description="Butteraugli distance: 0 lossless, 1 visually lossless")
+    effort: int = Field(4, ge=1, le=9, description="1 (fast) to 9 (small)")
 
 
 class JpegXl(_Enveloped[JpegXlParams]):
@@ -122,9 +122,9 @@ class JpegXl(_Enveloped[JpegXlParams]):
 
 
 class JpegLsParams(Params):
-    """`near`: the largest error of any sample, 0 is lossless (ITU-T T.87)."""
+    """The bound of near-lossless coding."""
 
-    near: Annotated[int, Field(ge=0, le=127)] = 0
+    near: int = Field(0, ge=0, le=127, description="largest error of any sample; 0 is lossless")
 
 
 class JpegLs(_Enveloped[JpegLsParams]):
@@ -142,9 +142,9 @@ class JpegLs(_Enveloped[JpegLsParams]):
 
 
 class Htj2kParams(Params):
-    """`step`: base quantisation step of the 9/7 wavelet, relative to the sample range; 0 is lossless, by the 5/3."""
+    """The quantiser of OpenJPH."""
 
-    step: Annotated[float, Field(ge=0, le=0.5)] = 0.01
+    step: float = Field(0.01, ge=0, le=0.5, description="base step of the 9/7 wavelet; 0 is lossless, by the 5/3")
 
 
 class Htj2k(_Enveloped[Htj2kParams]):
@@ -162,11 +162,11 @@ class Htj2k(_Enveloped[Htj2kParams]):
 
 
 class WebpParams(Params):
-    """`quality`: libwebp's 0 to 100, 4:2:0. `lossless`: every pixel; `quality` then is ignored. `method`: 0 to 6."""
+    """libwebp's quality and method."""
 
-    quality: Annotated[float, Field(ge=0, le=100)] = 75
-    lossless: bool = False
-    method: Annotated[int, Field(ge=0, le=6)] = 4
+    quality: float = Field(75, ge=0, le=100, description="libwebp's quality, with 4:2:0 chroma; unused if lossless")
+    lossless: bool = Field(False, description="every pixel")
+    method: int = Field(4, ge=0, le=6, description="0 (fast) to 6 (small)")
 
 
 class Webp(_Enveloped[WebpParams]):
@@ -185,11 +185,11 @@ class Webp(_Enveloped[WebpParams]):
 
 
 class AvifParams(Params):
-    """`quality`: libavif's 0 to 99, which is lossy. `speed`: 0 (small) to 10 (fast). `subsampling`: of the chroma."""
+    """libavif's quality and speed."""
 
-    quality: Annotated[int, Field(ge=0, le=99)] = 60
-    speed: Annotated[int, Field(ge=0, le=10)] = 8
-    subsampling: str = Field(default="420", pattern="^(444|422|420)$")
+    quality: int = Field(60, ge=0, le=99, description="libavif's quality, all of it lossy")
+    speed: int = Field(8, ge=0, le=10, description="0 (small) to 10 (fast)")
+    subsampling: Literal["444", "422", "420"] = Field("420", description="chroma")
 
 
 class Avif(_Enveloped[AvifParams]):

@@ -19,7 +19,7 @@ _COD = struct.Struct(">BBHBBBBBB")
 _IHDR = struct.Struct(">IIHBBBB")
 _SOT = struct.Struct(">HIBB")
 _EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
-_DEFAULT_BLOCKS = (4, 4, 0)  # 64x64 code blocks, no special coding
+_BLOCKS = ((4, 4, 0), (3, 3, 0), (2, 2, 0))  # 64x64, 32x32 and 16x16 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
 _OPENJPEG_COMMENT = b"Created by OpenJPEG version"
 _CRC_COMMENT = b"codecbench CRC-32: "
@@ -54,7 +54,7 @@ def checked_shape(bitstream: bytes) -> tuple[int, ...]:
     """The shape that a JP2 file promises, once its structure has been checked from end to end.
 
     Takes what our encoder writes: four boxes, one tile in one part, one layer, 8-bit components without
-    subsampling, default precincts and code blocks, and a right checksum. Raises BitstreamError for anything else.
+    subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError for anything else.
     """
     _check_crc(bitstream)
     boxes = _read_boxes(bitstream, 0, len(bitstream))
@@ -137,7 +137,9 @@ def _check_coding_style(content: bytes, channels: int) -> None:
     if len(content) != _COD.size:
         raise BitstreamError(f"jpeg2000: COD has {len(content)} bytes, not {_COD.size}")
     style, progression, layers, colour_transform, levels, *blocks, wavelet = _COD.unpack(content)
-    if (style, progression, layers, *blocks) != (0, 0, 1, *_DEFAULT_BLOCKS) or colour_transform != (channels == 3):
+    if (style, progression, layers) != (0, 0, 1) or tuple(blocks) not in _BLOCKS or colour_transform != (channels == 3):
         raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that we write")
     if levels > _MAX_DECOMPOSITIONS or wavelet > 1:
-        raise BitstreamError(f"jpeg2000: {levels} decompositions of wavelet {wavelet}; at most 5 of 0 or 1 are read")
+        raise BitstreamError(
+            f"jpeg2000: {levels} decompositions of wavelet {wavelet}; at most {_MAX_DECOMPOSITIONS} of 0 or 1 are read"
+        )

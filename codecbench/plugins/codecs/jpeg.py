@@ -7,7 +7,7 @@ format can reveal.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import cv2
 from pydantic import Field
@@ -38,16 +38,12 @@ _SAMPLING_FACTORS = {
 
 
 class JpegParams(Params):
-    """`quality`: libjpeg's 1 to 100. `subsampling`: chroma of colour images; gray ones have none.
+    """What libjpeg lets one choose."""
 
-    `optimize`: Huffman tables made for the image (T.81 K.2) instead of the example ones. `progressive`:
-    spectral selection and successive approximation, which implies optimised tables.
-    """
-
-    quality: Annotated[int, Field(ge=1, le=100)] = 75
-    subsampling: Literal["444", "422", "420"] = "420"
-    optimize: bool = False
-    progressive: bool = False
+    quality: int = Field(75, ge=1, le=100, description="libjpeg's quality, 1 to 100")
+    subsampling: Literal["444", "422", "420"] = Field("420", description="chroma of colour images; gray has none")
+    optimize: bool = Field(False, description="Huffman tables made for the image (T.81 K.2), not the example ones")
+    progressive: bool = Field(False, description="progressive scans, which always have optimised tables")
 
 
 class Jpeg(Codec[JpegParams]):

@@ -1,8 +1,8 @@
 """JPEG 2000 (ITU-T T.800) through glymur and OpenJPEG.
 
-A bitstream is a JP2 file with one tile, one layer and OpenJPEG's default code blocks, and the decoder takes
-nothing else, which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG
-names itself: the file keeps its size, any decoder reads it, and ours notices damage.
+A bitstream is a JP2 file with one tile, one layer and square code blocks, and the decoder takes nothing else,
+which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG names itself:
+the file keeps its size, any decoder reads it, and ours notices damage.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ from codecbench.plugins.codecs.jp2_syntax import MAX_JP2_PIXELS, checked_shape, 
 from codecbench.plugins.codecs.openjpeg import load_glymur
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
+_BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
 _TOLERANCE = 0.02
-_MAX_TRIES = 12
+_MAX_TRIES = 10
 _UNREADABLE = (OSError, RuntimeError, ValueError, TypeError, LookupError, struct.error)  # what glymur's parser raises
 
 
 class Jpeg2000Params(Params):
-    """Exactly one of `ratio`, `psnr_db`, `lossless` and `cr_percent` sets the rate.
+    """Exactly one of `ratio`, `psnr_db`, `lossless` and `cr_percent` sets the rate."""
 
-    `ratio`: raw bytes, channels included, to coded bytes, as OpenJPEG's rate control reaches it. `psnr_db`: its
-    target quality. `lossless`: every pixel. `cr_percent`: 100 (1 - coded / PNG), reached to within 2 % of the
-    size and never exceeding it. `irreversible`: the 9/7 wavelet with real arithmetic, else the 5/3; left out,
-    it follows from `lossless`.
-    """
-
-    ratio: Annotated[float, Field(gt=1)] | None = None
-    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = None
-    lossless: bool = False
-    cr_percent: Annotated[float, Field(gt=0, lt=100)] | None = None
-    irreversible: bool = True
+    ratio: Annotated[float, Field(gt=1)] | None = Field(
+        None, description="raw bytes, channels included, to coded bytes, as OpenJPEG's rate control reaches it"
+    )
+    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = Field(None, description="OpenJPEG's target quality")
+    lossless: bool = Field(False, description="every pixel, by the 5/3 wavelet")
+    cr_percent: Annotated[float, Field(gt=0, lt=100)] | None = Field(
+        None, description="100 (1 - coded / PNG), reached to within 2 % of the coded size, which is never exceeded"
+    )
+    irreversible: bool = Field(
+        True, description="the 9/7 wavelet with real arithmetic, else the 5/3; follows from lossless where left out"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -112,16 +113,33 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return {"glymur": self._glymur.__version__, "openjpeg": self._glymur.lib.openjp2.version()}
 
     def _encode_within(self, image: Image, target_bytes: int) -> bytes:
-        """The largest file of at most `target_bytes` that a few corrections of OpenJPEG's budget find.
+        """The largest file of at most `target_bytes` that is found.
 
-        The file is smaller than the tolerance allows only where coding the image in full takes no more.
-        Raises Unsupported where even the smallest file exceeds the target.
+        It is smaller than the tolerance allows only where coding the image in full takes no more. At high rates
+        of compression one coding pass of a code block is per cents of the file; smaller blocks then reach sizes
+        in between. Raises Unsupported where even the smallest file exceeds the target.
+        """
+        best, smallest = b"", image.size
+        for block_side in _BLOCK_SIDES:
+            found, least, in_full = self._search(image, target_bytes, block_side)
+            best, smallest = max(best, found, key=len), min(smallest, least)
+            if in_full or not best or len(best) >= (1 - _TOLERANCE) * target_bytes:
+                break
+        if not best:
+            raise Unsupported(f"jpeg2000: cr_percent allows {target_bytes} bytes, this frame takes {smallest} or more")
+        return best
+
+    def _search(self, image: Image, target_bytes: int, block_side: int) -> tuple[bytes, int, bool]:
+        """Correct the budget that OpenJPEG is given until the file is within the tolerance below the target.
+
+        Returns the largest file that fits (empty for none), the smallest size met, and whether no budget was
+        too large.
         """
         aim = (1 - _TOLERANCE / 2) * target_bytes
         fits, exceeds, budget = 0, image.size, max(target_bytes, 1)
         best, smallest = b"", image.size
         for _ in range(_MAX_TRIES):
-            bitstream = self._write(image, cratios=[max(image.size / budget, 1.0)])
+            bitstream = self._write(image, block_side, cratios=[max(image.size / budget, 1.0)])
             smallest = min(smallest, len(bitstream))
             if len(bitstream) > target_bytes:
                 exceeds = budget
@@ -133,16 +151,15 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             budget += round(aim - len(bitstream))
             if not fits < budget < exceeds:
                 budget = (fits + exceeds) // 2
-        if not best:
-            raise Unsupported(f"jpeg2000: cr_percent allows {target_bytes} bytes, this frame takes {smallest} or more")
-        return best
+        return best, smallest, exceeds == image.size
 
-    def _write(self, image: Image, **rate: Any) -> bytes:
+    def _write(self, image: Image, block_side: int = _BLOCK_SIDES[0], **rate: Any) -> bytes:
         resolutions = min(_RESOLUTIONS, min(image.shape[:2]).bit_length())
+        settings = {"irreversible": self.params.irreversible, "numres": resolutions, "cbsize": (block_side, block_side)}
         with _scratch_file() as path:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                self._glymur.Jp2k(path, data=image, irreversible=self.params.irreversible, numres=resolutions, **rate)
+                self._glymur.Jp2k(path, data=image, **settings, **rate)
             return with_checksum(path.read_bytes())
 
 

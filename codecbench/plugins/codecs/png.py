@@ -25,9 +25,11 @@ _MAX_DEFLATE_RATIO = 1032  # a deflate stream cannot expand more (RFC 1951: 258 
 
 
 class PngParams(Params):
-    """`effort`: zlib level 0 (none) to 9 (smallest); left out, OpenCV's fast default."""
+    """How hard zlib tries."""
 
-    effort: Annotated[int, Field(ge=0, le=9)] | None = None
+    effort: Annotated[int, Field(ge=0, le=9)] | None = Field(
+        None, description="zlib level, 0 (none) to 9 (smallest); left out, OpenCV's fast default"
+    )
 
 
 class Png(Codec[PngParams]):

@@ -7,7 +7,7 @@ part of the transform) and `huffman`.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +38,16 @@ _TABLES = {
 
 
 class JpegQfParams(Params):
-    """`qf` multiplies the quantisation table (the paper: 5 to 100). `table`: T.81's tables K.1 and K.2 (`standard`), or
-    the same with the first six zigzag entries 1 (`paper`). `color`: what becomes of an RGB image; gray ones stay
-    gray. `optimize`: Huffman tables made for the image (T.81 K.2) instead of the example ones.
-    """
+    """The paper's factor, and what a JFIF file leaves open."""
 
-    qf: Annotated[float, Field(gt=0, le=1000)] = 5.0
-    table: Literal["paper", "standard"] = "paper"
-    color: Literal["gray", "ycbcr444", "ycbcr420"] = "ycbcr444"
-    optimize: bool = False
+    qf: float = Field(5.0, gt=0, le=1000, description="factor on the quantisation table; the paper's are 5 to 100")
+    table: Literal["paper", "standard"] = Field(
+        "paper", description="T.81's K.1 and K.2 (standard), or these with 1 in their first six zigzag places (paper)"
+    )
+    color: Literal["gray", "ycbcr444", "ycbcr420"] = Field(
+        "ycbcr444", description="planes of a colour image; a gray image is always one plane"
+    )
+    optimize: bool = Field(False, description="Huffman tables made for the image (T.81 K.2), not the example ones")
 
 
 class JpegQf(Codec[JpegQfParams]):
