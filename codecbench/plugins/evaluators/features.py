@@ -147,7 +147,11 @@ def _keypoints(detector: Any, gray: Image) -> Keypoints:
 
 
 def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], inlier_px: float) -> float:
-    """Share of matches within `inlier_px` of their epipolar lines; 0 where there are too few for a geometry."""
+    """Share of matches within `inlier_px` of their epipolar lines; 0 where there are too few for a geometry.
+
+    OpenCV's search stops with an assertion where a local refinement comes out degenerate (a camera that hardly
+    moves); it then is run again without refinement.
+    """
     if len(pixels) < MIN_MATCHES:
         return 0.0
     settings = cv2.UsacParams()
@@ -158,7 +162,11 @@ def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], 
     settings.sampler = cv2.SAMPLING_UNIFORM
     settings.score = cv2.SCORE_METHOD_MSAC
     settings.loMethod = cv2.LOCAL_OPTIM_INNER_LO
-    _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
+    try:
+        _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
+    except cv2.error:
+        settings.loMethod = cv2.LOCAL_OPTIM_NULL
+        _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
     return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
 
 
