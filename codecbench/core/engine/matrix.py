@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import to_jsonable_python
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind
@@ -245,19 +246,19 @@ def _labelled(entries: list[Entry], registry: Registry) -> tuple[Entry, ...]:
         if len(same) > 1:
             keys = [key for key in params if any(other.get(key) != params[key] for other in same)]
         else:
-            keys = _explicit(entry, registry)
+            keys = _explicit(entry, registry) if entry.setting.kind == "codec" else []
         label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
         done.append(replace(entry, setting=replace(entry.setting, label=label)))
     return tuple(done)
 
 
 def _explicit(entry: Entry, registry: Registry) -> list[str]:
-    """Parameters of the only setting of a plugin that differ from the defaults."""
-    if entry.missing:
-        return list(entry.setting.params)
-    fields = registry.load(entry.setting.kind, entry.setting.name).params_type.model_fields
+    """Parameters of the only setting of a codec that differ from the defaults."""
     params = entry.setting.params
-    return [key for key in params if key not in fields or fields[key].default != params[key]]
+    if entry.missing:
+        return list(params)
+    fields = registry.load(entry.setting.kind, entry.setting.name).params_type.model_fields
+    return [key for key in params if key not in fields or to_jsonable_python(fields[key].default, fallback=str) != params[key]]
 
 
 def _word(value: Any) -> str:

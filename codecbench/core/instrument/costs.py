@@ -51,10 +51,10 @@ FUNCTIONS: dict[Any, tuple[str, ...]] = {
 SELECTIONS = (min, max)
 """min and max of k values cost k - 1 comparisons."""
 
-ALLOCATIONS = (np.empty, np.empty_like)
+ALLOCATIONS: tuple[Any, ...] = (np.empty, np.empty_like)
 """New memory that nothing is written to yet."""
 
-FILLED_ALLOCATIONS = (np.zeros, np.ones, np.full, np.zeros_like, np.ones_like, np.full_like)
+FILLED_ALLOCATIONS: tuple[Any, ...] = (np.zeros, np.ones, np.full, np.zeros_like, np.ones_like, np.full_like)
 """New memory in which every element is written once."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import fnmatch
 import io
 import json
@@ -50,7 +51,8 @@ def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
     for pattern in filter(None, (part.strip() for part in patterns.split(","))):
         found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
         if not found:
-            raise ParamsError(f"no column matches {pattern!r}; there are: {', '.join(names)}")
+            near = difflib.get_close_matches(pattern, names, n=5, cutoff=0.3)
+            raise ParamsError(f"no column matches {pattern!r}; near it: {', '.join(near) or 'none'}")
         chosen += [name for name in found if name not in chosen]
     return frame[chosen]
 
