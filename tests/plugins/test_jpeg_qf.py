@@ -9,6 +9,7 @@ import os
 import shutil
 import struct
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import skimage.data
 from damage import outcomes
 from skimage.metrics import peak_signal_noise_ratio
 
-from codecbench import BitstreamError, gray_from_image
+from codecbench import BitstreamError, ImageError, gray_from_image
 from codecbench.core.instrument.trace import CountingTrace
 from codecbench.plugins.codecs.dct.tables import LUMINANCE, PAPER, ZIGZAG
 from codecbench.plugins.codecs.jpeg_qf import JpegQf
@@ -243,3 +244,27 @@ def test_bitstreams_and_pixels_are_the_golden_ones(channels: int, setting: dict[
     assert bitstream == file.read_bytes()
     digest = hashlib.sha256(JpegQf.create().decode(file.read_bytes()).tobytes()).hexdigest()
     assert digest == json.loads(manifest.read_text())[name]
+
+
+_DECODE_AND_TELL_MEMORY = """
+import resource, sys
+from codecbench.plugins.codecs.jpeg_qf import JpegQf
+codec, bitstream = JpegQf.create(), sys.stdin.buffer.read()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+assert codec.decode(bitstream).shape == (4096, 4096, 3)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+def test_the_largest_picture_in_the_fewest_bytes_decodes_within_512_megabytes() -> None:
+    bitstream = JpegQf.create(qf=20, optimize=True).encode(np.full((4096, 4096, 3), 77, np.uint8))
+    assert len(bitstream) < 200_000
+    done = subprocess.run(
+        [sys.executable, "-c", _DECODE_AND_TELL_MEMORY], input=bitstream, capture_output=True, check=True
+    )
+    assert int(done.stdout) < 512
+
+
+def test_larger_pictures_are_refused() -> None:
+    with pytest.raises(ImageError, match="16777216 pixels"):
+        JpegQf.create().encode(np.zeros((4096, 4097), np.uint8))

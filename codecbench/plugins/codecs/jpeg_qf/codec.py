@@ -15,7 +15,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import ImageError
-from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
+from codecbench.core.contracts.image import Image, channel_count, check_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.instrument.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct import tables
@@ -23,7 +23,7 @@ from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_b
 from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr
 from codecbench.plugins.codecs.dct.planes import cropped, padded, planes_from_image
 from codecbench.plugins.codecs.jfif.markers import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
-from codecbench.plugins.codecs.jpeg_qf.interchange import CodedPicture, read_file, write_file
+from codecbench.plugins.codecs.jpeg_qf.interchange import MAX_JPEG_QF_PIXELS, CodedPicture, read_file, write_file
 from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, write_scan
 from codecbench.plugins.codecs.jpeg_qf.scan_layout import scan_layout
 from codecbench.plugins.codecs.jpeg_qf.upsampling import enlarged
@@ -104,8 +104,8 @@ class JpegQf(Codec[JpegQfParams]):
 
     def _header(self, image: Image) -> FrameHeader:
         height, width = image.shape[:2]
-        if max(height, width) > MAX_SIDE or height * width > MAX_PIXELS:
-            raise ImageError(f"jpeg_qf: {width}x{height} exceeds {MAX_SIDE} a side or {MAX_PIXELS} pixels")
+        if max(height, width) > MAX_SIDE or height * width > MAX_JPEG_QF_PIXELS:
+            raise ImageError(f"jpeg_qf: {width}x{height} exceeds {MAX_SIDE} a side or {MAX_JPEG_QF_PIXELS} pixels")
         if channel_count(image) == 1 or self.params.color == "gray":
             return FrameHeader(SOF_BASELINE, width, height, (Component(1, 1, 1, _LUMA),))
         factor = 2 if self.params.color == "ycbcr420" else 1

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.image import MAX_PIXELS
 from codecbench.plugins.codecs.jfif.markers import (
     APP0,
     APP14,
@@ -35,6 +36,8 @@ from codecbench.plugins.codecs.jfif.markers import (
 )
 from codecbench.plugins.codecs.jpeg_qf.huffman_tables import HuffmanTable
 
+MAX_JPEG_QF_PIXELS = MAX_PIXELS // 4
+"""All coefficients of a picture are held as 32-bit numbers."""
 _DENSITY = 0x4342
 _CRC_BYTES = 4
 _PREFIX = (
@@ -104,6 +107,8 @@ def read_file(bitstream: bytes) -> CodedPicture:
     header = read_frame_header(segments, "jpeg_qf")
     if header.code not in (SOF_BASELINE, SOF_EXTENDED):
         raise BitstreamError(f"jpeg_qf: frame type FF{header.code:02X}; only sequential Huffman-coded frames are read")
+    if header.width * header.height > MAX_JPEG_QF_PIXELS:
+        raise BitstreamError(f"jpeg_qf: {header.width}x{header.height} is more than {MAX_JPEG_QF_PIXELS} pixels")
     codes = [segment.code for segment in segments]
     if codes.count(SOS) != 1 or codes[-1] != SOS:
         raise BitstreamError(f"jpeg_qf: {codes.count(SOS)} scans; files of one scan at the end are read")
