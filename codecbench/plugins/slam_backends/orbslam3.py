@@ -1,7 +1,8 @@
 """The `orbslam3` backend: ORB-SLAM3 through the package pyorbslam3, in a child process.
 
 Campos, Elvira, Rodriguez, Montiel, Tardos, "ORB-SLAM3", IEEE T-RO 37(6), 2021, doi:10.1109/TRO.2021.3075644. It is
-threaded and never gives the same trajectory twice, so it is paced: no frame is handed over before its time.
+threaded and never gives the same trajectory twice, so it is paced: no frame is handed over sooner
+after the one before than it was taken after it.
 """
 
 from __future__ import annotations
@@ -36,12 +37,15 @@ SAVE_TIMEOUT_S: Final = 300.0
 class OrbSlam3Params(Params):
     """Settings of `orbslam3`: ORB features a frame, pyramid levels and the scale between two of them.
 
-    answer_timeout_s: how long one frame may take before the run counts as hung.
+    slowdown: how many times slower than real time frames are handed over; on a machine that is busy or slow, raise it
+    until `slam_ms_per_frame` stays below the interval of the frames. answer_timeout_s: how long one frame may take
+    before the run counts as hung.
     """
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
     levels: Annotated[int, Field(ge=1, le=16)] = 8
     scale: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
+    slowdown: Annotated[float, Field(ge=1.0, le=100.0)] = 1.0
     answer_timeout_s: Annotated[float, Field(gt=0.0)] = 60.0
 
 
@@ -98,7 +102,7 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
         return run_from_files(folder, states, poses, events)
 
     def _start(self, child: Conversation, vocabulary: Path, settings: Path) -> None:
-        child.tell({"vocabulary": str(vocabulary), "settings": str(settings)})
+        child.tell({"vocabulary": str(vocabulary), "settings": str(settings), "slowdown": self.params.slowdown})
         answer = child.listen(START_TIMEOUT_S, "starting")
         if (why := answer.get("unavailable")) is not None:
             raise Unsupported(f"pyorbslam3 does not import ({why}); on Debian run: apt-get install {SYSTEM_LIBRARIES}")

@@ -41,17 +41,18 @@ def main(log_path: str) -> None:
         os._exit(0)
     slam = pyorbslam3.Slam(start["vocabulary"], start["settings"], pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
     answer(ready=True)
-    _track(slam, requests, answer)
+    _track(slam, requests, start["slowdown"], answer)
     # Tearing down the foreign library's threads in order gains nothing and sometimes crashes.
     os._exit(0)
 
 
-def _track(slam: Any, requests: BinaryIO, answer: Any) -> None:
-    """Track frames until the request to finish, none sooner after the one before than it was taken after it.
+def _track(slam: Any, requests: BinaryIO, slowdown: float, answer: Any) -> None:
+    """Track frames until the request to finish, none sooner after the one before than it was taken after it, slowed.
 
     A frame that takes too long delays all later ones: catching up would take away the time that mapping needs.
     """
-    origin: float | None = None
+    handed_over: float | None = None
+    last_s = 0.0
     for line in iter(requests.readline, b""):
         request = json.loads(line)
         if "save" in request:
@@ -62,9 +63,10 @@ def _track(slam: Any, requests: BinaryIO, answer: Any) -> None:
             return
         shape, stamp_s = request["shape"], request["timestamp_s"]
         gray = np.frombuffer(requests.read(shape[0] * shape[1]), np.uint8).reshape(shape)
-        if origin is not None:
-            time.sleep(max(origin + stamp_s - time.monotonic(), 0.0))
-        origin = time.monotonic() - stamp_s
+        if handed_over is not None:
+            due = handed_over + slowdown * (stamp_s - last_s)
+            time.sleep(max(due - time.monotonic(), 0.0))
+        handed_over, last_s = time.monotonic(), stamp_s
         started = time.perf_counter()
         result = slam.track_monocular(gray.copy(), stamp_s)
         elapsed_ms = 1e3 * (time.perf_counter() - started)

@@ -1,0 +1,121 @@
+"""The `orb` backend: codecbench's own monocular ORB-SLAM, which stands alone in codecbench.slam."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.errors import SlamError
+from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
+from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
+from codecbench.slam import camera as slam_camera
+from codecbench.slam import options as slam_options
+from codecbench.slam import trajectory as slam_trajectory
+from codecbench.slam.system import System
+
+
+class OrbParams(Params):
+    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them, and whether loops are
+    looked for."""
+
+    features: Annotated[int, Field(ge=100, le=10_000)] = 1000
+    levels: Annotated[int, Field(ge=1, le=16)] = 8
+    scale: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
+    loop_closing: bool = True
+
+
+class Orb(SlamBackend[OrbParams]):
+    """Equal frames and an equal seed give the same trajectory to the last bit."""
+
+    name = "orb"
+    version = "1"
+    params_type = OrbParams
+    deterministic = True
+    architectures = frozenset({"cta", "atc"})
+
+    def run(
+        self,
+        frames: Iterable[Frame],
+        camera: Camera,
+        *,
+        seed: int,
+        keyframe_image: Callable[[int], Image] | None = None,
+    ) -> SlamRun:
+        system = System(_camera(camera), self._options(), seed)
+        indices: list[int] = []
+        elapsed_ms: list[float] = []
+        for frame in frames:
+            gray = gray_from_image(frame.image)
+            started = time.perf_counter()
+            system.process(gray, frame.timestamp_s, _keyframe_source(keyframe_image, frame.index))
+            elapsed_ms.append(1e3 * (time.perf_counter() - started))
+            indices.append(frame.index)
+        if not indices:
+            raise SlamError("orb got no frame")
+        started = time.perf_counter()
+        result = system.finish()
+        # The last frame bears what finishing takes, so that the mean over frames is the cost of the run.
+        elapsed_ms[-1] += 1e3 * (time.perf_counter() - started)
+        return _run(result, np.array(indices, dtype=np.int64), elapsed_ms)
+
+    def _options(self) -> slam_options.Options:
+        return slam_options.Options(
+            features=self.params.features,
+            levels=self.params.levels,
+            scale_factor=self.params.scale,
+            loop_closing=self.params.loop_closing,
+        )
+
+
+def _camera(camera: Camera) -> slam_camera.Camera:
+    return slam_camera.Camera(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion
+    )
+
+
+def _keyframe_source(keyframe_image: Callable[[int], Image] | None, index: int) -> Callable[[Image], Image] | None:
+    """What mapping sees in place of the tracked picture should this frame become a keyframe."""
+    if keyframe_image is None:
+        return None
+    return lambda _: gray_from_image(keyframe_image(index))
+
+
+def _run(result: slam_trajectory.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
+    """The system counts frames from 0; here they have the sequence's indices again."""
+    frames = tuple(
+        TrackedFrame(
+            index=int(index),
+            timestamp_s=one.timestamp_s,
+            state=one.state,
+            inliers=one.inliers,
+            keyframe=one.keyframe,
+            map_id=one.map_index,
+            reason=one.reason,
+            elapsed_ms=elapsed,
+        )
+        for one, index, elapsed in zip(result.frames, indices, elapsed_ms, strict=True)
+    )
+    loops = tuple(
+        LoopEvent(int(indices[one.frame_index]), int(indices[one.matched_frame_index]), one.inliers, one.maps_merged)
+        for one in result.loops
+    )
+    return SlamRun(
+        frames=frames,
+        trajectory=_trajectory(result.trajectory),
+        trajectory_before_loops=_trajectory(result.trajectory_before_loops),
+        keyframe_indices=indices[result.keyframe_indices],
+        points_world=result.points_world,
+        loops=loops,
+        maps=len(result.maps),
+    )
+
+
+def _trajectory(trajectory: slam_trajectory.Trajectory) -> Trajectory:
+    return Trajectory(trajectory.timestamps_s, trajectory.world_from_camera)

@@ -1,0 +1,127 @@
+"""The orb backend: how codecbench's SLAM is fed and read, and that equal runs are equal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from codecbench.core.contracts.errors import SlamError
+from codecbench.core.contracts.sequence import Camera, Frame
+from codecbench.plugins.slam_backends import codecbench_slam_backends, orb
+from codecbench.plugins.slam_backends.orb import Orb
+from codecbench.slam.trajectory import FrameState, LoopEvent, MapResult, Result, Trajectory
+
+CAMERA = Camera(640, 480, 535.4, 539.2, 320.1, 247.6, (0.1, 0.0, 0.0, 0.0, 0.0))
+
+
+class Recorder:
+    """Stands in for the System: remembers what it is given, takes every third frame as keyframe."""
+
+    last: Recorder
+
+    def __init__(self, camera: Any, options: Any, seed: int) -> None:
+        self.camera, self.options, self.seed = camera, options, seed
+        self.images: list[np.ndarray] = []
+        self.keyframes: list[np.ndarray | None] = []
+        self.states: list[FrameState] = []
+        Recorder.last = self
+
+    def process(self, image: np.ndarray, timestamp_s: float, keyframe_image: Callable | None = None) -> FrameState:
+        index = len(self.states)
+        keyframe = index % 3 == 0
+        self.images.append(image)
+        if keyframe:
+            self.keyframes.append(None if keyframe_image is None else keyframe_image(image))
+        self.states.append(FrameState(index, timestamp_s, "tracked", 40 + index, keyframe, 0))
+        return self.states[-1]
+
+    def finish(self) -> Result:
+        count = len(self.states)
+        path = Trajectory(
+            np.arange(count), np.array([one.timestamp_s for one in self.states]), np.tile(np.eye(4), (count, 1, 1))
+        )
+        found = MapResult(0, path, path, np.arange(0, count, 3), np.zeros((7, 3)))
+        loops = (LoopEvent(4, 1, 33, True),) if count > 4 else ()
+        return Result(tuple(self.states), loops, (found, found), path, path, found.keyframe_indices, found.points_world)
+
+
+def frames(count: int, first: int = 0) -> list[Frame]:
+    return [Frame(first + i, 100.0 + 0.1 * i, np.full((480, 640, 3), 10 + i, np.uint8)) for i in range(count)]
+
+
+def test_the_system_gets_camera_options_seed_and_gray_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orb, "System", Recorder)
+    Orb.create(features=700, levels=6, scale=1.3, loop_closing=False).run(frames(3), CAMERA, seed=11)
+    system = Recorder.last
+    assert (system.camera.width, system.camera.fy, system.camera.distortion[0]) == (640, 539.2, 0.1)
+    options = system.options
+    assert (options.features, options.levels, options.scale_factor, options.loop_closing) == (700, 6, 1.3, False)
+    assert system.seed == 11
+    assert all(image.shape == (480, 640) for image in system.images)
+    assert system.keyframes == [None]
+
+
+def test_frames_keep_the_indices_of_their_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orb, "System", Recorder)
+    run = Orb.create().run(frames(7, first=20), CAMERA, seed=0)
+    assert [one.index for one in run.frames] == list(range(20, 27))
+    assert run.keyframe_indices.tolist() == [20, 23, 26]
+    assert (run.loops[0].frame, run.loops[0].matched_frame, run.loops[0].merged_maps) == (24, 21, True)
+    assert run.maps == 2
+    assert len(run.points_world) == 7
+    assert all(one.elapsed_ms > 0 for one in run.frames)
+
+
+def test_analyze_then_compress_gives_mapping_the_decoded_keyframe(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orb, "System", Recorder)
+    asked = []
+
+    def keyframe_image(index: int) -> np.ndarray:
+        asked.append(index)
+        return np.full((480, 640, 3), 200, np.uint8)
+
+    Orb.create().run(frames(4, first=5), CAMERA, seed=0, keyframe_image=keyframe_image)
+    assert asked == [5, 8]
+    assert [int(image[0, 0]) for image in Recorder.last.images] == [10, 11, 12, 13]
+    assert all(
+        image is not None and image.shape == (480, 640) and image[0, 0] == 200 for image in Recorder.last.keyframes
+    )
+
+
+def test_no_frame_is_an_error() -> None:
+    with pytest.raises(SlamError, match="no frame"):
+        Orb.create().run([], CAMERA, seed=0)
+
+
+def test_black_frames_are_never_initialised() -> None:
+    run = Orb.create().run([Frame(i, 0.1 * i, np.zeros((480, 640), np.uint8)) for i in range(5)], CAMERA, seed=0)
+    assert [one.state for one in run.frames] == ["not_initialized"] * 5
+    assert all(one.reason for one in run.frames)
+    assert len(run.trajectory) == len(run.trajectory_before_loops) == run.maps == 0
+
+
+def test_both_backends_are_offered() -> None:
+    offers = {offer.name: offer for offer in codecbench_slam_backends()}
+    assert list(offers) == ["orb", "orbslam3"]
+    assert offers["orbslam3"].extra == "codecbench[orbslam3]"
+    assert offers["orb"].target.endswith(f":{Orb.__name__}")
+
+
+@pytest.mark.real
+def test_real_frames_are_tracked_and_equal_runs_are_equal(data_folder: Path) -> None:
+    folder = data_folder / "fr3_office_715"
+    rows = [line.split() for line in (folder / "rgb.txt").read_text().splitlines() if not line.startswith("#")][:60]
+    camera = Camera(640, 480, 535.4, 539.2, 320.1, 247.6)
+    given = [
+        Frame(i, float(stamp), np.asarray(cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE), dtype=np.uint8))
+        for i, (stamp, name) in enumerate(rows)
+    ]
+    first, second = (Orb.create().run(given, camera, seed=0) for _ in range(2))
+    assert len(first.trajectory) >= 30
+    assert first.trajectory.world_from_camera.tobytes() == second.trajectory.world_from_camera.tobytes()
+    assert [one.state for one in first.frames] == [one.state for one in second.frames]
