@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,8 @@ class Frame:
     """An image's features, the map points that they show, and its pose once known.
 
     `points` (N,) index map points by feature, NONE where there is none; `camera_from_world` (4, 4); `reference` is the
-    keyframe that shares most points with it.
+    keyframe that shares most points with it; `decode` gives the features of the decoded image, where keyframes are
+    coded.
     """
 
     index: int
@@ -26,6 +28,7 @@ class Frame:
     points: NDArray[np.int64]
     camera_from_world: Array
     reference: int = NONE
+    decode: Callable[[], Features] | None = None
 
     @classmethod
     def of(cls, index: int, timestamp_s: float, features: Features) -> Frame:

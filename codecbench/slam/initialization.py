@@ -149,10 +149,10 @@ class Initializer:
         """Forget the reference frame."""
         self._first = None
 
-    def add(self, frame: Frame, map_index: int) -> tuple[Map, Mapper, Frame] | str:
+    def add(self, frame: Frame, map_index: int) -> tuple[Map, Mapper] | str:
         """Try to start map number `map_index` from the reference frame and `frame`.
 
-        Returns the map, its mapper and the reference frame, or the reason why there is none yet. On success both
+        Returns the map and its mapper, or the reason why there is none yet. On success both
         frames hold their poses and points and are keyframes 0 and 1, and the median depth in the first is 1.
         """
         enough = len(frame.features) >= thresholds.INIT_MIN_FEATURES
@@ -172,7 +172,7 @@ class Initializer:
             self._first = None
         return started
 
-    def _build(self, first: Frame, second: Frame, start: TwoViewStart, index: int) -> tuple[Map, Mapper, Frame] | str:
+    def _build(self, first: Frame, second: Frame, start: TwoViewStart, index: int) -> tuple[Map, Mapper] | str:
         """Map from two views: bundle adjustment over both, then the scale."""
         slam_map = Map(index, self._scale_factors, self._features_limit)
         mapper = Mapper(slam_map, self._camera)
@@ -192,4 +192,4 @@ class Initializer:
             frame.camera_from_world = slam_map.keyframes.camera_from_world[keyframe].copy()
             frame.points = slam_map.keyframes.points[keyframe, : len(frame.features)].copy()
             frame.reference = 1
-        return slam_map, mapper, first
+        return slam_map, mapper

@@ -90,7 +90,6 @@ class KeyframeTable:
         self.alive = np.zeros(capacity, np.bool_)
         self.features: list[Features] = []
         self.timestamps_s: list[float] = []
-        self.words: list[Any] = []
 
     def add(self, features: Features, camera_from_world: Array, frame_index: int, timestamp_s: float) -> int:
         """A new keyframe that sees no point yet; returns its index."""

@@ -11,6 +11,7 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.geometry import TwoViewPoints, fundamental_between
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.matching import match_in_windows, match_on_epipolar_lines
+from codecbench.slam.places import Places
 from codecbench.slam.projection import project_map_points
 from codecbench.slam.transforms import Array
 
@@ -21,6 +22,7 @@ class Mapper:
     def __init__(self, slam_map: Map, camera: Camera) -> None:
         self.map = slam_map
         self.camera = camera
+        self.places = Places(slam_map)
         self._probation: Indices = np.empty(0, np.int64)
 
     def insert(self, frame: Frame) -> int:
@@ -51,6 +53,7 @@ class Mapper:
         slam_map.observe(keyframe, matched, frame.points[matched])
         slam_map.refresh_points(frame.points[matched])
         slam_map.attach(keyframe)
+        self.places.add(keyframe, frame.features)
         frame.reference = keyframe
         return keyframe
 
@@ -158,6 +161,7 @@ class Mapper:
             redundancy = self.map.redundancy(int(neighbor), thresholds.REDUNDANT_OBSERVATIONS)
             if redundancy > thresholds.REDUNDANT_SHARE:
                 self.map.remove_keyframe(int(neighbor))
+                self.places.remove(int(neighbor))
 
 
 def _keep_first(points: Indices) -> None:

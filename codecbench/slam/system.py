@@ -12,51 +12,52 @@ from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 from codecbench.slam.camera import Camera
-from codecbench.slam.features import FeatureExtractor
+from codecbench.slam.features import FeatureExtractor, Features
 from codecbench.slam.frame import Frame
 from codecbench.slam.initialization import Initializer
-from codecbench.slam.map import Map
-from codecbench.slam.mapping import Mapper
+from codecbench.slam.map import NONE
+from codecbench.slam.matching import match_in_windows
 from codecbench.slam.options import Options
-from codecbench.slam.tracking import Tracker
-from codecbench.slam.trajectory import FrameState, LoopEvent, Result, TrackedPose, summarize
-from codecbench.slam.transforms import se3_inverse
+from codecbench.slam.session import Session
+from codecbench.slam.trajectory import FrameState, LoopEvent, Result, State, summarize
 
 ImageArray = NDArray[np.uint8]
 KeyframeImage = Callable[[ImageArray], ImageArray]
 
 
-class _Session:
-    """One map with what works on it and the frames tracked in it."""
-
-    def __init__(self, slam_map: Map, mapper: Mapper, tracker: Tracker) -> None:
-        self.map = slam_map
-        self.mapper = mapper
-        self.tracker = tracker
-        self.poses: list[TrackedPose] = []
-        self.last_keyframe_s = -math.inf
-
-
 class System:
-    """Monocular SLAM: `process` each frame in order, then `finish`."""
+    """Monocular SLAM: `process` each frame in order, then `finish`.
+
+    `camera` says how the images are projected, `options` what may be chosen, `seed` drives all that is drawn at random.
+    The same frames and seed give the same result to the last bit. OpenCV's number of threads is one while a frame is
+    processed and what the caller had set afterwards.
+    """
 
     def __init__(self, camera: Camera, options: Options | None = None, seed: int = 0) -> None:
         self.camera = camera
         self.options = options or Options()
         self._extractor = FeatureExtractor(camera, self.options)
-        self._initializer = Initializer(
-            camera, self._extractor.scale_factors, self.options.features, np.random.default_rng(seed)
-        )
-        self._sessions: list[_Session] = []
-        self._active: _Session | None = None
+        self._rng = np.random.default_rng(seed)
+        factors = self._extractor.scale_factors
+        self._initializer = Initializer(camera, factors, self.options.features, self._rng)
+        self._sessions: list[Session] = []
+        self._active: Session | None = None
         self._frames: list[FrameState] = []
         self._loops: list[LoopEvent] = []
         self._lost_since_s = math.inf
+        self._last_s = -math.inf
 
     def process(
         self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None = None
     ) -> FrameState:
-        """Look at one frame and say what became of it."""
+        """Look at one frame and say what became of it.
+
+        `image` (height, width) gray or (height, width, 3) blue-green-red, uint8; `timestamp_s` above the last one's.
+        With `keyframe_image`, tracking sees `image`, and what becomes a keyframe is replaced by
+        `keyframe_image(image)`: its features serve mapping, relocalisation and loop closing. Returns the frame's state;
+        "refused" with the reason for an image or a time that cannot be used. Raises TypeError for images that are not
+        uint8 arrays of two or three dimensions.
+        """
         threads = cv2.getNumThreads()
         cv2.setNumThreads(1)
         try:
@@ -67,66 +68,122 @@ class System:
         return state
 
     def finish(self) -> Result:
-        """What the run has found."""
+        """The result of all frames so far, after a last adjustment of each map where the options ask for it."""
+        for session in self._sessions:
+            session.finish(self.options.final_bundle_adjustment)
         return summarize(self._frames, self._loops, [(s.map, s.poses) for s in self._sessions])
 
     def _process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None) -> FrameState:
         index = len(self._frames)
         gray = to_gray(image)
+        refusal = self._refusal(gray, timestamp_s)
+        if refusal:
+            return FrameState(index, timestamp_s, "refused", reason=refusal)
+        self._last_s = timestamp_s
         frame = Frame.of(index, timestamp_s, self._extractor.extract(gray))
-        if self._active is None:
-            return self._initialize(frame)
-        return self._track(frame, self._active)
+        if keyframe_image is not None:
+            frame.decode = lambda: self._extract_decoded(keyframe_image(image))
+        if self._active is not None:
+            inliers = self._active.track(frame) if math.isinf(self._lost_since_s) else 0
+            if inliers or (inliers := self._active.relocalize(frame)):
+                return self._tracked(frame, inliers)
+            return self._lose(frame, self._active)
+        for session in reversed(self._sessions):
+            if inliers := session.relocalize(frame):
+                self._active = session
+                self._initializer.restart()
+                return self._tracked(frame, inliers)
+        return self._initialize(frame)
+
+    def _refusal(self, gray: ImageArray, timestamp_s: float) -> str:
+        """Why a frame cannot be used; empty when it can."""
+        if gray.shape != (self.camera.height, self.camera.width):
+            size = f"{gray.shape[1]}x{gray.shape[0]}"
+            return f"an image of {size} where the camera has {self.camera.width}x{self.camera.height}"
+        if not math.isfinite(timestamp_s) or timestamp_s <= self._last_s:
+            return f"timestamp {timestamp_s} s is not after the last one, {self._last_s} s"
+        return ""
 
     def _initialize(self, frame: Frame) -> FrameState:
         started = self._initializer.add(frame, len(self._sessions))
         if isinstance(started, str):
-            return FrameState(frame.index, frame.timestamp_s, "not_initialized", reason=started)
-        slam_map, mapper, _ = started
-        session = _Session(slam_map, mapper, Tracker(slam_map, self.camera))
-        session.tracker.start(frame)
-        session.last_keyframe_s = frame.timestamp_s
-        self._sessions.append(session)
-        self._active = session
+            state: State = "lost" if self._sessions else "not_initialized"
+            return FrameState(frame.index, frame.timestamp_s, state, reason=started)
+        slam_map, mapper = started
+        self._active = Session(slam_map, mapper, self.camera, self._rng)
+        self._sessions.append(self._active)
+        self._active.start(frame)
+        self._active.record(frame)
         inliers = len(frame.matched)
-        self._record(session, frame)
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, True, slam_map.index)
 
-    def _track(self, frame: Frame, session: _Session) -> FrameState:
-        inliers = session.tracker.track(frame)
-        if inliers == 0:
-            return FrameState(frame.index, frame.timestamp_s, "lost", 0, False, session.map.index, "lost")
-        keyframe = self._wants_keyframe(frame, inliers, session)
+    def _tracked(self, frame: Frame, inliers: int) -> FrameState:
+        assert self._active is not None
+        self._lost_since_s = math.inf
+        keyframe = self._active.wants_keyframe(frame, inliers)
         if keyframe:
-            session.mapper.insert(frame)
-            session.last_keyframe_s = frame.timestamp_s
-        self._record(session, frame)
-        return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, session.map.index)
+            reassociate(frame, self._extractor)
+            loop = self._active.add_keyframe(frame, self.options.loop_closing)
+            if loop is not None:
+                self._loops.append(loop)
+        self._active.record(frame)
+        index = self._active.map.index
+        return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, index)
 
-    def _wants_keyframe(self, frame: Frame, inliers: int, session: _Session) -> bool:
-        """Whether `frame` should become a keyframe (ORB-SLAM V-E)."""
-        slam_map = session.map
-        needed = min(thresholds.KEYFRAME_REFERENCE_OBSERVATIONS, len(slam_map.alive_keyframes))
-        points = slam_map.keyframes.points[frame.reference]
-        points = points[points >= 0]
-        share = inliers / max(int((slam_map.points.observation_counts[points] >= needed).sum()), 1)
-        elapsed_s = frame.timestamp_s - session.last_keyframe_s
-        waited = elapsed_s >= thresholds.KEYFRAME_MIN_INTERVAL_S - 1e-3
-        return share < thresholds.KEYFRAME_MAX_SHARE and (waited or share < thresholds.KEYFRAME_URGENT_SHARE)
+    def _lose(self, frame: Frame, session: Session) -> FrameState:
+        """Note that the frame is lost, and give the map up when it is too small or has been lost too long."""
+        self._lost_since_s = min(self._lost_since_s, frame.timestamp_s)
+        lost_s = frame.timestamp_s - self._lost_since_s
+        reason = f"lost for {lost_s:.2f} s: {len(frame.features)} features, too few of them match the map"
+        small = len(session.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES
+        if small or lost_s >= thresholds.LOST_FOR_GOOD_S:
+            self._active = None
+            self._lost_since_s = math.inf
+            self._initializer.restart()
+            reason += "; a new map will be started"
+        return FrameState(frame.index, frame.timestamp_s, "lost", 0, False, session.map.index, reason)
 
-    def _record(self, session: _Session, frame: Frame) -> None:
-        slam_map = session.map
-        pose = slam_map.keyframes.camera_from_world[frame.reference]
-        session.poses.append(
-            TrackedPose(
-                frame.index, frame.timestamp_s, frame.reference, frame.camera_from_world @ se3_inverse(pose),
-                slam_map.scale_of(frame.reference), se3_inverse(frame.camera_from_world),
-            )  # fmt: skip
-        )
+    def _extract_decoded(self, image: ImageArray) -> Features:
+        gray = to_gray(image)
+        if gray.shape != (self.camera.height, self.camera.width):
+            raise ValueError(
+                f"keyframe_image: returned {gray.shape[1]}x{gray.shape[0]}, "
+                f"where the camera has {self.camera.width}x{self.camera.height}"
+            )
+        return self._extractor.extract(gray)
 
 
 def to_gray(image: NDArray[Any]) -> ImageArray:
-    """The image in gray (height, width), by BT.601 where it has three channels, blue first."""
+    """The image in gray (height, width), by BT.601 where it has three channels, blue first.
+
+    Raises TypeError for what is not a uint8 array (height, width) or (height, width, 1 or 3).
+    """
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+        raise TypeError(f"image: got {getattr(image, 'dtype', type(image).__name__)}; expected a uint8 array")
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[:, :, 0]
     if image.ndim == 2:
-        return np.asarray(image, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        return np.ascontiguousarray(image)
+    if image.ndim == 3 and image.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    raise TypeError(f"image: got shape {image.shape}; expected (height, width) or (height, width, 3)")
+
+
+def reassociate(frame: Frame, extractor: FeatureExtractor) -> None:
+    """Replace the features of `frame` by those of its decoded image, if it has one, and carry its points over.
+
+    A map point goes to the decoded feature nearest in appearance within a small window of the raw one.
+    """
+    if frame.decode is None:
+        return
+    raw, decoded = frame.features, frame.decode()
+    frame.decode = None
+    matched = frame.matched
+    octaves = raw.octaves[matched].astype(np.int64)
+    matches = match_in_windows(
+        raw.pixels[matched], thresholds.DECODED_WINDOW_PX * extractor.scale_factors[octaves], octaves - 1, octaves + 1,
+        raw.descriptors[matched], decoded, np.ones(len(decoded), np.bool_), thresholds.HAMMING_HIGH,
+    )  # fmt: skip
+    points = np.full(len(decoded), NONE, np.int64)
+    points[matches[matches >= 0]] = frame.points[matched[matches >= 0]]
+    frame.features, frame.points = decoded, points

@@ -108,18 +108,19 @@ SMALL_MAP_KEYFRAMES: Final = 5
 """Keyframes: a map with no more is abandoned the moment it is lost (own)."""
 
 # Keyframe decision --------------------------------------------------------------------------------------------------
-KEYFRAME_MIN_INLIERS: Final = 50
-"""Points: a frame with fewer makes no keyframe unless tracking is about to fail (ORB-SLAM V-E)."""
 KEYFRAME_MIN_INTERVAL_S: Final = 0.1
 """Seconds: between two keyframes, unless tracking weakens (own; stands for a mapper that is still busy)."""
 KEYFRAME_URGENT_SHARE: Final = 0.6
 """Of the reference keyframe's points: a frame with fewer makes a keyframe at once (own)."""
+KEYFRAME_FEW_INLIERS: Final = 120
+"""Points: a frame with fewer asks for a keyframe whatever its share (own; the map is thin there)."""
 KEYFRAME_MAX_SHARE: Final = 0.9
 """Of the reference keyframe's points: a frame with more makes no keyframe (ORB-SLAM V-E)."""
-KEYFRAME_MAX_INTERVAL_S: Final = 1.0
-"""Seconds: with no keyframe for so long, one is made as soon as the view has changed (ORB-SLAM V-E)."""
 KEYFRAME_REFERENCE_OBSERVATIONS: Final = 3
 """Keyframes: a reference point counts in that share once so many keyframes see it (own)."""
+
+DECODED_WINDOW_PX: Final = 3.0
+"""Pixels at the finest level: how far a feature may move when a keyframe's image is coded and decoded (own)."""
 
 # Mapping ------------------------------------------------------------------------------------------------------------
 TRIANGULATION_NEIGHBORS: Final = 20
@@ -158,6 +159,8 @@ RELOCALIZATION_CANDIDATES: Final = 8
 """Keyframes: tried for a lost frame (own)."""
 RELOCALIZATION_RATIO: Final = 0.75
 """Best over second-best distance of a match with a candidate (own)."""
+RELOCALIZATION_WIDENING: Final = 3.0
+"""Times the windows of the local map: search for a candidate's points after the first pose (own)."""
 RELOCALIZATION_ITERATIONS: Final = 300
 """RANSAC samples for the pose of a lost frame (own)."""
 PNP_ERROR_PX: Final = 4.0
@@ -170,6 +173,10 @@ LOOP_MIN_MATCHES: Final = 20
 """Matches: fewer with a candidate and no similarity is sought (ORB-SLAM VII-B)."""
 LOOP_MIN_INLIERS: Final = 20
 """Matches: inliers that a similarity needs (ORB-SLAM VII-B)."""
+LOOP_WINDOW_PX: Final = 7.5
+"""Pixels at the finest level: search radius for points projected by a similarity (own)."""
+LOOP_RATIO: Final = 0.75
+"""Best over second-best distance of a match with a candidate (own)."""
 LOOP_MIN_PROJECTED: Final = 40
 """Matches: found by projecting the loop side's points, for the loop to be accepted (own)."""
 LOOP_RANSAC_ITERATIONS: Final = 300

@@ -7,6 +7,7 @@ import numpy as np
 
 from codecbench.slam import thresholds
 from codecbench.slam.camera import Camera
+from codecbench.slam.features import Features
 from codecbench.slam.frame import Frame
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
@@ -96,24 +97,27 @@ class Tracker:
     def _track_by_keyframe(self, frame: Frame) -> bool:
         """Match by appearance with the last frame, then with the reference keyframe; pose by P3P and RANSAC."""
         assert self.last is not None
-        if self._track_by_appearance(frame, self.last.points, self.last.features.descriptors, self.last.features.angles):
+        if self._track_by_appearance(frame, self.last.points, self.last.features, thresholds.KEYFRAME_RATIO):
             return True
-        keyframes, reference = self.map.keyframes, self.last.reference
-        features = keyframes.features[reference]
-        points = keyframes.points[reference, : len(features)]
-        return self._track_by_appearance(frame, points, features.descriptors, features.angles)
+        return self.guess_by_keyframe(frame, self.last.reference, thresholds.KEYFRAME_RATIO)
 
-    def _track_by_appearance(self, frame: Frame, points: Indices, descriptors: Array, angles: Array) -> bool:
+    def guess_by_keyframe(self, frame: Frame, keyframe: int, ratio: float) -> bool:
+        """First guess of the pose from the points of one keyframe, matched by appearance."""
+        features = self.map.keyframes.features[keyframe]
+        points = self.map.keyframes.points[keyframe, : len(features)]
+        return self._track_by_appearance(frame, points, features, ratio)
+
+    def _track_by_appearance(self, frame: Frame, points: Indices, features: Features, ratio: float) -> bool:
         seen = np.nonzero(points >= 0)[0]
         n, m = len(seen), len(frame.features)
         if n < thresholds.KEYFRAME_MIN_MATCHES or m < thresholds.KEYFRAME_MIN_MATCHES:
             return False
         matches = match_by_appearance(
-            descriptors[seen], np.zeros(n, np.int64), np.ones(n, np.bool_),
+            features.descriptors[seen], np.zeros(n, np.int64), np.ones(n, np.bool_),
             frame.features.descriptors, np.zeros(m, np.int64), np.ones(m, np.bool_),
-            thresholds.HAMMING_LOW, thresholds.KEYFRAME_RATIO,
+            thresholds.HAMMING_LOW, ratio,
         )  # fmt: skip
-        keep_consistent_rotations(matches, angles[seen], frame.features.angles)
+        keep_consistent_rotations(matches, features.angles[seen], frame.features.angles)
         found = np.nonzero(matches >= 0)[0]
         return self.solve_pose(frame, points[seen[found]], matches[found])
 
