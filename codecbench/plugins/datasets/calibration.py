@@ -1,0 +1,95 @@
+"""Cameras from calibration files and by their published names."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.sequence import Camera
+from codecbench.plugins.datasets.tables import read_text
+
+FREIBURG = {
+    "freiburg1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": Camera(640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6),
+}
+"""The colour cameras of the TUM RGB-D benchmark as its page on file formats gives them."""
+
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+
+class YamlFile:
+    """The mapping in a YAML file, with the line of every entry for errors."""
+
+    def __init__(self, file: Path, what: str, remedy: str = "") -> None:
+        self.file = file
+        text = read_text(file, what, remedy)
+        text = text.removeprefix("\ufeff")
+        if text.startswith("%YAML:"):
+            text = text.replace("%YAML:", "# YAML ", 1)
+        try:
+            self._entries: Any = YAML(typ="rt").load(text)
+        except MarkedYAMLError as error:
+            line = error.problem_mark.line + 1 if error.problem_mark else 1
+            raise DatasetError(f"{file}:{line}: {what} is not YAML: {error.problem}") from error
+        if not isinstance(self._entries, dict):
+            raise DatasetError(f"{file}: {what} has no `key: value` lines")
+
+    def where(self, key: str) -> str:
+        return f"{self.file}:{self._entries.lc.value(key)[0] + 1}" if key in self._entries else str(self.file)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self._entries.get(key, default)
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number. Raises DatasetError where it is missing without a default, or no number."""
+        value = self.get(key, default)
+        if value is None:
+            raise DatasetError(f"{self.file}: `{key}` is missing")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise DatasetError(f"{self.where(key)}: `{key}` is {value!r}, which is not a finite number")
+        return float(value)
+
+    def numbers(self, key: str, counts: tuple[int, ...]) -> list[float]:
+        """A list of finite numbers of one of the given lengths. Raises DatasetError."""
+        return numbers_in(self.get(key), counts, self.where(key), key)
+
+
+def numbers_in(value: Any, counts: tuple[int, ...], where: str, key: str) -> list[float]:
+    """`value` as a list of finite numbers of one of the given lengths. Raises DatasetError."""
+    good = isinstance(value, list) and all(
+        isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in value
+    )
+    if not good or len(value) not in counts:
+        wanted = " or ".join(str(count) for count in counts)
+        raise DatasetError(f"{where}: `{key}` is {value!r}, not a list of {wanted} numbers")
+    return [float(one) for one in value]
+
+
+def camera_from_file(file: Path) -> tuple[Camera, float | None]:
+    """A camera, and the frame rate if the file has `fps`.
+
+    Keys: width, height, fx, fy, cx, cy in pixels; k1, k2, p1, p2, k3 (0 where left out); `model`, if there, is
+    `pinhole`. Raises DatasetError with file and line.
+    """
+    entries = YamlFile(file, "calibration")
+    model = entries.get("model", "pinhole")
+    if model != "pinhole":
+        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; only `pinhole` is known")
+    for key in _INTRINSICS[:4]:
+        if entries.number(key) <= 0.0:
+            raise DatasetError(f"{entries.where(key)}: `{key}` is {entries.get(key)}, which is not above 0")
+    k1, k2, p1, p2, k3 = (entries.number(key, 0.0) for key in _DISTORTION)
+    width, height, fx, fy, cx, cy = (entries.number(key) for key in _INTRINSICS)
+    camera = Camera(round(width), round(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    if "fps" not in entries._entries:
+        return camera, None
+    if entries.number("fps") <= 0.0:
+        raise DatasetError(f"{entries.where('fps')}: `fps` is {entries.get('fps')}, which is not above 0")
+    return camera, entries.number("fps")

@@ -1,0 +1,158 @@
+"""Sequences whose frames are image files: reading them, and the digest of everything that they consist of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence as Ordered
+from dataclasses import asdict, dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import Image, channel_count
+from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.plugins.datasets.selection import Color, converted
+
+EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+
+
+def read_image_file(file: Path) -> Image:
+    """The gray (H, W) or RGB (H, W, 3) picture in a file of 8 bits a sample; an alpha channel is left out.
+
+    EXIF orientation is not applied. Raises DatasetError for a file that is missing, cut short or of another kind.
+    """
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+    if content.startswith(_JPEG_START) and _JPEG_END not in content[-4096:]:
+        raise DatasetError(f"{file}: the JPEG file is cut short; fetch or copy it again")
+    try:
+        stored = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
+    except cv2.error:
+        stored = None
+    if stored is None:
+        raise DatasetError(f"{file}: not an image that OpenCV can read ({len(content)} bytes); fetch or copy it again")
+    if stored.dtype != np.uint8:
+        raise DatasetError(f"{file}: has samples of {stored.dtype}; frames have 8 bits a sample: convert the file")
+    return _rgb_from_stored(stored)
+
+
+def _rgb_from_stored(stored: Any) -> Image:
+    if stored.ndim == 2 or stored.shape[2] == 1:
+        return np.asarray(stored.reshape(stored.shape[:2]), dtype=np.uint8)
+    order = cv2.COLOR_BGRA2RGB if stored.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(stored, order), dtype=np.uint8)
+
+
+def digest_of(value: Any) -> str:
+    """Hex digest of a value of JSON types."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def digest_of_file(file: Path) -> str:
+    """Hex digest of a file's bytes, remembered while its size and time of change stay. Raises DatasetError."""
+    try:
+        status = file.stat()
+        return _digest_of_version(file, status.st_size, status.st_mtime_ns)
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+
+
+@cache
+def _digest_of_version(file: Path, size_bytes: int, mtime_ns: int) -> str:
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a sequence of image files consists of, after selection.
+
+    sizes_differ: whether frames of several sizes are allowed. where: what to call the sequence in errors.
+    """
+
+    name: str
+    where: str
+    files: tuple[Path, ...]
+    timestamps_s: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+    frame_rate_hz: float
+    camera: Camera | None = None
+    ground_truth: Trajectory | None = None
+    color: Color = "as_is"
+    sizes_differ: bool = False
+
+
+class FileSequence(Sequence):
+    """Frames read from one image file each. Opening reads the first, and checks that all are there."""
+
+    def __init__(self, content: Content) -> None:
+        self.name = content.name
+        self.timestamps_s = content.timestamps_s
+        self.frame_rate_hz = content.frame_rate_hz
+        self.camera = content.camera
+        self.ground_truth = content.ground_truth
+        self._content = content
+        _check_all_there(content.files)
+        first = converted(read_image_file(content.files[0]), content.color)
+        self.channels = channel_count(first)
+        self._size = first.shape[:2]
+        self._check(first, content.files[0])
+
+    @cached_property
+    def fingerprint(self) -> str:  # type: ignore[override]
+        """Digest over the bytes of all frames, times, camera and ground truth; the first use reads every file."""
+        return digest_of(
+            {
+                "frames": [digest_of_file(file) for file in self._content.files],
+                "channels": self.channels,
+                **known_facts(self),
+            }
+        )
+
+    def read(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise DatasetError(f"{self._content.where}: frame {index} is not in 0..{len(self) - 1}")
+        file = self._content.files[index]
+        image = converted(read_image_file(file), self._content.color)
+        self._check(image, file)
+        return Frame(index, float(self.timestamps_s[index]), image)
+
+    def _check(self, image: Image, file: Path) -> None:
+        height, width = image.shape[:2]
+        if channel_count(image) != self.channels:
+            raise DatasetError(
+                f"{file}: has {channel_count(image)} channel(s), the first frame {self.channels}; "
+                "choose `color: rgb` or `color: gray`"
+            )
+        if (height, width) != self._size and not self._content.sizes_differ:
+            raise DatasetError(f"{file}: is {width}x{height}, the first frame {self._size[1]}x{self._size[0]}")
+        if self.camera is not None and (width, height) != (self.camera.width, self.camera.height):
+            size = f"{self.camera.width}x{self.camera.height}"
+            raise DatasetError(f"{file}: is {width}x{height}, but the calibration is for {size}; scale one of them")
+
+
+def known_facts(sequence: Sequence) -> dict[str, Any]:
+    """Times, camera and ground truth of a sequence as JSON types, for its fingerprint."""
+    truth = sequence.ground_truth
+    return {
+        "timestamps_s": sequence.timestamps_s.tolist(),
+        "frame_rate_hz": sequence.frame_rate_hz,
+        "camera": None if sequence.camera is None else asdict(sequence.camera),
+        "ground_truth": None
+        if truth is None
+        else [hashlib.sha256(part.tobytes()).hexdigest() for part in (truth.timestamps_s, truth.world_from_camera)],
+    }
+
+
+def _check_all_there(files: Ordered[Path]) -> None:
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        more = f" (and {len(missing) - 1} more of {len(files)})" if len(missing) > 1 else ""
+        raise DatasetError(f"{missing[0]}: frame is missing{more}; fetch or copy the sequence again")

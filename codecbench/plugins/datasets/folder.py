@@ -1,0 +1,66 @@
+"""The dataset `folder`: any pictures, in the order of their names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Dataset, Sequence
+from codecbench.plugins.datasets.calibration import camera_from_file
+from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence
+from codecbench.plugins.datasets.selection import Selection
+
+
+class FolderParams(Selection):
+    """Parameters of `folder`."""
+
+    path: Annotated[PathParam, Field(description="folder of image files; folders inside it are not searched")]
+    frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0
+    calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
+
+
+class Folder(Dataset[FolderParams]):
+    """Image files in natural order (2 before 10), of any sizes; no ground truth."""
+
+    name: ClassVar[str] = "folder"
+    version: ClassVar[str] = "1"
+    params_type = FolderParams
+
+    def open(self) -> Sequence:
+        params = self.params
+        files = image_files(params.path)
+        chosen = params.indices(len(files), str(params.path))
+        content = Content(
+            name=params.path.resolve().name,
+            where=str(params.path),
+            files=tuple(files[index] for index in chosen),
+            timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
+            frame_rate_hz=params.frame_rate_hz / params.stride,
+            camera=None if params.calibration is None else camera_from_file(params.calibration)[0],
+            color=params.color,
+            sizes_differ=True,
+        )
+        return FileSequence(content)
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The image files of a folder in natural order. Raises DatasetError where there are none."""
+    try:
+        files = [file for file in folder.iterdir() if file.suffix.lower() in EXTENSIONS and not file.name.startswith(".")]
+    except OSError as error:
+        raise DatasetError(f"{folder}: cannot be listed: {error.strerror}; `path` names a folder of images") from error
+    if not files:
+        raise DatasetError(f"{folder}: holds no image files ({', '.join(EXTENSIONS)})")
+    return sorted(files, key=natural_key)
+
+
+def natural_key(file: Path) -> tuple[list[tuple[int, int | str]], str]:
+    """Sorts names so that numbers in them count as numbers."""
+    parts = re.split(r"([0-9]+)", file.name.lower())
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts], file.name

@@ -1,0 +1,99 @@
+"""The dataset `tum`: the layout of the TUM RGB-D benchmark."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
+from codecbench.plugins.datasets.calibration import FREIBURG, camera_from_file
+from codecbench.plugins.datasets.files import Content, FileSequence
+from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.tables import increasing, rate_hz, read_rows, trajectory_from_quaternions
+
+_FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
+
+
+class TumParams(Selection):
+    """Parameters of `tum`."""
+
+    path: Annotated[PathParam, Field(description="folder with rgb.txt, rgb/ and groundtruth.txt")]
+    camera: Annotated[
+        Literal["auto", "freiburg1", "freiburg2", "freiburg3", "none"],
+        Field(description="auto: calib.yaml beside the frames, else by `freiburgN` in the folder's name"),
+    ] = "auto"
+    calibration: Annotated[PathParam | None, Field(description="calibration file to use instead")] = None
+    ground_truth: Annotated[bool, Field(description="false for a sequence without groundtruth.txt")] = True
+
+    @model_validator(mode="after")
+    def _one_camera(self) -> Self:
+        if self.calibration is not None and self.camera != "auto":
+            raise ValueError("give `camera` or `calibration`, not both")
+        return self
+
+
+class Tum(Dataset[TumParams]):
+    """Frames listed in rgb.txt with their times; the camera's true path in groundtruth.txt with its own times.
+
+    Source: Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, and the
+    benchmark's page on file formats.
+    """
+
+    name: ClassVar[str] = "tum"
+    version: ClassVar[str] = "1"
+    params_type = TumParams
+
+    def open(self) -> Sequence:
+        params = self.params
+        folder = params.path
+        if not folder.is_dir():
+            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds rgb.txt")
+        rows = read_rows(folder / "rgb.txt", "the list of frames", 2)
+        times_s = increasing([row.number(0) for row in rows], rows)
+        camera, fps = _camera(params)
+        chosen = params.indices(len(rows), str(folder / "rgb.txt"))
+        content = Content(
+            name=folder.resolve().name,
+            where=str(folder),
+            files=tuple(folder / rows[index].fields[1] for index in chosen),
+            timestamps_s=times_s[np.array(chosen)],
+            frame_rate_hz=(fps or rate_hz(times_s, 30.0)) / params.stride,
+            camera=camera,
+            ground_truth=read_tum_trajectory(folder / "groundtruth.txt") if params.ground_truth else None,
+            color=params.color,
+        )
+        return FileSequence(content)
+
+
+def read_tum_trajectory(file: Path) -> Trajectory:
+    """Poses from lines `time tx ty tz qx qy qz qw`: seconds, metres, world from camera. Raises DatasetError."""
+    remedy = "set `ground_truth: false` to use the frames without it"
+    rows = read_rows(file, "ground truth", 8, remedy=remedy)
+    table = np.array([row.numbers() for row in rows])[:, :8]
+    times_s = increasing(table[:, 0].tolist(), rows)
+    return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)
+
+
+def _camera(params: TumParams) -> tuple[Camera | None, float | None]:
+    if params.camera == "none":
+        return None, None
+    if params.camera != "auto":
+        return FREIBURG[params.camera], None
+    beside = params.path / "calib.yaml"
+    if params.calibration is not None:
+        return camera_from_file(params.calibration)
+    if beside.is_file():
+        return camera_from_file(beside)
+    named = _FOLDER_NAME.search(params.path.resolve().name)
+    if named is None:
+        raise DatasetError(
+            f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "
+            "give `camera`, `calibration`, or `camera: none`"
+        )
+    return FREIBURG[f"freiburg{named[1]}"], None
