@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam.bundle_kernels import (
-    Layout,
     Observations,
     camera_adjacency,
     classify,
@@ -17,6 +16,7 @@ from codecbench.slam.bundle_kernels import (
     robust_cost,
     stable_order,
 )
+from codecbench.slam.bundle_schur import Layout
 from codecbench.slam.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbours
 from codecbench.slam.thresholds import CHI2_95_2DOF
 from codecbench.slam.transforms import Array, orthonormalize
@@ -31,9 +31,9 @@ _ALWAYS_NATURAL_ORDER = 48  # keyframes: below it a search for a better order co
 class Adjustment:
     """What a bundle adjustment found.
 
-    `camera_from_world` (K, 4, 4), `points_world` (P, 3); `inliers` (M,): observations in front of their camera with a
-    chi-square of at most 5.991; `cost_before`, `cost_after`: half the sum of the robust chi-squares of all observations;
-    `iterations`: steps tried in all rounds together.
+    `camera_from_world` (K, 4, 4), `points_world` (P, 3); `inliers` (M,): observations in front of their
+    camera with a chi-square of at most 5.991; `cost_before`, `cost_after`: half the sum of the robust
+    chi-squares of all observations; `iterations`: steps tried in all rounds together.
     """
 
     camera_from_world: Array
@@ -60,16 +60,17 @@ def adjust(
 ) -> Adjustment:
     """Return poses and points that minimise the reprojection error of all observations.
 
-    `camera_from_world` (K, 4, 4); `points_world` (P, 3); observation m is `pixels[m]` (M, 2), undistorted, of point
-    `point_indices[m]` in camera `camera_indices[m]`, with `inverse_sigma2` (M,) in 1/px^2; `intrinsics` (4,): fx, fy, cx,
-    cy; `fixed` (K,) marks cameras that stay. `iterations` gives the steps allowed in each round; after a round the
-    outliers (behind the camera or chi-square above 5.991) leave, and after a later one may come back. `huber` is in
-    units of sigma, None for plain least squares. A round ends when a step lowers the cost by less than `tolerance`
-    of it. Without a fixed camera, or with one, the free gauge stays near where it was. A point with fewer than two
-    observations in use is left where it is and has no say. Raises ValueError for arrays that do not fit together,
-    indices out of range and values that are not finite.
-    Sources: Triggs et al., "Bundle adjustment: a modern synthesis", 2000 (Schur complement); Levenberg-Marquardt with
-    multiplicative damping; rounds as in ORB-SLAM, T-RO 31(5), 2015, where outliers never come back.
+    `camera_from_world` (K, 4, 4); `points_world` (P, 3); observation m is `pixels[m]` (M, 2), undistorted, of
+    point `point_indices[m]` in camera `camera_indices[m]`, with `inverse_sigma2` (M,) in 1/px^2; `intrinsics`
+    (4,): fx, fy, cx, cy; `fixed` (K,) marks cameras that stay. `iterations` gives the steps allowed in each
+    round; after a round the outliers (behind the camera or chi-square above 5.991) leave, and after a later
+    one may come back. `huber` is in units of sigma, None for plain least squares. A round ends when a step
+    lowers the cost by less than `tolerance` of it. Without a fixed camera, or with one, the free gauge stays
+    near where it was. A point with fewer than two observations in use is left where it is and has no say.
+    Raises ValueError for arrays that do not fit together, indices out of range and values that are not
+    finite. Sources: Triggs et al., "Bundle adjustment: a modern synthesis", 2000 (Schur complement);
+    Levenberg-Marquardt with multiplicative damping; rounds as in ORB-SLAM, T-RO 31(5), 2015, where outliers
+    never come back.
     """
     problem = _Problem(
         camera_from_world, points_world, camera_indices, point_indices, pixels, inverse_sigma2, intrinsics, fixed
@@ -141,9 +142,7 @@ class _Problem:
         return found
 
 
-def _layout(
-    cameras: Indices, points: Indices, fixed: NDArray[np.bool_], point_count: int
-) -> Layout:
+def _layout(cameras: Indices, points: Indices, fixed: NDArray[np.bool_], point_count: int) -> Layout:
     """Return the position of each camera in the reduced system and the system's envelope."""
     slots = np.full(len(fixed), -1, dtype=np.int64)
     free = np.flatnonzero(~fixed)
@@ -189,5 +188,5 @@ def _check(
         ("camera_indices", camera_indices, len(poses)),
         ("point_indices", point_indices, len(points)),
     ):
-        if count and not (0 <= indices.min() and indices.max() < limit):
+        if count and (indices.min() < 0 or indices.max() >= limit):
             raise ValueError(f"adjust: {name} span {indices.min()}..{indices.max()}; allowed 0..{limit - 1}")

@@ -43,9 +43,9 @@ class KeyframeDatabase:
         if keyframe in self._bows or keyframe < 0:
             raise ValueError(f"KeyframeDatabase.add: keyframe {keyframe} is negative or indexed already")
         self._check(bow)
-        if not _insert(bow.words, bow.values, keyframe, self._heads, self._next, self._keyframes, self._values, self._free):
+        if not self._insert(keyframe, bow):
             self._grow(len(bow.words))
-            _insert(bow.words, bow.values, keyframe, self._heads, self._next, self._keyframes, self._values, self._free)
+            self._insert(keyframe, bow)
         self._bows[keyframe] = bow
 
     def erase(self, keyframe: int) -> None:
@@ -75,10 +75,10 @@ class KeyframeDatabase:
     ) -> list[int]:
         """Return keyframes that may show the same place, best group first.
 
-        `neighbours` gives the covisible keyframes of one, best first; `excluded` are those that the current keyframe sees
-        anyway (itself and its neighbours); `min_score` is the lowest score between it and them. A candidate must reach
-        `min_score`; scores are added up over groups of covisible keyframes, and each group within 75 % of the best one
-        gives its best keyframe.
+        `neighbours` gives the covisible keyframes of one, best first; `excluded` are those that the current keyframe
+        sees anyway (itself and its neighbours); `min_score` is the lowest score between it and them. A candidate must
+        reach `min_score`; scores are added up over groups of covisible keyframes, and each group within 75 % of the
+        best one gives its best keyframe.
         """
         return self._candidates(bow, neighbours, excluded, min_score)
 
@@ -106,11 +106,15 @@ class KeyframeDatabase:
         return list(dict.fromkeys(best for _, best, _ in ranked))
 
     def _check(self, bow: BowVector) -> None:
-        if len(bow.words) and not (0 <= bow.words[0] and bow.words[-1] < len(self._heads)):
+        if len(bow.words) and (bow.words[0] < 0 or bow.words[-1] >= len(self._heads)):
             raise ValueError(
                 f"KeyframeDatabase: words span {bow.words[0]}..{bow.words[-1]}; allowed 0..{len(self._heads) - 1}: "
                 "take the bag from the vocabulary that the index was made for"
             )
+
+    def _insert(self, keyframe: int, bow: BowVector) -> bool:
+        arrays = self._heads, self._next, self._keyframes, self._values, self._free
+        return bool(_insert(bow.words, bow.values, keyframe, *arrays))
 
     def _grow(self, needed: int) -> None:
         """Chain new postings before the free ones, at least `needed` of them."""
@@ -165,5 +169,3 @@ def _accumulate(words, values, heads, following, keyframes, posting_values, scor
             scores[keyframes[posting]] += min(values[i], posting_values[posting])
             shared[keyframes[posting]] += 1
             posting = following[posting]
-
-

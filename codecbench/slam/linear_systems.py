@@ -1,7 +1,7 @@
 """Symmetric linear systems of the solvers: one small and dense, one large with blocks under an envelope.
 
-Written here rather than taken from LAPACK because the sums must come in one order whatever the number of BLAS threads, so
-that a run is repeated to the last bit, and because the whole iteration then stays in compiled code.
+Written here rather than taken from LAPACK because the sums must come in one order whatever the number of BLAS threads,
+so that a run is repeated to the last bit, and because the whole iteration then stays in compiled code.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def solve_symmetric(matrix, right_side, damping):  # type: ignore[no-untyped-def
 def envelope_order(adjacency: NDArray[np.bool_]) -> Indices:
     """Return the order (n,) of the nodes of a graph that gives the smaller envelope: as they come, or Cuthill-McKee's.
 
-    `adjacency` (n, n) is symmetric. `order[k]` is the node at position k. Source: Cuthill and McKee, 1969; George, 1971.
+    `adjacency` (n, n) is symmetric. `order[k]` is the node at position k.
+    Sources: Cuthill and McKee, 1969; George, 1971.
     """
     natural = np.arange(len(adjacency), dtype=np.int64)
     reverse = reverse_cuthill_mckee(csr_array(adjacency), symmetric_mode=True).astype(np.int64)
@@ -60,7 +61,8 @@ def envelope_order(adjacency: NDArray[np.bool_]) -> Indices:
 def first_neighbours(adjacency: NDArray[np.bool_]) -> Indices:
     """Return for each node (n,) the first position that it is joined to, or its own."""
     linked = adjacency | np.eye(len(adjacency), dtype=np.bool_)
-    return np.argmax(linked, axis=1).astype(np.int64)
+    first: Indices = np.argmax(linked, axis=1).astype(np.int64)
+    return first
 
 
 def envelope_offsets(first: Indices, block: int) -> Indices:

@@ -93,7 +93,7 @@ def _check(nodes: Array, edges: Indices, measurements: Array, weights: Array, fi
             raise ValueError(f"pose_graph.optimize: {name} has shape {array.shape}; expected {shape}")
         if not np.isfinite(array).all():
             raise ValueError(f"pose_graph.optimize: {name} holds a value that is not finite")
-    if len(edges) and not (0 <= edges.min() and edges.max() < len(nodes)):
+    if len(edges) and (edges.min() < 0 or edges.max() >= len(nodes)):
         raise ValueError(
             f"pose_graph.optimize: edges span nodes {edges.min()}..{edges.max()}; allowed 0..{len(nodes) - 1}"
         )

@@ -64,8 +64,8 @@ def optimize_similarity(
     """Return the similarity `a_from_b` (4, 4) that minimises the reprojection errors in both images, and its inliers.
 
     The arguments are those of `estimate_similarity`; points stay where they are in their own camera's frame. Rounds of
-    Levenberg-Marquardt on seven parameters with Huber's kernel; after each, pairs with a chi-square above 9.21 in either
-    image leave (and may come back). With fewer than three inliers left, the last good similarity is returned.
+    Levenberg-Marquardt on seven parameters with Huber's kernel; after each, pairs with a chi-square above 9.21 in
+    either image leave (and may come back). With fewer than three inliers left, the last good similarity is returned.
     Raises ValueError for arrays that do not fit together. Source: ORB-SLAM, T-RO 2015, appendix.
     """
     pairs = _checked(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
@@ -165,9 +165,7 @@ def _refine(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrin
     active, trial = np.ones_like(inliers), similarity.copy()
     for _ in range(_ROUNDS):
         _minimize(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active, trial)
-        found = _classify(
-            trial, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active
-        )
+        found = _classify(trial, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active)
         if found < _MIN_PAIRS:
             return
         similarity[:] = trial

@@ -3,8 +3,8 @@
 Training set: 20 photographs that scikit-image and matplotlib distribute under permissive terms (`PHOTOGRAPHS`), none of
 them from a sequence that the benchmark runs on. From them 3000 pictures of 640 x 480 are composed: a photograph
 seen in perspective at a random scale, mostly behind 10 to 60 polygons cut from others (a "dead leaves" picture, whose
-occlusions and sizes are distributed as in outdoor views), with random gamma, contrast, blur and noise. About 1000 features
-of each make about three million descriptors. The result depends on the seed alone.
+occlusions and sizes are distributed as in outdoor views), with random gamma, contrast, blur and noise. About 1000
+features of each make about three million descriptors. The result depends on the seed alone.
 """
 
 from __future__ import annotations

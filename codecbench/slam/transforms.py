@@ -194,7 +194,8 @@ def sim3_compose(a_from_b: Array, b_from_c: Array) -> Array:
     out = np.zeros((4, 4))
     for i in range(3):
         for j in range(4):
-            out[i, j] = a_from_b[i, 0] * b_from_c[0, j] + a_from_b[i, 1] * b_from_c[1, j] + a_from_b[i, 2] * b_from_c[2, j]
+            for k in range(3):
+                out[i, j] += a_from_b[i, k] * b_from_c[k, j]
         out[i, 3] += a_from_b[i, 3]
     out[3, 3] = 1.0
     return out

@@ -147,7 +147,7 @@ class Vocabulary:
             file.readline()
             rows = np.loadtxt(file, ndmin=2)
         if rows.shape[1] != 35 or not len(rows):
-            raise ValueError(f"{path}: got rows of {rows.shape[1]} numbers; expected 35 (parent, leaf, 32 bytes, weight)")
+            raise ValueError(f"{path}: rows of {rows.shape[1]} numbers; expected 35: parent, leaf, 32 bytes, weight")
         parents = rows[:, 0].astype(np.int64)
         if not (parents < np.arange(1, len(rows) + 1)).all() or parents.min() < 0:
             raise ValueError(f"{path}: a node comes before its parent")
