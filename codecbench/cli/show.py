@@ -44,6 +44,8 @@ def show_summary(result: RunResult) -> None:
 def show_table(frame: pd.DataFrame, result: RunResult) -> None:
     """A table in the terminal; long ones end with how many rows were left out."""
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
     table = Table(title=result.plan.name, title_justify="left", header_style="bold", row_styles=["", "dim"])
     for name in frame.columns:
         number = pd.api.types.is_numeric_dtype(frame[name])

@@ -258,7 +258,8 @@ def _explicit(entry: Entry, registry: Registry) -> list[str]:
     if entry.missing:
         return list(params)
     fields = registry.load(entry.setting.kind, entry.setting.name).params_type.model_fields
-    return [key for key in params if key not in fields or to_jsonable_python(fields[key].default, fallback=str) != params[key]]
+    usual = {key: to_jsonable_python(field.default, fallback=str) for key, field in fields.items()}
+    return [key for key in params if key not in usual or usual[key] != params[key]]
 
 
 def _word(value: Any) -> str:

@@ -1,0 +1,35 @@
+"""`codecbench report` and `codecbench plot`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: RUN/report/report.html.")
+@click.option("--format", "format_", type=click.Choice(["html", "md", "latex"]), default="html", show_default=True)
+def report(run: Path, out: Path | None, format_: str) -> None:
+    """Write a report of the RUN folder: one HTML page that loads nothing, or its tables as Markdown or LaTeX."""
+    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.report.write import write_report
+
+    suffix = {"html": "html", "md": "md", "latex": "tex"}[format_]
+    path = out or run / "report" / f"report.{suffix}"
+    size = write_report(open_run(run), path, format_)
+    click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A folder; default: RUN/report.")
+@click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
+def plot(run: Path, out: Path | None, format_: str) -> None:
+    """Draw the figures of the RUN folder: rate curves, operations, trajectories over ground truth, maps."""
+    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.figures import draw_all
+
+    for path in draw_all(open_run(run), out or run / "report", format_):
+        click.echo(str(path))

@@ -1,0 +1,32 @@
+"""Writes a report in one of its formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.atomic import write_file
+from codecbench.core.results.export import chosen_columns, exported
+from codecbench.core.results.report import page_data
+from codecbench.core.results.report.pictures import frame_pictures, trajectory_pictures
+from codecbench.core.results.report.render import render
+from codecbench.core.results.run_result import RunResult
+
+
+def write_report(run: RunResult, path: Path, format_: str = "html") -> int:
+    """Write the report of a run and return its size in bytes.
+
+    `html`: the whole page. `md`, `latex`: the short table, for a pull request or a paper. Raises ParamsError
+    for another format.
+    """
+    if format_ == "html":
+        pictures = {**frame_pictures(run), "trajectories": trajectory_pictures(run)}
+        content = render(run, pictures).encode()
+    elif format_ in ("md", "latex"):
+        known = page_data.columns(run.wide, run.results)
+        brief = chosen_columns(run.wide, ",".join([*page_data.brief(known), "status"]))
+        content = exported(brief, "markdown" if format_ == "md" else "latex")
+    else:
+        raise ParamsError(f"format {format_!r} is not one of html, md, latex")
+    write_file(path, content)
+    return len(content)
