@@ -90,6 +90,15 @@ def test_originals_without_keypoints_are_missing_with_a_reason(shape: tuple[int,
     assert values(found, "inlier_ratio") == [0.0]
 
 
+@pytest.mark.parametrize("quality", [100, 30, 5])
+def test_a_camera_at_rest_is_no_special_case(quality: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    still = textured(240, 320).astype(np.int16)
+    images = [np.asarray(np.clip(still + rng.integers(-3, 4, still.shape), 0, 255), dtype=np.uint8) for _ in range(8)]
+    found = measured(images, FunctionCodec(lambda image: jpeg(image, quality)), tmp_path)
+    assert all(0.5 < value <= 1.0 for value in values(found, "inlier_ratio"))
+
+
 def test_a_shift_within_tolerance_is_found_and_one_beyond_is_not(tmp_path: Path) -> None:
     """All keypoints move by the same three pixels."""
     image = textured(300, 400)
@@ -157,8 +166,8 @@ def test_a_real_frame_costs_little(data_folder: Path, tmp_path: Path) -> None:
     list(Features.create().evaluate(coded, context(tmp_path)))
     fastest = math.inf
     for _ in range(4):
-        started = time.perf_counter()
+        started = time.process_time()
         found = list(Features.create().evaluate(coded, context(tmp_path)))
-        fastest = min(fastest, (time.perf_counter() - started) / len(images))
+        fastest = min(fastest, (time.process_time() - started) / len(images))
     assert 0.6 < np.mean(values(found, "keypoint_repeatability")) < 0.95
     assert fastest <= 0.035
