@@ -1,10 +1,9 @@
-"""A range coder: arithmetic coding with exact counts, 48 bits wide, with carry propagation.
+"""A range coder: arithmetic coding by counts, 48 bits wide, with carry propagation.
 
 The encoder's state is three integers: `low` and `width` of the range, and the `position` of the next byte; the
 decoder's are `code`, where the stream points within the range, `width` and `position`. Symbols are coded by
-their interval among exact counts; the tables' values by adaptive bits. Division by a total is a product with
-its reciprocal in double precision, the same on both sides and never too large, so that the intervals nest;
-what that and the width of the range lose is below 1e-6 of the payload.
+their interval among the counts, scaled to a power of two so that the range divides by shifting; the tables'
+values are coded by adaptive bits.
 
 Source: G. N. N. Martin, "Range encoding: an algorithm for removing redundancy from a digitised message" (1979).
 """
@@ -21,21 +20,14 @@ TOP = 1 << 48
 _BOTTOM = 1 << 40
 _BELOW_BOTTOM = _BOTTOM - 1
 _BELOW_LAST_BYTES = (1 << 32) - 1
-_SLIGHTLY_LESS = 1.0 - 2.0**-50
-
 LOOK_AHEAD = 6
 """Bytes that the decoder reads before the first symbol: 48 bits."""
 
 UNWRITTEN = 4
 """Bytes, all zero, that the decoder reads beyond what the encoder wrote."""
 
-_LOOKUP_LIMIT = 1 << 17
-
-
-@kernel
-def reciprocal(total: Any) -> Any:
-    """A little less than 1 / total, so that range * reciprocal never exceeds range / total."""
-    return _SLIGHTLY_LESS / total
+_SPARE_BITS = 6
+_LOOKUP_BITS = 17
 
 
 @kernel
@@ -155,31 +147,42 @@ def _adapt(models: Any, context: Any, bit: Any) -> None:
 
 
 @kernel
-def cumulate(counts: Any, starts: Any) -> Any:
-    """starts[s] = counts[0] + ... + counts[s - 1], for (U,) counts and (U + 1,) starts; returns the total."""
+def share_out(counts: Any, starts: Any) -> Any:
+    """Share 2^bits units out among symbols in proportion to their counts; returns `bits`.
+
+    counts: (U,) int64, each at least 1. starts: (U + 1,) int64, filled: where each symbol's units begin. A count
+    of one gets 64 to 127 units, so that rounding costs less than 1e-4 of the payload.
+    """
     total = np.int64(0)
     for symbol in range(counts.shape[0]):
-        starts[symbol] = total
         total += counts[symbol]
-    starts[counts.shape[0]] = total
-    return total
+    bits = _SPARE_BITS
+    while (1 << (bits - _SPARE_BITS)) < total:
+        bits += 1
+    scale = (1 << bits) / total
+    before = np.int64(0)
+    for symbol in range(counts.shape[0]):
+        starts[symbol] = np.int64(before * scale)
+        before += counts[symbol]
+    starts[counts.shape[0]] = 1 << bits
+    return bits
 
 
 @kernel
 def encode_symbols(symbols: Any, counts: Any, starts: Any, out: Any) -> Any:
-    """Code every symbol with its exact count; returns the length of the output.
+    """Code every symbol in proportion to its count; returns the length of the output.
 
     symbols: (n,) int32 in 0..U-1. counts: (U,) int64, how often each occurs. starts: (U + 1,) int64, filled.
     out: at least 4 n + 16 bytes.
     """
-    inverse = reciprocal(cumulate(counts, starts))
+    bits = share_out(counts, starts)
     low = np.int64(0)
     width = np.int64(TOP - 1)
     position = 0
     for i in range(symbols.shape[0]):
-        symbol = symbols[i]
-        unit = np.int64(width * inverse)
-        low, width, position = encode_interval(low, width, position, out, starts[symbol], counts[symbol], unit)
+        start = starts[symbols[i]]
+        count = starts[symbols[i] + 1] - start
+        low, width, position = encode_interval(low, width, position, out, start, count, width >> bits)
     return finish_encoder(low, position, out)
 
 
@@ -190,28 +193,24 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
     counts: (U,) int64, each at least 1, with sum n. starts: (U + 1,) int64, filled. The histogram of what is
     decoded must be the counts themselves (-1), and no code may lie outside all intervals (-2).
     """
-    total = cumulate(counts, starts)
-    inverse = reciprocal(total)
-    shift = 0
-    while (total >> shift) > _LOOKUP_LIMIT:
-        shift += 1
-    lookup = np.empty((total >> shift) + 1, np.int32)
+    bits = share_out(counts, starts)
+    shift = max(bits - _LOOKUP_BITS, 0)
+    lookup = np.empty(1 << (bits - shift), np.int32)
     _fill_lookup(starts, shift, lookup)
     left = np.empty(counts.shape[0], np.int64)
-    for symbol in range(counts.shape[0]):
-        left[symbol] = counts[symbol]
+    for place in range(counts.shape[0]):
+        left[place] = counts[place]
     favourite = _most_frequent(counts)
     code = first_code(data)
     width = np.int64(TOP - 1)
     position = LOOK_AHEAD
     for i in range(symbols.shape[0]):
-        unit = np.int64(width * inverse)
+        unit = width >> bits
         # Trying the most frequent symbol first saves a division, and the wait for it, on most symbols.
         symbol = favourite
-        start = starts[symbol] * unit
-        if code < start or code >= start + counts[symbol] * unit:
+        if code < starts[symbol] * unit or code >= starts[symbol + 1] * unit:
             target = quotient_of(code, unit)
-            if target >= total:
+            if (target >> bits) > 0:
                 return -2
             symbol = np.int64(lookup[target >> shift])
             while starts[symbol + 1] <= target:
@@ -220,18 +219,19 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
         left[symbol] -= 1
         if left[symbol] < 0:
             return -1
-        code, width, position = decode_interval(code, position, data, starts[symbol], counts[symbol], unit)
+        start = starts[symbol]
+        code, width, position = decode_interval(code, position, data, start, starts[symbol + 1] - start, unit)
     return position
 
 
 @kernel
 def _most_frequent(counts: Any) -> Any:
     """The first symbol of the largest count."""
-    favourite = 0
+    favourite = np.int64(0)
     for symbol in range(counts.shape[0]):
         if counts[symbol] > counts[favourite]:
-            favourite = symbol
-    return np.int64(favourite)
+            favourite = np.int64(symbol)
+    return favourite
 
 
 @kernel
@@ -239,6 +239,6 @@ def _fill_lookup(starts: Any, shift: Any, lookup: Any) -> None:
     """lookup[k]: the symbol whose interval holds k << shift."""
     symbol = 0
     for k in range(lookup.shape[0]):
-        while symbol < starts.shape[0] - 2 and starts[symbol + 1] <= k << shift:
+        while starts[symbol + 1] <= k << shift:
             symbol += 1
         lookup[k] = symbol
