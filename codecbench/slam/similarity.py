@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,18 @@ _CONFIDENCE = 0.99  # probability of having drawn a sample without outliers when
 _ROUNDS = 3  # of the refinement; outliers leave after each
 _ITERATIONS_A_ROUND = 10
 _MIN_PAIRS = 3
+
+
+class Pairs(NamedTuple):
+    """Points that two keyframes share: where each has them in its camera's frame, and where it saw them."""
+
+    points_a: Any
+    points_b: Any
+    pixels_a: Any
+    pixels_b: Any
+    weights_a: Any
+    weights_b: Any
+    intrinsics: Any
 
 
 def estimate_similarity(
@@ -41,13 +54,13 @@ def estimate_similarity(
     Sources: Horn, JOSA A 4(4), 1987, and Umeyama, PAMI 13(4), 1991 (closed form); ORB-SLAM, T-RO 2015, section VII-B.
     """
     pairs = _checked(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
-    count = len(pairs[0])
+    count = len(pairs.points_a)
     if count < max(min_inliers, _MIN_PAIRS):
         return None
     samples = rng.integers(0, [count, count - 1, count - 2], size=(iterations, 3))
     inliers = np.zeros(count, dtype=np.bool_)
     a_from_b = np.eye(4)
-    found = _ransac(*pairs, samples, a_from_b, inliers)
+    found = _ransac(pairs, samples, a_from_b, inliers)
     return (a_from_b, inliers) if found >= max(min_inliers, _MIN_PAIRS) else None
 
 
@@ -72,12 +85,12 @@ def optimize_similarity(
     similarity = np.array(a_from_b, dtype=np.float64)
     if similarity.shape != (4, 4) or not np.linalg.det(similarity[:3, :3]) > 0.0:
         raise ValueError("optimize_similarity: a_from_b is no (4, 4) similarity with a positive determinant")
-    inliers = np.zeros(len(pairs[0]), dtype=np.bool_)
-    _refine(*pairs, similarity, inliers)
+    inliers = np.zeros(len(pairs.points_a), dtype=np.bool_)
+    _refine(pairs, similarity, inliers)
     return similarity, inliers
 
 
-def _checked(*arrays: Array) -> tuple[Array, ...]:
+def _checked(*arrays: Array) -> Pairs:
     """Return points, pixels, inverse variances of a and b and the intrinsics as contiguous floats."""
     out = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
     n = len(out[0])
@@ -86,7 +99,7 @@ def _checked(*arrays: Array) -> tuple[Array, ...]:
     for name, array, shape in zip(names, out, shapes, strict=True):
         if array.shape != shape:
             raise ValueError(f"similarity: {name} has shape {array.shape}; expected {shape}")
-    return out
+    return Pairs(*out)
 
 
 @njit(cache=True)
@@ -109,22 +122,21 @@ def _chi2(transform, point, pixel, weight, intrinsics):  # type: ignore[no-untyp
 
 
 @njit(cache=True)
-def _classify(a_from_b, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, inliers):  # type: ignore[no-untyped-def]
+def _classify(a_from_b, pairs, inliers):  # type: ignore[no-untyped-def]
     """Mark the pairs that fit in both images; return their number."""
-    b_from_a, count = sim3_inverse(a_from_b), 0
-    for i in range(points_a.shape[0]):
-        inliers[i] = (
-            _chi2(a_from_b, points_b[i], pixels_a[i], weights_a[i], intrinsics) <= CHI2_99_2DOF
-            and _chi2(b_from_a, points_a[i], pixels_b[i], weights_b[i], intrinsics) <= CHI2_99_2DOF
-        )
+    b_from_a, count, intrinsics = sim3_inverse(a_from_b), 0, pairs.intrinsics
+    for i in range(pairs.points_a.shape[0]):
+        in_a = _chi2(a_from_b, pairs.points_b[i], pairs.pixels_a[i], pairs.weights_a[i], intrinsics)
+        in_b = _chi2(b_from_a, pairs.points_a[i], pairs.pixels_b[i], pairs.weights_b[i], intrinsics)
+        inliers[i] = max(in_a, in_b) <= CHI2_99_2DOF
         count += inliers[i]
     return count
 
 
 @njit(cache=True)
-def _ransac(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, samples, best, inliers):  # type: ignore[no-untyped-def]
+def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
     """Fill `best` and `inliers` from samples of three; return the number of inliers."""
-    total, best_count, needed = points_a.shape[0], 0, float(samples.shape[0])
+    total, best_count, needed = pairs.points_a.shape[0], 0, float(samples.shape[0])
     trial_inliers, triple_a, triple_b = np.empty_like(inliers), np.empty((3, 3)), np.empty((3, 3))
     for k in range(samples.shape[0]):
         if k >= needed:
@@ -136,14 +148,12 @@ def _ransac(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrin
             if third >= taken:
                 third += 1
         for row, index in enumerate((first, second, third)):
-            triple_a[row], triple_b[row] = points_a[index], points_b[index]
+            triple_a[row], triple_b[row] = pairs.points_a[index], pairs.points_b[index]
         scale, rotation, translation = align_points(triple_a, triple_b, True)
         if not (scale > 1e-9 and scale < 1e9):
             continue
         trial = sim3_from_parts(scale, rotation, translation)
-        count = _classify(
-            trial, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, trial_inliers
-        )
+        count = _classify(trial, pairs, trial_inliers)
         if count > best_count:
             best_count = count
             best[:], inliers[:] = trial, trial_inliers
@@ -151,9 +161,9 @@ def _ransac(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrin
             needed = math.log(1.0 - _CONFIDENCE) / math.log(1.0 - good) if good > 1e-12 else needed
     if best_count < _MIN_PAIRS:
         return best_count
-    scale, rotation, translation = align_points(points_a[inliers], points_b[inliers], True)
+    scale, rotation, translation = align_points(pairs.points_a[inliers], pairs.points_b[inliers], True)
     trial = sim3_from_parts(scale, rotation, translation)
-    count = _classify(trial, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, trial_inliers)
+    count = _classify(trial, pairs, trial_inliers)
     if count >= best_count:
         best_count = count
         best[:], inliers[:] = trial, trial_inliers
@@ -161,11 +171,11 @@ def _ransac(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrin
 
 
 @njit(cache=True)
-def _refine(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, similarity, inliers):  # type: ignore[no-untyped-def]
+def _refine(pairs, similarity, inliers):  # type: ignore[no-untyped-def]
     active, trial = np.ones_like(inliers), similarity.copy()
     for _ in range(_ROUNDS):
-        _minimize(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active, trial)
-        found = _classify(trial, points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active)
+        _minimize(pairs, active, trial)
+        found = _classify(trial, pairs, active)
         if found < _MIN_PAIRS:
             return
         similarity[:] = trial
@@ -176,14 +186,14 @@ def _refine(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrin
 
 
 @njit(cache=True)
-def _minimize(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active, similarity):  # type: ignore[no-untyped-def]
+def _minimize(pairs, active, similarity):  # type: ignore[no-untyped-def]
     hessian, gradient = np.empty((7, 7)), np.empty(7)
     damping, cost = 1e-4, np.inf
     trial, step_size = similarity.copy(), np.inf
     for iteration in range(_ITERATIONS_A_ROUND + 1):
         trial_hessian, trial_gradient = np.zeros((7, 7)), np.zeros(7)
         trial_cost = _linearize(
-            points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active, trial,
+            pairs, active, trial,
             trial_hessian, trial_gradient,
         )  # fmt: skip
         if trial_cost < cost or iteration == 0:
@@ -205,20 +215,20 @@ def _minimize(points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intr
 
 @njit(cache=True)
 def _linearize(  # type: ignore[no-untyped-def]
-    points_a, points_b, pixels_a, pixels_b, weights_a, weights_b, intrinsics, active, similarity, hessian, gradient
+    pairs, active, similarity, hessian, gradient
 ):
     """Add the normal equations of both images; return the robust cost."""
-    inverse, cost = sim3_inverse(similarity), 0.0
+    inverse, cost, intrinsics = sim3_inverse(similarity), 0.0, pairs.intrinsics
     motion, identity = np.empty((3, 7)), np.eye(3)
-    for i in range(points_a.shape[0]):
+    for i in range(pairs.points_a.shape[0]):
         if not active[i]:
             continue
-        in_a = _transformed(similarity, points_b[i])
+        in_a = _transformed(similarity, pairs.points_b[i])
         _point_motion(in_a, identity, 1.0, motion)
-        cost += _add(in_a, motion, pixels_a[i], weights_a[i], intrinsics, hessian, gradient)
-        in_b = _transformed(inverse, points_a[i])
-        _point_motion(points_a[i], inverse[:3, :3], -1.0, motion)
-        cost += _add(in_b, motion, pixels_b[i], weights_b[i], intrinsics, hessian, gradient)
+        cost += _add(in_a, motion, pairs.pixels_a[i], pairs.weights_a[i], intrinsics, hessian, gradient)
+        in_b = _transformed(inverse, pairs.points_a[i])
+        _point_motion(pairs.points_a[i], inverse[:3, :3], -1.0, motion)
+        cost += _add(in_b, motion, pairs.pixels_b[i], pairs.weights_b[i], intrinsics, hessian, gradient)
     return cost
 
 

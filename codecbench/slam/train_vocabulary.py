@@ -70,7 +70,7 @@ def compose_picture(photographs: list[Gray], rng: np.random.Generator) -> Gray:
             picture = np.where(mask, views[int(rng.integers(len(views)))], picture)
     levels = (picture / 255.0) ** rng.uniform(0.6, 1.6) * 255.0
     levels = (levels - 128.0) * rng.uniform(0.5, 1.2) + 128.0 + rng.uniform(-30.0, 30.0)
-    levels = cv2.GaussianBlur(levels, (0, 0), rng.uniform(0.3, 1.2))
+    levels = np.asarray(cv2.GaussianBlur(levels, (0, 0), rng.uniform(0.3, 1.2)), dtype=np.float64)
     levels += rng.normal(0.0, rng.uniform(0.0, 5.0), levels.shape)
     return np.clip(np.rint(levels), 0.0, 255.0).astype(np.uint8)
 
@@ -81,7 +81,8 @@ def _perspective_view(photographs: list[Gray], rng: np.random.Generator) -> Gray
     height, width = photograph.shape
     scale = np.exp(rng.uniform(np.log(0.25), np.log(1.5)))
     if scale < 1.0:  # smooth before shrinking, as a camera's pixels do
-        photograph = cv2.resize(photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        shrunk = cv2.resize(photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        photograph = np.asarray(shrunk, dtype=np.uint8)
         height, width, scale = *photograph.shape, 1.0
     angle = rng.normal(0.0, 0.3) + rng.integers(4) * (np.pi / 2.0 if rng.random() < 0.3 else 0.0)
     centre = np.array([rng.uniform(0.0, width), rng.uniform(0.0, height)])
@@ -125,7 +126,7 @@ def train(
     counts, nodes, weights = [], [], []
     level = [np.arange(len(descriptors))]
     for height in range(depth + 1):
-        following = []
+        following: list[Indices] = []
         for members in level:
             distinct = len(np.unique(descriptors[members], axis=0)) if len(members) <= branches else branches
             if height == depth or distinct < 2:
