@@ -14,6 +14,8 @@ import math
 import sys
 import tokenize
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType, ModuleType, SimpleNamespace
@@ -187,6 +189,21 @@ class Oracle:
         elif name == "UNARY_NOT" or ("JUMP" in name and ("IF_TRUE" in name or "IF_FALSE" in name)):
             tested_before = previous in ("COMPARE_OP", "UNARY_NOT") or previous.startswith("JUMP_IF")
             self._count(() if tested_before else ("comparisons",))
+
+
+class OracleTrace:
+    """A trace that runs every kernel in the interpreter."""
+
+    def __init__(self) -> None:
+        self.oracles: dict[str, Oracle] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Any]:
+        yield self.oracles.setdefault(name, Oracle()).run
+
+    @property
+    def counters(self) -> dict[str, list[int]]:
+        return {name: oracle.counters for name, oracle in self.oracles.items()}
 
 
 def _integer(numpy_type: Any) -> Any:

@@ -94,7 +94,7 @@ class Operations(CodecEvaluator[OperationsParams]):
     def _available(self, codec: Codec[Any]) -> list[Family]:
         """The requested families that there are for this codec here; Unsupported, with reasons, if none."""
         reasons: dict[Family, str | None] = {
-            "source": None if codec.capabilities.counts_operations else f"{codec.name} is opaque: it runs no kernels",
+            "source": None if codec.capabilities.counts_operations else f"{codec.name} is opaque: it runs no kernels that could be counted",
             "model": None if self._has_model(codec) else f"the paper has no model of {codec.name} with this setting",
             "machine": machine.missing(),
         }

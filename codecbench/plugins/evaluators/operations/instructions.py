@@ -57,20 +57,42 @@ def read_profile(lines: Iterable[str]) -> dict[str, Counter[int]]:
     return executed
 
 
+def relocated(objects: dict[str, Counter[int]], code: dict[str, list[tuple[int, bytes]]]) -> dict[str, Counter[int]]:
+    """The profile with what was executed outside of its object's code given to the object that it belongs to.
+
+    A jump, rather than a call, from one library into another leaves callgrind in the first. The other is known
+    by having executed the same address on its own account.
+    """
+    found = {name: Counter[int]() for name in objects}
+    for name, addresses in objects.items():
+        for address, times in addresses.items():
+            owner = name
+            if not _covers(code[name], address):
+                others = (other for other in objects if address in objects[other] and _covers(code[other], address))
+                owner = next(others, name)
+            found[owner][address] += times
+    return found
+
+
+def _covers(code: list[tuple[int, bytes]], address: int) -> bool:
+    return any(0 <= address - start < len(text) for start, text in code)
+
+
 def classified(executed: Counter[int], code: list[tuple[int, bytes]]) -> tuple[OperationCounts, int]:
     """Counts of executed instructions, and how many lie outside `code`, which is (address, bytes) pieces."""
     import iced_x86
 
     names = {value: name for name, value in vars(iced_x86.Mnemonic).items() if isinstance(value, int)}
     factory = iced_x86.InstructionInfoFactory()
+    pieces = [(start, memoryview(text)) for start, text in code]
     totals: Counter[str] = Counter()
     unknown = 0
     for address, times in executed.items():
-        piece = next((text[address - start :][:15] for start, text in code if 0 <= address - start < len(text)), None)
+        piece = next((text[address - start :][:15] for start, text in pieces if 0 <= address - start < len(text)), None)
         if piece is None:
             unknown += times
             continue
-        instruction = iced_x86.Decoder(64, piece, ip=address).decode()
+        instruction = iced_x86.Decoder(64, bytes(piece), ip=address).decode()
         for counter in (*counters_of(names[instruction.mnemonic]), *_accesses(factory.info(instruction), iced_x86)):
             totals[counter] += times
     return OperationCounts(**{name: totals[name] for name in (*CLASSES, "divisions")}), unknown

@@ -15,10 +15,11 @@ from typing import Any
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.image import Image
 from codecbench.core.instrument.operations import OperationCounts
-from codecbench.plugins.evaluators.operations.instructions import classified, object_code, read_profile
+from codecbench.plugins.evaluators.operations.instructions import classified, object_code, read_profile, relocated
 
 _CHILD = "codecbench.plugins.evaluators.operations.machine_child"
 _TIMEOUT_S = 1800.0
+_MAX_UNKNOWN_SHARE = 0.005
 _CALLGRIND = (
     "--tool=callgrind",
     "--dump-instr=yes",
@@ -62,15 +63,15 @@ def executed(codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
 def _counted(profile: Path, kernels: list[tuple[int, bytes]]) -> OperationCounts:
     with profile.open() as lines:
         objects = read_profile(lines)
+    code = {name: object_code(Path(name)) if Path(name).is_file() else kernels for name in objects}
     total, unknown, everything = OperationCounts(), 0, 0
-    for name, addresses in objects.items():
+    for name, addresses in relocated(objects, code).items():
         if _is_interpreter(name):
             continue
-        file = Path(name)
-        counts, lost = classified(addresses, object_code(file) if file.is_file() else kernels)
+        counts, lost = classified(addresses, code[name])
         total, unknown = total + counts, unknown + lost
         everything += addresses.total()
-    if unknown > 0.001 * everything:
+    if unknown > _MAX_UNKNOWN_SHARE * everything:
         raise RuntimeError(f"{unknown} of {everything} executed instructions lie in no known code")
     return total
 

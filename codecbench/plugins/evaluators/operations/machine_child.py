@@ -11,6 +11,7 @@ import ctypes
 import gc
 import mmap
 import pickle
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from typing import Any
 _REQUEST_BASE = ord("C") << 24 | ord("T") << 16
 _ZERO_STATS, _DUMP_STATS_AT = _REQUEST_BASE + 1, _REQUEST_BASE + 3
 _START, _STOP = _REQUEST_BASE + 4, _REQUEST_BASE + 5
+
+_SET_PARENT_DEATH_SIGNAL = 1
 
 _PREAMBLE = bytes.fromhex(
     "4889f8"  # mov rax, rdi: the address of the request
@@ -67,6 +70,7 @@ def code_in_memory() -> list[tuple[int, bytes]]:
 
 def main(folder: Path) -> None:
     """Run the task in `folder` and leave the code of kernels beside the profiles."""
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)  # do not outlive a cell that is given up
     codec_type, params, image = pickle.loads((folder / "task.pickle").read_bytes())
     codec = codec_type(params)
     codec.decode(codec.encode(image))
