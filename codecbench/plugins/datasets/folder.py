@@ -52,9 +52,10 @@ class Folder(Dataset[FolderParams]):
 def image_files(folder: Path) -> list[Path]:
     """The image files of a folder in natural order. Raises DatasetError where there are none."""
     try:
-        files = [file for file in folder.iterdir() if file.suffix.lower() in EXTENSIONS and not file.name.startswith(".")]
+        names = [file for file in folder.iterdir() if not file.name.startswith(".")]
     except OSError as error:
         raise DatasetError(f"{folder}: cannot be listed: {error.strerror}; `path` names a folder of images") from error
+    files = [file for file in names if file.suffix.lower() in EXTENSIONS]
     if not files:
         raise DatasetError(f"{folder}: holds no image files ({', '.join(EXTENSIONS)})")
     return sorted(files, key=natural_key)

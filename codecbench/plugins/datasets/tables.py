@@ -62,7 +62,7 @@ def read_text(file: Path, what: str, remedy: str = "") -> str:
     except OSError as error:
         raise DatasetError(f"{file}: {what} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise DatasetError(f"{file}: {what} is not text: byte {error.start} is {error.object[error.start]:#x}") from error
+        raise DatasetError(f"{file}: {what} is not text, at byte {error.start}") from error
 
 
 def read_rows(file: Path, what: str, columns: int, separator: str | None = None, remedy: str = "") -> list[Row]:
@@ -91,7 +91,7 @@ def increasing(times_s: Sequence[float], rows: Sequence[Row]) -> Floats:
     for before, now, row in zip(times_s, times_s[1:], rows[1:], strict=False):
         if now <= before:
             kind = "repeats" if now == before else "is before"
-            raise DatasetError(f"{row.where}: time {row.fields[0]} {kind} that of the row before; sort the file by time")
+            raise DatasetError(f"{row.where}: time {row.fields[0]} {kind} that of the row before; sort the file")
     return np.array(times_s, dtype=np.float64)
 
 

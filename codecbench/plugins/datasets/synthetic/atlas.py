@@ -17,9 +17,10 @@ from codecbench.plugins.datasets.synthetic.textures import halved, rounded
 class Atlas:
     """What the renderer reads.
 
-    edges: (P, 3, 3) corner, right and down of each panel, metres, world. texels: (N,) uint32, all levels
-    of all textures, row by row, red in the lowest byte. first_level: (P,) row of `levels` at which a panel's texture begins. level_count: (P,).
-    levels: (L, 3) offset into `texels`, height, width; each level has half the sides of the one before.
+    edges: (P, 3, 3) corner, right and down of each panel, metres, world. texels: (N,) uint32, all levels of all
+    textures, row by row, red in the lowest byte. first_level: (P,) row of `levels` at which a panel's texture
+    begins. level_count: (P,). levels: (L, 3) offset into `texels`, height, width; each level has half the sides
+    of the one before.
     """
 
     edges: NDArray[np.float64]

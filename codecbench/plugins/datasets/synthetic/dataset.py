@@ -15,7 +15,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
 from codecbench.core.instrument.cache import cache_folder
-from codecbench.plugins.datasets.selection import Color, Selection, converted
+from codecbench.plugins.datasets.selection import Selection, converted
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
@@ -79,7 +79,7 @@ class SyntheticSequence(Sequence):
         if image is None:
             image = self._render(source)
             self._store.save(source, image)
-        return Frame(index, float(self.timestamps_s[index]), converted(image, _channels(self._params.color)))
+        return Frame(index, float(self.timestamps_s[index]), converted(image, self._params.color))
 
     def _render(self, source: int) -> Image:
         from codecbench.plugins.datasets.synthetic.sensor import sensed
@@ -102,10 +102,6 @@ def room_camera(width: int, height: int) -> Camera:
     """A camera without distortion with the field of view of TUM's: 525 pixels of focal length at 640 wide."""
     focal_px = 525.0 * width / 640.0
     return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
-
-
-def _channels(color: Color) -> Color:
-    return "gray" if color == "gray" else "rgb"
 
 
 @cache

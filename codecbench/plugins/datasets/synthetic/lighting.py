@@ -82,53 +82,51 @@ def _cosine_directions(rng: np.random.Generator) -> Floats:
 
 @njit(cache=True)
 def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: Any) -> Any:
-    """The light (N,) that falls on points of one surface; `nearby` are the edges that its sky rays can reach."""
+    """The light (N,) on points of one surface; `nearby` are the edges that its sky rays can reach."""
     helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
     first = np.cross(normal, helper)
     first /= np.sqrt((first * first).sum())
     second = np.cross(normal, first)
+    normals, nearby_normals = np.cross(edges[:, 2], edges[:, 1]), np.cross(nearby[:, 2], nearby[:, 1])
     light = np.empty(len(points))
     for i in range(len(points)):
         point = points[i]
         free = 0.0
         for ray in range(len(sky)):
-            towards = sky[ray, 0] * first + sky[ray, 1] * second + sky[ray, 2] * normal
-            free += 1.0 - _nearest(point, towards, _SKY_REACH_M, nearby)
+            towards = _SKY_REACH_M * (sky[ray, 0] * first + sky[ray, 1] * second + sky[ray, 2] * normal)
+            free += 1.0 - _kept_off(point, towards, nearby, nearby_normals)
         direct = 0.0
         for lamp in range(len(lamps)):
             towards = lamps[lamp] - point
             square = (towards * towards).sum()
             incidence = (towards * normal).sum()
-            if incidence > 0.0 and towards[2] > 0.0 and _nearest(point, towards, 1.0, edges) == 0.0:
+            if incidence > 0.0 and towards[2] > 0.0 and _kept_off(point, towards, edges, normals) == 0.0:
                 direct += incidence * towards[2] / (square * square + 0.5 * square)
         light[i] = _SKY * free / len(sky) + _LAMP * direct / len(lamps)
     return light
 
 
 @njit(cache=True)
-def _nearest(point: Any, towards: Any, reach: float, edges: Any) -> float:
-    """How much of the light from one direction is kept off, 0..1: 1 for an obstacle at hand, 0 for none.
+def _kept_off(point: Any, towards: Any, edges: Any, normals: Any) -> float:
+    """How much of the light from one direction an obstacle keeps off: 1 at hand, falling to 0 at point + towards.
 
-    Obstacles count up to `reach` times `towards`; panels block from both sides.
+    Obstacles are the fronts of panels: a ray into a box enters through one.
     """
-    nearest = reach
+    nearest = 1.0
     for k in range(len(edges)):
-        right, down = edges[k, 1], edges[k, 2]
-        nx = right[1] * down[2] - right[2] * down[1]
-        ny = right[2] * down[0] - right[0] * down[2]
-        nz = right[0] * down[1] - right[1] * down[0]
+        slope = normals[k, 0] * towards[0] + normals[k, 1] * towards[1] + normals[k, 2] * towards[2]
+        if slope >= 0.0:
+            continue
         ox, oy, oz = edges[k, 0, 0] - point[0], edges[k, 0, 1] - point[1], edges[k, 0, 2] - point[2]
-        slope = nx * towards[0] + ny * towards[1] + nz * towards[2]
-        if slope == 0.0:
+        height = normals[k, 0] * ox + normals[k, 1] * oy + normals[k, 2] * oz
+        if height >= 0.0 or height <= nearest * slope:
             continue
-        distance = (nx * ox + ny * oy + nz * oz) / slope
-        if distance <= 0.0 or distance >= nearest:
-            continue
+        distance = height / slope
         hx, hy, hz = distance * towards[0] - ox, distance * towards[1] - oy, distance * towards[2] - oz
-        along = hx * right[0] + hy * right[1] + hz * right[2]
-        below = hx * down[0] + hy * down[1] + hz * down[2]
-        wide = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
-        high = down[0] * down[0] + down[1] * down[1] + down[2] * down[2]
+        along = hx * edges[k, 1, 0] + hy * edges[k, 1, 1] + hz * edges[k, 1, 2]
+        below = hx * edges[k, 2, 0] + hy * edges[k, 2, 1] + hz * edges[k, 2, 2]
+        wide = edges[k, 1, 0] ** 2 + edges[k, 1, 1] ** 2 + edges[k, 1, 2] ** 2
+        high = edges[k, 2, 0] ** 2 + edges[k, 2, 1] ** 2 + edges[k, 2, 2] ** 2
         if 0.0 <= along <= wide and 0.0 <= below <= high:
             nearest = distance
-    return 1.0 - nearest / reach
+    return 1.0 - nearest

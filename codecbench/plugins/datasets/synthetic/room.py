@@ -56,7 +56,7 @@ def _shell(rng: np.random.Generator) -> list[Panel]:
     plaster = toned(strewn("moon", high, long, rng, 160, 0.9), (214, 200, 172), 0.85)
     stone = toned(strewn("gravel", high, long, rng, 150, 0.8), (172, 164, 158), 0.45)
     paper = toned(strewn("grass", high, short, rng, 170, 0.9), (142, 164, 140), 0.42)
-    height, width = photograph("galaxies").shape[:2]
+    width = photograph("galaxies").shape[1]
     sky = photograph("galaxies")[60 : 60 + width * high // short]
     floor = planks(texels(2 * HALF_Y, 300.0), texels(2 * HALF_X, 300.0), rng, (168, 118, 74), 40)
     ceiling = toned(strewn("moon", short, long, rng, 200, 0.7), (226, 222, 214), 0.5)
@@ -99,8 +99,8 @@ def _north(rng: np.random.Generator) -> list[Panel]:
     panels += _at_wall(
         box((0, -0.09, 0), (1.1, 0.18, 2.6), lambda *_: chimney, 0, ("back", "top", "bottom")), "north", 0.0
     )
-    panels += _at_wall(furniture.picture("astronaut", 0.72, rng), "north", 0.0, 1.62)[:]
-    panels = panels[:-5] + placed(panels[-5:], (0.0, -0.18, 0.0))
+    portrait = placed(furniture.picture("astronaut", 0.72, rng), (0, -0.18, 0))
+    panels += _at_wall(portrait, "north", 0.0, 1.62)
     panels += _at_wall(furniture.cabinet(1.6, 0.82, ("retina", "coins", "camera"), rng, PALE), "north", 1.72)
     panels += _at_wall(furniture.picture("coffee", 0.80, rng, PALE), "north", 1.42, 1.62)
     panels += _at_wall(furniture.picture("coins", 0.55, rng), "north", 2.24, 1.45)

@@ -41,11 +41,13 @@ def _between(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
     low = places.astype(np.int64)
     high = np.minimum(low + 1, pixels.shape[axis] - 1)
     share = (places - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
-    return pixels.take(low, axis) * (1 - share) + pixels.take(high, axis) * share
+    between = pixels.take(low, axis) * (1 - share) + pixels.take(high, axis) * share
+    return np.asarray(between, dtype=np.float32)
 
 
 def rounded(pixels: NDArray[np.floating]) -> Image:
-    return np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
+    """The nearest gray levels, 0..255."""
+    return np.asarray(np.clip(np.rint(pixels), 0, 255), dtype=np.uint8)
 
 
 def crop(name: str, height: int, width: int, rng: np.random.Generator, zoom: float = 1.0) -> Image:
@@ -75,30 +77,30 @@ def toned(image: Image, color: Color, contrast: float = 1.0) -> Image:
 
 
 def strewn(name: str, height: int, width: int, rng: np.random.Generator, patch: int, zoom: float = 1.0) -> Image:
-    """A large surface without repetition or seams, from overlapping random patches of a photograph.
+    """A large gray surface without repetition or seams, from overlapping random patches of a photograph.
 
     Patches are weighted by a smooth window, and the sum is scaled so that contrast stays as it was.
     Source: Heitz and Neyret, "High-Performance By-Example Noise using a Histogram-Preserving Blending
     Operator", 2018, equation 2, without its histogram transform.
     """
     photo = photograph(name)
-    source = resized(photo, int(photo.shape[0] * zoom), int(photo.shape[1] * zoom)).astype(np.float32)
-    mean = source.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
-    patch = min(patch, *source.shape[:2]) // 2 * 2
+    source = resized(photo, int(photo.shape[0] * zoom), int(photo.shape[1] * zoom))[:, :, 1].astype(np.float32)
+    mean = np.float32(source.mean(dtype=np.float64))
+    patch = min(patch, *source.shape) // 2 * 2
     ramp = 1.0 - np.abs((np.arange(patch) + 0.5) / (patch / 2) - 1.0)
     window = (ramp * ramp * (3 - 2 * ramp)).astype(np.float32)
-    weight = np.outer(window, window)[:, :, None]
-    total = np.zeros((height + 2 * patch, width + 2 * patch, 3), np.float32)
-    squares = np.zeros((height + 2 * patch, width + 2 * patch, 1), np.float32)
+    weight = np.outer(window, window)
+    total = np.zeros((height + 2 * patch, width + 2 * patch), np.float32)
+    squares = np.zeros_like(total)
     for top in range(0, height + patch, patch // 2):
         for left in range(0, width + patch, patch // 2):
-            row = int(rng.integers(source.shape[0] - patch + 1))
-            column = int(rng.integers(source.shape[1] - patch + 1))
-            piece = source[row : row + patch, column : column + patch]
-            total[top : top + patch, left : left + patch] += weight * (piece - mean)
+            row, column = (int(rng.integers(side - patch + 1)) for side in source.shape)
+            piece = source[row : row + patch, column : column + patch] - mean
+            total[top : top + patch, left : left + patch] += weight * piece
             squares[top : top + patch, left : left + patch] += weight * weight
     whole = mean + total / np.sqrt(np.maximum(squares, 1e-6))
-    return rounded(whole[patch : patch + height, patch : patch + width])
+    gray = rounded(whole[patch : patch + height, patch : patch + width])
+    return np.repeat(gray[:, :, None], 3, axis=2)
 
 
 def wood(height: int, width: int, rng: np.random.Generator, color: Color) -> Image:

@@ -1,0 +1,99 @@
+"""The dataset `euroc`: the ASL layout of the EuRoC micro aerial vehicle sequences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
+from codecbench.plugins.datasets.calibration import YamlFile, numbers_in
+from codecbench.plugins.datasets.files import Content, FileSequence
+from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
+
+Floats = NDArray[np.float64]
+_REMEDY = "set `ground_truth: false` to use the frames without it"
+
+
+class EurocParams(Selection):
+    """Parameters of `euroc`."""
+
+    path: Annotated[PathParam, Field(description="folder that holds mav0/")]
+    camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
+    ground_truth: Annotated[bool, Field(description="false for a sequence without state_groundtruth_estimate0")] = True
+
+
+class Euroc(Dataset[EurocParams]):
+    """Frames of one camera of the vehicle, with the camera's poses from the body's.
+
+    Source: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 35(10), 2016. Times in ns become
+    seconds; `T_BS` of the camera is body_from_camera, that of the ground truth body_from_sensor.
+    """
+
+    name: ClassVar[str] = "euroc"
+    version: ClassVar[str] = "1"
+    params_type = EurocParams
+
+    def open(self) -> Sequence:
+        params = self.params
+        folder = params.path / "mav0" / params.camera
+        if not folder.is_dir():
+            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds mav0/")
+        rows = read_rows(folder / "data.csv", "the list of frames", 2, ",")
+        times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
+        chosen = params.indices(len(rows), str(folder / "data.csv"))
+        sensor = YamlFile(folder / "sensor.yaml", "calibration")
+        rate_hz = sensor.number("rate_hz", 20.0)
+        if rate_hz <= 0.0:
+            raise DatasetError(f"{sensor.where('rate_hz')}: `rate_hz` is {rate_hz}, which is not above 0")
+        content = Content(
+            name=params.path.resolve().name,
+            where=str(folder),
+            files=tuple(folder / "data" / rows[index].fields[1] for index in chosen),
+            timestamps_s=times_s[np.array(chosen)],
+            frame_rate_hz=rate_hz / params.stride,
+            camera=_camera(sensor),
+            ground_truth=_trajectory(params.path / "mav0", _mounting(sensor)) if params.ground_truth else None,
+            color=params.color,
+        )
+        return FileSequence(content)
+
+
+def _camera(sensor: YamlFile) -> Camera:
+    for key, only in (("camera_model", "pinhole"), ("distortion_model", "radial-tangential")):
+        model = sensor.get(key, only)
+        if model != only:
+            raise DatasetError(f"{sensor.where(key)}: `{key}` is {model!r}; only `{only}` is known")
+    width, height = sensor.numbers("resolution", (2,))
+    fx, fy, cx, cy = sensor.numbers("intrinsics", (4,))
+    for key, values in (("resolution", (width, height)), ("intrinsics", (fx, fy))):
+        if min(values) <= 0.0:
+            raise DatasetError(f"{sensor.where(key)}: `{key}` holds a number that is not above 0")
+    k1, k2, p1, p2, k3 = (*sensor.numbers("distortion_coefficients", (4, 5)), 0.0)[:5]
+    return Camera(round(width), round(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+
+
+def _mounting(sensor: YamlFile) -> Floats:
+    """body_from_sensor (4, 4) of a sensor.yaml. Raises DatasetError."""
+    entry: Any = sensor.get("T_BS")
+    values = entry.get("data") if isinstance(entry, dict) else None
+    matrix = np.array(numbers_in(values, (16,), sensor.where("T_BS"), "T_BS.data")).reshape(4, 4)
+    return checked_rotation(matrix, sensor.where("T_BS"))
+
+
+def _trajectory(mav: Path, body_from_camera: Floats) -> Trajectory:
+    folder = mav / "state_groundtruth_estimate0"
+    rows = read_rows(folder / "data.csv", "ground truth", 8, ",", _REMEDY)
+    times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
+    poses = np.array([[row.number(column) for column in range(1, 8)] for row in rows])
+    sensor = trajectory_from_quaternions(times_s, poses, "wxyz", rows)
+    described = folder / "sensor.yaml"
+    body_from_sensor = _mounting(YamlFile(described, "mounting")) if described.is_file() else np.eye(4)
+    sensor_from_camera = np.linalg.inv(body_from_sensor) @ body_from_camera
+    return Trajectory(times_s, sensor.world_from_camera @ sensor_from_camera)

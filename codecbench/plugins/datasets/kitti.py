@@ -1,0 +1,103 @@
+"""The dataset `kitti`: the odometry benchmark of KITTI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
+from codecbench.plugins.datasets.files import Content, FileSequence, read_image_file
+from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
+
+Floats = NDArray[np.float64]
+
+
+class KittiParams(Selection):
+    """Parameters of `kitti`."""
+
+    path: Annotated[PathParam, Field(description="folder with sequences/ and poses/")]
+    sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
+    camera: Annotated[
+        Literal["image_0", "image_1", "image_2", "image_3"],
+        Field(description="image_0 and image_1 are gray, image_2 and image_3 colour; even ones are on the left"),
+    ] = "image_0"
+    ground_truth: Annotated[bool, Field(description="false for sequences 11 to 21, whose poses are not public")] = True
+
+
+class Kitti(Dataset[KittiParams]):
+    """Rectified frames of one camera, with the poses of that camera.
+
+    Source: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving?", CVPR 2012, and the development
+    kit's readme. Poses are given for camera 0 and moved to the camera in use by its projection matrix.
+    """
+
+    name: ClassVar[str] = "kitti"
+    version: ClassVar[str] = "1"
+    params_type = KittiParams
+
+    def open(self) -> Sequence:
+        params = self.params
+        folder = params.path / "sequences" / params.sequence
+        if not folder.is_dir():
+            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds sequences/ and poses/")
+        rows = read_rows(folder / "times.txt", "the list of times", 1)
+        times_s = increasing([row.number(0) for row in rows], rows)
+        chosen = params.indices(len(rows), str(folder / "times.txt"))
+        files = tuple(folder / params.camera / f"{index:06d}.png" for index in chosen)
+        projection = read_projection(folder / "calib.txt", f"P{params.camera[-1]}")
+        truth = None
+        if params.ground_truth:
+            truth = _trajectory(params.path / "poses" / f"{params.sequence}.txt", times_s, projection)
+        content = Content(
+            name=f"kitti_{params.sequence}",
+            where=str(folder),
+            files=files,
+            timestamps_s=times_s[np.array(chosen)],
+            frame_rate_hz=rate_hz(times_s, 10.0) / params.stride,
+            camera=_camera(projection, files[0]),
+            ground_truth=truth,
+            color=params.color,
+        )
+        return FileSequence(content)
+
+
+def read_projection(file: Path, name: str) -> Floats:
+    """The projection matrix (3, 4) in the row `name:` of a calibration file. Raises DatasetError."""
+    for row in read_rows(file, "calibration", 1):
+        if row.fields[0] == f"{name}:":
+            numbers = row.numbers(1)
+            if len(numbers) != 12:
+                raise DatasetError(f"{row.where}: {name} has {len(numbers)} numbers, a projection matrix has 12")
+            matrix = np.array(numbers).reshape(3, 4)
+            if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or not np.array_equal(matrix[2, :3], [0.0, 0.0, 1.0]):
+                raise DatasetError(f"{row.where}: {name} is not the matrix of a rectified camera")
+            return matrix
+    raise DatasetError(f"{file}: calibration has no row `{name}:`")
+
+
+def _camera(projection: Floats, first: Path) -> Camera:
+    """KITTI's files do not give the frames' size: the first frame does."""
+    height, width = read_image_file(first).shape[:2]
+    fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width, height, fx, fy, cx, cy)
+
+
+def _trajectory(file: Path, times_s: Floats, projection: Floats) -> Trajectory:
+    """Poses of the camera with this projection, one a frame, from lines of 12 numbers for camera 0."""
+    rows = read_rows(file, "ground truth", 12, remedy="set `ground_truth: false` to use the frames without it")
+    if len(rows) != len(times_s):
+        raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both have one row a frame")
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    for index, row in enumerate(rows):
+        poses[index, :3] = np.array(row.numbers()[:12]).reshape(3, 4)
+        poses[index] = checked_rotation(poses[index], row.where)
+    zero_from_camera = np.eye(4)
+    zero_from_camera[:3, 3] = -np.linalg.solve(projection[:, :3], projection[:, 3])
+    return Trajectory(times_s, poses @ zero_from_camera)

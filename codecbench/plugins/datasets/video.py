@@ -1,0 +1,175 @@
+"""The dataset `video`: any file that OpenCV opens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Dataset, Frame, Sequence
+from codecbench.plugins.datasets.calibration import camera_from_file
+from codecbench.plugins.datasets.files import digest_of, digest_of_file, known_facts
+from codecbench.plugins.datasets.selection import Selection, converted
+
+_SKIP_AT_MOST = 64
+"""Frames ahead that are decoded and dropped before a jump is tried."""
+
+_SAME_TIME_S = 1e-4
+_USUAL_RATE_HZ = 30.0
+_LEAST_LOSS_S = 1.0
+"""A file that ends this much, and 2 %, before its own length is damaged: containers round."""
+
+
+class VideoParams(Selection):
+    """Parameters of `video`."""
+
+    path: Annotated[PathParam, Field(description="video file")]
+    frame_rate_hz: Annotated[float | None, Field(gt=0.0, description="instead of the file's own times")] = None
+    calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
+
+
+class Video(Dataset[VideoParams]):
+    """The frames of a video file, three channels unless `color` is gray; no ground truth."""
+
+    name: ClassVar[str] = "video"
+    version: ClassVar[str] = "1"
+    params_type = VideoParams
+
+    def open(self) -> Sequence:
+        return VideoSequence(self.params)
+
+
+@dataclass(frozen=True)
+class _Index:
+    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size."""
+
+    times_s: tuple[float, ...]
+    rate_hz: float
+    width: int
+    height: int
+
+    @cached_property
+    def timed(self) -> bool:
+        """Whether the times increase from frame to frame; bare streams have none."""
+        return all(before < now for before, now in zip(self.times_s, self.times_s[1:], strict=False))
+
+
+class VideoSequence(Sequence):
+    """Decodes forward; a frame that is far ahead or behind is sought, and the jump is checked by its time."""
+
+    def __init__(self, params: VideoParams) -> None:
+        self._params = params
+        self._file = params.path
+        index = indexed(self._file)
+        chosen = params.indices(len(index.times_s), str(self._file))
+        self._indices = chosen
+        self._index = index
+        if not index.timed and params.frame_rate_hz is None:
+            raise DatasetError(f"{self._file}: its frames have no increasing times; give `frame_rate_hz`")
+        self.name = self._file.stem
+        rate_hz = params.frame_rate_hz or index.rate_hz
+        times_s = np.arange(len(index.times_s)) / rate_hz if params.frame_rate_hz else np.array(index.times_s)
+        self.timestamps_s = times_s[np.array(chosen)]
+        self.frame_rate_hz = rate_hz / params.stride
+        self.channels = 1 if params.color == "gray" else 3
+        self.camera = None if params.calibration is None else camera_from_file(params.calibration)[0]
+        self.ground_truth = None
+        if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
+            size = f"{self.camera.width}x{self.camera.height}"
+            raise DatasetError(f"{self._file}: is {index.width}x{index.height}, but the calibration is for {size}")
+        self._capture: cv2.VideoCapture | None = None
+        self._next = 0
+
+    @cached_property
+    def fingerprint(self) -> str:  # type: ignore[override]
+        """Digest over the file's bytes, the selection, times and camera."""
+        picture = {"video": digest_of_file(self._file), "indices": list(self._indices), "channels": self.channels}
+        return digest_of({**picture, **known_facts(self)})
+
+    def read(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise DatasetError(f"{self._file}: frame {index} is not in 0..{len(self) - 1}")
+        image = self._decode(self._indices[index])
+        return Frame(index, float(self.timestamps_s[index]), converted(image, self._params.color))
+
+    def _decode(self, source: int) -> Image:
+        capture = self._at(source)
+        self._next = source + 1
+        done, stored = capture.read()
+        if not done:
+            self._capture = None
+            raise DatasetError(f"{self._file}: frame {source} cannot be decoded; the file is damaged or has changed")
+        code = cv2.COLOR_GRAY2RGB if stored.ndim == 2 else cv2.COLOR_BGR2RGB
+        return np.asarray(cv2.cvtColor(stored, code), dtype=np.uint8)
+
+    def _at(self, source: int) -> cv2.VideoCapture:
+        """The file, about to decode frame `source`."""
+        capture = self._capture
+        if capture is not None and not self._next <= source <= self._next + _SKIP_AT_MOST:
+            capture = self._jumped(capture, source)
+        if capture is None:
+            capture, self._next = _opened(self._file), 0
+        for skipped in range(self._next, source):
+            if not capture.grab():
+                raise DatasetError(f"{self._file}: frame {skipped} cannot be decoded; the file has changed")
+        self._capture = capture
+        return capture
+
+    def _jumped(self, capture: cv2.VideoCapture, source: int) -> cv2.VideoCapture | None:
+        """The capture after a jump to the frame before `source`, or None where it does not land exactly there."""
+        if (
+            source == 0
+            or not self._index.timed
+            or not capture.set(cv2.CAP_PROP_POS_FRAMES, source - 1)
+            or not capture.grab()
+        ):
+            return None
+        if abs(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0 - self._index.times_s[source - 1]) > _SAME_TIME_S:
+            return None
+        self._next = source
+        return capture
+
+
+def indexed(file: Path) -> _Index:
+    """Decode a file once to learn its frames' times; remembered while the file stays. Raises DatasetError."""
+    try:
+        status = file.stat()
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+    return _indexed(file, status.st_size, status.st_mtime_ns)
+
+
+@cache
+def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
+    capture = _opened(file)
+    rate_hz = capture.get(cv2.CAP_PROP_FPS)
+    if not 0.0 < rate_hz < 1e5:
+        rate_hz = _USUAL_RATE_HZ
+    width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    times_s: list[float] = []
+    while capture.grab():
+        times_s.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
+    capture.release()
+    if not times_s:
+        raise DatasetError(f"{file}: holds no frame that OpenCV can decode")
+    index = _Index(tuple(times_s), rate_hz, width, height)
+    if index.timed and times_s[-1] - times_s[0] < 0.98 * promised / rate_hz - _LEAST_LOSS_S:
+        length_s = times_s[-1] - times_s[0]
+        raise DatasetError(f"{file}: is cut short: {length_s:.1f} s of {promised / rate_hz:.1f} s can be decoded")
+    return index
+
+
+def _opened(file: Path) -> cv2.VideoCapture:
+    capture = cv2.VideoCapture(str(file))
+    if not capture.isOpened():
+        raise DatasetError(f"{file}: not a video that OpenCV can open; convert it, or check that it is whole")
+    return capture
