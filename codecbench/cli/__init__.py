@@ -15,6 +15,7 @@ COMMANDS = {
     "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
+    "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }
 

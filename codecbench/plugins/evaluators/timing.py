@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import math
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from codecbench.core.contracts.sequence import Sequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
 
 _MAX_LOOPS = 1000
+_YARDSTICK = bytes((index * index >> 5) & 255 for index in range(1 << 16))
 _AGGREGATES = ("median", "p95")
 
 
@@ -63,6 +65,14 @@ class Timing(CodecEvaluator[TimingParams]):
         Metric("decode_cpu_ms", "ms", "lower", "processor time from bitstream to image", _AGGREGATES, repeatable=False),
         Metric("encode_mpix_per_s", "Mpx/s", "higher", "megapixels encoded a second", _AGGREGATES, repeatable=False),
         Metric("decode_mpix_per_s", "Mpx/s", "higher", "megapixels decoded a second", _AGGREGATES, repeatable=False),
+        Metric(
+            "yardstick_ms",
+            "ms",
+            "neither",
+            "a fixed piece of work, timed beside each frame",
+            ("median",),
+            repeatable=False,
+        ),
     )
 
     @property
@@ -80,8 +90,9 @@ class Timing(CodecEvaluator[TimingParams]):
             for _ in range(self.params.warmup):
                 codec.decode(codec.encode(images[index]))
         with _no_collection():
-            taken = {index: self._durations(codec, image) for index, image in images.items()}
-        for index, (encoding, decoding) in taken.items():
+            taken = {index: (*self._durations(codec, image), yardstick_ms()) for index, image in images.items()}
+        for index, (encoding, decoding, yardstick) in taken.items():
+            yield Measurement("yardstick_ms", yardstick, index)
             yield from _measurements("encode", encoding, images[index], index)
             yield from _measurements("decode", decoding, images[index], index)
 
@@ -90,6 +101,12 @@ class Timing(CodecEvaluator[TimingParams]):
         encoding = duration(lambda: codec.encode(image), self.params.min_ms)
         codec.decode(bitstream)
         return encoding, duration(lambda: codec.decode(bitstream), self.params.min_ms)
+
+
+def yardstick_ms() -> float:
+    """Wall time of deflating a fixed 64 KiB: work that no codec changes, so that runs at different times, on a machine
+    that is busier or clocked lower, can be compared in units of it."""
+    return duration(lambda: zlib.compress(_YARDSTICK, 6), 0.0).wall_ms
 
 
 def duration(call: Callable[[], object], min_ms: float) -> Duration:

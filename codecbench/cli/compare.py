@@ -1,0 +1,90 @@
+"""`codecbench compare`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from codecbench.core.results.comparison.compare import Comparison
+
+_HEADS = ("sequence", "codec", "setting", "evaluator", "metric", "before", "after", "change", "verdict", "note")
+_FAILING = {
+    "worse": {"worse"},
+    "changed": {"worse", "better", "changed"},
+    "cannot-tell": {"worse", "cannot tell"},
+    "never": set[str](),
+}
+
+
+@click.command()
+@click.argument("before", type=click.Path(path_type=Path))
+@click.argument("after", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--metric", "metrics", multiple=True, metavar="PATTERN", help="Look at these only: 'quality.psnr*'. Repeatable."
+)
+@click.option(
+    "--fail-on", type=click.Choice(list(_FAILING)), default="worse", show_default=True, help="Exit with status 1."
+)
+@click.option(
+    "--time-tolerance", type=float, default=0.05, show_default=True, help="Relative change of a time not claimed."
+)
+@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--all", "everything", is_flag=True, help="Also rows that are the same.")
+@click.option(
+    "--save", type=click.Path(path_type=Path, dir_okay=False), help="Keep BEFORE as a baseline file and stop."
+)
+def compare(
+    before: Path, after: Path | None, metrics: tuple[str, ...], fail_on: str, time_tolerance: float, format_: str,
+    everything: bool, save: Path | None,
+) -> None:  # fmt: skip
+    """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
+
+    Sizes, quality and counts are compared exactly; times statistically over repeats (five at least), in units of a
+    yardstick that was timed beside them. Another machine is a warning, not a verdict.
+    """
+    from codecbench.core.results.comparison.compare import compare as compared
+    from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
+
+    first = read_snapshot(before)
+    if save is not None:
+        write_snapshot(first, save)
+        click.echo(f"{save}: {len(first.series)} series of {first.name}")
+        return
+    if after is None:
+        raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
+    second = read_snapshot(after)
+    if set(first.machines) != set(second.machines):
+        machines = " | ".join("; ".join(one.machines) for one in (first, second))
+        warning = f"warning: other machines ({machines}): times cannot be judged"
+        click.echo(warning, err=True)
+    found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
+    _print(found, format_, everything)
+    if any(one.verdict in _FAILING[fail_on] for one in found):
+        sys.exit(1)
+
+
+def _print(found: list[Comparison], format_: str, everything: bool) -> None:
+    rows = [one for one in found if everything or one.verdict != "same"]
+    counts = Counter(one.verdict for one in found)
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
+    if format_ == "json":
+        from codecbench.core.results.export import json_value
+
+        values = [dict(zip(_HEADS, map(json_value, _row(one)), strict=True)) for one in rows]
+        click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
+        return
+    from codecbench.core.results.markdown import table
+
+    if rows:
+        click.echo(table(_HEADS, [_row(one) for one in rows]))
+    click.echo(verdicts)
+
+
+def _row(one: Comparison) -> list[object]:
+    return [*one.key, one.before, one.after, one.change, one.verdict, one.note]

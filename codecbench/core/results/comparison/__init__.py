@@ -1,0 +1,1 @@
+"""Comparing two runs of the same cells, such as before and after a change to a codec."""

@@ -1,0 +1,123 @@
+"""What a comparison needs of a run, small enough to keep beside the code as a baseline."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine.atomic import write_file
+from codecbench.core.results.collect import open_run
+from codecbench.core.results.export import json_value
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.table import CellResult, shown
+
+FORMAT: Final = 1
+
+
+@dataclass(frozen=True)
+class Series:
+    """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order.
+
+    Per-frame metrics are aggregated by the first aggregate that the metric declares. status and reason: of the
+    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values.
+    """
+
+    sequence: str
+    codec: str
+    setting: str
+    evaluator: str
+    metric: str
+    better: str
+    repeatable: bool
+    values: tuple[float, ...]
+    status: str
+    reason: str
+    fingerprint: str
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        return self.sequence, self.codec, self.setting, self.evaluator, self.metric
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All series of a run and the machines that made them."""
+
+    name: str
+    machines: tuple[str, ...]
+    series: tuple[Series, ...]
+
+
+def snapshot_of(run: RunResult) -> Snapshot:
+    """The series of a run. A metric of a part (`encode.dct`) is a series of its own."""
+    cells: dict[tuple[str, str, str, str], list[CellResult]] = defaultdict(list)
+    for result in run.results:
+        cell = result.cell
+        cells[cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator)].append(result)
+    series = tuple(one for members in cells.values() for one in _series(members))
+    return Snapshot(run.plan.name, tuple(sorted(map(_machine, run.environments.values()))), series)
+
+
+def _series(members: list[CellResult]) -> list[Series]:
+    members = sorted(members, key=lambda result: result.cell.repeat)
+    bad = next((result for result in members if result.status != "ok"), None)
+    cell = members[0].cell
+    values: dict[str, list[float]] = defaultdict(list)
+    metrics = {name: metric for result in members for name, metric in result.metrics.items()}
+    for result in members:
+        for (name, stage, how), value in result.summaries.items():
+            if name in metrics and how == metrics[name].aggregates[0]:
+                values[f"{name}.{stage}" if stage else name].append(value)
+        for one in result.measurements:
+            values[f"{one.metric}.{one.stage}" if one.stage else one.metric].append(one.value)
+    if not values:
+        values["status"] = []
+    found = []
+    for name, numbers in values.items():
+        metric = metrics.get(name.partition(".")[0])
+        found.append(
+            Series(
+                cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator), name,
+                metric.better if metric else "neither", metric.repeatable if metric else True, tuple(numbers),
+                bad.status if bad else "ok", bad.reason if bad else "", cell.sequence.fingerprint,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _machine(environment: dict[str, Any]) -> str:
+    machine = environment.get("machine", {})
+    return f"{machine.get('cpu')}, {machine.get('cores')} cores, {environment.get('volatile', {}).get('host')}"
+
+
+def write_snapshot(snapshot: Snapshot, path: Path) -> None:
+    """Keep a snapshot as JSON, one line a series, so that version control shows what changed."""
+    lines = [json.dumps({**asdict(one), "values": [json_value(v) for v in one.values]}) for one in snapshot.series]
+    head = json.dumps({"format": FORMAT, "name": snapshot.name, "machines": snapshot.machines})
+    write_file(path, ("\n".join([head, *lines]) + "\n").encode())
+
+
+def read_snapshot(path: Path) -> Snapshot:
+    """The snapshot in a file, or of the run in a folder. Raises StoreError for anything else."""
+    if path.is_dir():
+        return snapshot_of(open_run(path))
+    try:
+        head, *lines = path.read_text().splitlines()
+        facts = json.loads(head)
+        if facts["format"] != FORMAT:
+            raise ValueError(f"it has format {facts['format']}, this version reads {FORMAT}")
+        series = tuple(_read(json.loads(line)) for line in lines)
+        return Snapshot(facts["name"], tuple(facts["machines"]), series)
+    except FileNotFoundError:
+        raise StoreError(f"{path} is neither a run folder nor a baseline file") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{path} is not a baseline that `codecbench compare --save` wrote: {error}") from error
+
+
+def _read(value: dict[str, Any]) -> Series:
+    numbers = tuple(float("nan") if number is None else float(number) for number in value["values"])
+    return Series(**{**value, "values": numbers})
