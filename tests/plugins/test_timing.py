@@ -1,0 +1,102 @@
+"""The `timing` evaluator against codecs that take a known time."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from memory_sequence import MemorySequence, context
+
+from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import NoParams
+from codecbench.core.contracts.sequence import Frame
+from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.plugins.evaluators.timing import Timing, duration
+
+
+class Slow(Codec[NoParams]):
+    """Sleeps to encode, computes to decode, and is slow the first time."""
+
+    name = "slow"
+    version = "1"
+    params_type = NoParams
+    capabilities = Capabilities()
+
+    def __init__(self) -> None:
+        super().__init__(NoParams())
+        self.calls: Counter[str] = Counter()
+        self.collecting: set[bool] = set()
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        self.calls["encode"] += 1
+        time.sleep(0.3 if self.calls["encode"] == 1 else 0.02)
+        return image.tobytes()
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        self.calls["decode"] += 1
+        self.collecting.add(gc.isenabled())
+        end = time.process_time() + 0.01
+        while time.process_time() < end:
+            pass
+        return np.frombuffer(bitstream, np.uint8).reshape(100, 200)
+
+
+class SlowToRead(MemorySequence):
+    def read(self, index: int) -> Frame:
+        time.sleep(0.1)
+        return super().read(index)
+
+
+def test_what_is_timed_is_the_codec_alone_and_warm(tmp_path: Path) -> None:
+    sequence = SlowToRead([np.zeros((100, 200), np.uint8)] * 4)
+    codec = Slow()
+    found: dict[str, list[float]] = {metric.name: [] for metric in Timing.metrics}
+    frames = set()
+    for one in Timing.create(frames=2, warmup=1).evaluate(codec, sequence, context(tmp_path)):
+        found[one.metric].append(one.value)
+        frames.add(one.frame)
+    assert frames == {1, 3}
+    assert all(len(series) == 2 for series in found.values())
+    assert 20 <= min(found["encode_wall_ms"]) < 35
+    assert max(found["encode_cpu_ms"]) < 5
+    assert 9.9 <= min(found["decode_cpu_ms"]) < 15
+    assert min(found["decode_wall_ms"]) >= 9.9
+    assert found["encode_mpix_per_s"][0] == pytest.approx(0.02 / (found["encode_wall_ms"][0] * 1e-3))
+    assert False in codec.collecting
+    assert gc.isenabled()
+
+
+def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:
+    calls = 0
+
+    def call() -> None:
+        nonlocal calls
+        calls += 1
+        time.sleep(0.001)
+
+    taken = duration(call, min_ms=20)
+    assert 10 <= calls <= 21
+    assert 1.0 <= taken.wall_ms < 4.0
+    calls = 0
+    duration(call, min_ms=0)
+    assert calls == 1
+
+
+def test_more_repeats_recompute_nothing() -> None:
+    few, many = Timing.create(repeats=2), Timing.create(repeats=9)
+    assert (few.repeats, many.repeats) == (2, 9)
+    assert few.repeat_identity(1) == many.repeat_identity(1)
+    assert few.repeat_identity(0) != Timing.create(frames=3).repeat_identity(0)
+    assert Timing.exclusive
+
+
+def test_a_short_sequence_is_used_whole(tmp_path: Path) -> None:
+    sequence = MemorySequence([np.zeros((100, 200), np.uint8)])
+    measured = list(Timing.create(frames=10, warmup=1).evaluate(Slow(), sequence, context(tmp_path)))
+    assert {one.frame for one in measured} == {0}
+    assert len(measured) == 6
