@@ -8,6 +8,7 @@ mutual nearest keypoints in place of region overlap.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final
 
@@ -31,6 +32,8 @@ MIN_MATCHES: Final = 8
 """Matches that a fundamental matrix needs at the least."""
 RANSAC_SEED: Final = 1
 """The same for every codec, so that differences come from the pictures."""
+RANSAC_ATTEMPTS: Final = 10
+"""Seeds that are tried where the one before met a degenerate sample."""
 RANSAC_CONFIDENCE: Final = 0.99
 RANSAC_ITERATIONS: Final = 2000
 
@@ -147,20 +150,26 @@ def _keypoints(detector: Any, gray: Image) -> Keypoints:
 
 
 def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], inlier_px: float) -> float:
-    """Share of matches within `inlier_px` of their epipolar lines; 0 where there are too few for a geometry."""
+    """Share of matches within `inlier_px` of their epipolar lines; 0 where there are too few for a geometry.
+
+    OpenCV's search ends in an assertion when it draws a sample that has no geometry (matches on one line); the
+    next seed draws others.
+    """
     if len(pixels) < MIN_MATCHES:
         return 0.0
     settings = cv2.UsacParams()
     settings.threshold = inlier_px
     settings.confidence = RANSAC_CONFIDENCE
     settings.maxIterations = RANSAC_ITERATIONS
-    settings.randomGeneratorState = RANSAC_SEED
     settings.sampler = cv2.SAMPLING_UNIFORM
     settings.score = cv2.SCORE_METHOD_MSAC
-    # Local refinement moves the ratio in the fourth decimal, and OpenCV's stops with an error for a camera at rest.
-    settings.loMethod = cv2.LOCAL_OPTIM_NULL
-    _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
-    return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
+    settings.loMethod = cv2.LOCAL_OPTIM_INNER_LO
+    for seed in range(RANSAC_SEED, RANSAC_SEED + RANSAC_ATTEMPTS):
+        settings.randomGeneratorState = seed
+        with suppress(cv2.error):
+            _, inliers = cv2.findFundamentalMat(pixels, pixels_now, settings)
+            return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
+    return 0.0
 
 
 @njit(cache=True)
