@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam import geometry, thresholds
 from codecbench.slam.camera import Camera
+from codecbench.slam.decoded_keyframes import match_decoded, use_decoded
 from codecbench.slam.features import Features
 from codecbench.slam.frame import Frame
 from codecbench.slam.map import Map
@@ -167,10 +168,29 @@ class Initializer:
         start = start_from_two_views(first.features, frame.features, matches, self._camera, self._rng)
         if isinstance(start, str):
             return start
+        if first.decode is not None or frame.decode is not None:
+            start = self._carry_over(first, frame, start)
+            if len(start.points_first) < thresholds.INIT_MIN_POINTS:
+                return f"{len(start.points_first)} points found again in the decoded images"
         started = self._build(first, frame, start, map_index)
         if not isinstance(started, str):
             self._first = None
         return started
+
+    def _carry_over(self, first: Frame, second: Frame, start: TwoViewStart) -> TwoViewStart:
+        """The same start on the features of the two decoded images."""
+        found = []
+        for frame, features in ((first, start.features_first), (second, start.features_second)):
+            raw = frame.features
+            if frame.decode is None:
+                found.append(features)
+                continue
+            use_decoded(frame, self._scale_factors)
+            found.append(match_decoded(raw, frame.features, features, self._scale_factors))
+        kept = (found[0] >= 0) & (found[1] >= 0)
+        return replace(
+            start, points_first=start.points_first[kept], features_first=found[0][kept], features_second=found[1][kept]
+        )
 
     def _build(self, first: Frame, second: Frame, start: TwoViewStart, index: int) -> tuple[Map, Mapper] | str:
         """Map from two views: bundle adjustment over both, then the scale."""

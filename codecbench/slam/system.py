@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 from codecbench.slam.camera import Camera
+from codecbench.slam.decoded_keyframes import use_decoded
 from codecbench.slam.features import FeatureExtractor, Features
 from codecbench.slam.frame import Frame
 from codecbench.slam.initialization import Initializer
-from codecbench.slam.map import NONE
-from codecbench.slam.matching import match_in_windows
 from codecbench.slam.options import Options
 from codecbench.slam.session import Session
 from codecbench.slam.trajectory import FrameState, LoopEvent, Result, State, summarize
@@ -122,7 +121,7 @@ class System:
         self._lost_since_s = math.inf
         keyframe = self._active.wants_keyframe(frame, inliers)
         if keyframe:
-            reassociate(frame, self._extractor)
+            use_decoded(frame, self._extractor.scale_factors)
             loop = self._active.add_keyframe(frame, self.options.loop_closing)
             if loop is not None:
                 self._loops.append(loop)
@@ -167,23 +166,3 @@ def to_gray(image: NDArray[Any]) -> ImageArray:
     if image.ndim == 3 and image.shape[2] == 3:
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     raise TypeError(f"image: got shape {image.shape}; expected (height, width) or (height, width, 3)")
-
-
-def reassociate(frame: Frame, extractor: FeatureExtractor) -> None:
-    """Replace the features of `frame` by those of its decoded image, if it has one, and carry its points over.
-
-    A map point goes to the decoded feature nearest in appearance within a small window of the raw one.
-    """
-    if frame.decode is None:
-        return
-    raw, decoded = frame.features, frame.decode()
-    frame.decode = None
-    matched = frame.matched
-    octaves = raw.octaves[matched].astype(np.int64)
-    matches = match_in_windows(
-        raw.pixels[matched], thresholds.DECODED_WINDOW_PX * extractor.scale_factors[octaves], octaves - 1, octaves + 1,
-        raw.descriptors[matched], decoded, np.ones(len(decoded), np.bool_), thresholds.HAMMING_HIGH,
-    )  # fmt: skip
-    points = np.full(len(decoded), NONE, np.int64)
-    points[matches[matches >= 0]] = frame.points[matched[matches >= 0]]
-    frame.features, frame.points = decoded, points

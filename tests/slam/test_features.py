@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from rendered_scenes import CAMERA, Room, looking
+
+from codecbench.slam.camera import Camera
+from codecbench.slam.features import FeatureExtractor
+from codecbench.slam.options import Options
+from codecbench.slam.orb_kernels import describe_patches, orient_patches, select_evenly
+
+IMAGE = Room().image(looking((0.0, 0.0, -1.0), 0.2, 0.1))
+
+
+def test_descriptors_and_angles_agree_with_opencv(rng: np.random.Generator) -> None:
+    corners = rng.integers([25, 25], [295, 215], (200, 2))
+    angles = orient_patches(IMAGE, corners)
+    ours = describe_patches(cv2.GaussianBlur(IMAGE, (7, 7), 2.0), corners, angles)
+    keypoints = [
+        cv2.KeyPoint(float(x), float(y), 31.0, float(np.degrees(a)) % 360.0, 1.0, 0, i)
+        for i, ((x, y), a) in enumerate(zip(corners, angles, strict=True))
+    ]
+    kept, theirs = cv2.ORB_create(500).compute(IMAGE, keypoints)
+    bits = [int(np.unpackbits(ours[k.class_id] ^ row).sum()) for k, row in zip(kept, theirs, strict=True)]
+    assert len(bits) > 150
+    assert max(bits) <= 4  # a test point on the edge between two pixels may round the other way
+    assert np.mean(bits) < 1.0
+
+
+def test_orientation_follows_a_turned_image() -> None:
+    center = np.array([[160, 120]])
+    turn = cv2.getRotationMatrix2D((160.0, 120.0), 40.0, 1.0)
+    smooth = cv2.GaussianBlur(IMAGE, (0, 0), 3.0)
+    turned = cv2.warpAffine(smooth, turn, (320, 240))
+    change = float(orient_patches(smooth, center)[0] - orient_patches(turned, center)[0])
+    assert abs(np.angle(np.exp(1j * (change - np.radians(40.0))))) < np.radians(6.0)
+
+
+def test_selection_is_even_bounded_and_in_order() -> None:
+    x, y = np.meshgrid(np.arange(30, 290), np.arange(30, 210))
+    corners = np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
+    responses = np.where(corners[:, 0] < 160, 100.0, 10.0).astype(np.float32)
+    kept = select_evenly(corners, responses, 300, 240, 320, 19)
+    assert len(kept) == 300
+    assert (np.diff(kept) > 0).all()
+    left = int((corners[kept, 0] < 160).sum())
+    assert 110 < left < 190  # strong responses on one side do not starve the other
+
+
+def test_the_number_of_features_is_kept_and_the_extraction_repeats() -> None:
+    extractor = FeatureExtractor(CAMERA, Options(features=500))
+    first, second = extractor.extract(IMAGE), extractor.extract(IMAGE)
+    assert 450 <= len(first) <= 500
+    assert np.array_equal(first.pixels, second.pixels)
+    assert np.array_equal(first.descriptors, second.descriptors)
+    assert sorted(first.cell_members.tolist()) == list(range(len(first)))
+
+
+def test_a_black_image_and_a_tiny_one_have_no_features() -> None:
+    assert len(FeatureExtractor(CAMERA, Options()).extract(np.zeros((240, 320), np.uint8))) == 0
+    tiny = Camera(20, 12, 20.0, 20.0, 10.0, 6.0)
+    assert len(FeatureExtractor(tiny, Options()).extract(np.zeros((12, 20), np.uint8))) == 0
+
+
+def test_coarse_levels_lie_where_fine_ones_do(rng: np.random.Generator) -> None:
+    """Dots are found at their centres on every level, on average: levels are not shifted against each other."""
+    columns, rows = np.meshgrid(np.arange(80.0, 250.0, 28.0), np.arange(80.0, 170.0, 28.0))
+    centers = np.column_stack([columns.ravel(), rows.ravel()]) + rng.uniform(-4.0, 4.0, (columns.size, 2))
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    image = np.full(x.shape, 20.0)
+    for column, row in centers:
+        image += 200.0 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2 * 2.5**2))
+    found = FeatureExtractor(CAMERA, Options(features=400)).extract(image.astype(np.uint8))
+    for octave in (0, 3, 5, 7):
+        chosen = found.pixels[found.octaves == octave]
+        offsets = chosen[:, None] - centers[None]
+        nearest = offsets[np.arange(len(chosen)), np.linalg.norm(offsets, axis=2).argmin(axis=1)]
+        assert len(chosen) >= 8
+        assert np.abs(nearest.mean(axis=0)).max() < 0.25 * 1.2**octave

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from rendered_scenes import CAMERA, two_views
+
+from codecbench.slam import geometry
+
+
+def normalized_fit(fit, pixels_a, pixels_b, homography):  # type: ignore[no-untyped-def]
+    a, normalizer_a = geometry.normalize_pixels(pixels_a)
+    b, normalizer_b = geometry.normalize_pixels(pixels_b)
+    model = fit(a, b)
+    return (np.linalg.inv(normalizer_b) if homography else normalizer_b.T) @ model @ normalizer_a
+
+
+def test_normalized_pixels_have_their_centroid_at_zero(rng: np.random.Generator) -> None:
+    pixels = rng.uniform(0.0, 300.0, (50, 2))
+    normalized, normalizer = geometry.normalize_pixels(pixels)
+    assert np.abs(normalized.mean(axis=0)).max() < 1e-12
+    assert np.linalg.norm(normalized, axis=1).mean() == pytest.approx(np.sqrt(2.0))
+    assert np.allclose(np.column_stack([pixels, np.ones(50)]) @ normalizer.T, np.column_stack([normalized, np.ones(50)]))
+
+
+def test_fundamental_matrix_is_exact_without_noise(rng: np.random.Generator) -> None:
+    views = two_views(rng)
+    found = normalized_fit(geometry.fit_fundamental, views.pixels_a[:20], views.pixels_b[:20], False)
+    expected, _ = geometry.fundamental_between(np.eye(4), views.b_from_a, CAMERA.matrix)
+    found, expected = found / np.linalg.norm(found), expected / np.linalg.norm(expected)
+    assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-8
+    oracle, _ = cv2.findFundamentalMat(views.pixels_a, views.pixels_b, cv2.FM_8POINT)
+    oracle /= np.linalg.norm(oracle)
+    assert min(np.abs(found - oracle).max(), np.abs(found + oracle).max()) < 1e-6
+
+
+def test_homography_is_exact_on_a_plane(rng: np.random.Generator) -> None:
+    views = two_views(rng, planar=True)
+    found = normalized_fit(geometry.fit_homography, views.pixels_a[:10], views.pixels_b[:10], True)
+    mapped = cv2.perspectiveTransform(views.pixels_a[:, None], found)[:, 0]
+    assert np.abs(mapped - views.pixels_b).max() < 1e-7
+
+
+def test_scores_tell_a_plane_from_depth(rng: np.random.Generator) -> None:
+    for planar in (True, False):
+        views = two_views(rng, planar=planar, noise_px=0.3)
+        inliers = np.zeros(300, np.bool_)
+        h = normalized_fit(geometry.fit_homography, views.pixels_a, views.pixels_b, True)
+        f = normalized_fit(geometry.fit_fundamental, views.pixels_a, views.pixels_b, False)
+        score_h = geometry.score_homography(h, views.pixels_a, views.pixels_b, 1.0, inliers)
+        score_f = geometry.score_fundamental(f, views.pixels_a, views.pixels_b, 1.0, inliers)
+        assert (score_h / (score_h + score_f) > 0.45) == planar
+
+
+def test_decompositions_hold_the_true_motion(rng: np.random.Generator) -> None:
+    deep, flat = two_views(rng), two_views(rng, planar=True)
+    fundamental, _ = geometry.fundamental_between(np.eye(4), deep.b_from_a, CAMERA.matrix)
+    homography = normalized_fit(geometry.fit_homography, flat.pixels_a, flat.pixels_b, True)
+    for motions, views in (
+        (geometry.decompose_fundamental(fundamental, CAMERA.matrix), deep),
+        (geometry.decompose_homography(homography, CAMERA.matrix), flat),
+    ):
+        true = views.b_from_a.copy()
+        true[:3, 3] /= np.linalg.norm(true[:3, 3])
+        assert min(np.abs(motion - true).max() for motion in motions) < 1e-6
+
+
+def test_triangulation_is_exact_without_noise(rng: np.random.Generator) -> None:
+    views = two_views(rng)
+    result = geometry.TwoViewPoints(np.eye(4), views.b_from_a, views.pixels_a, views.pixels_b, CAMERA.intrinsics)
+    assert np.abs(result.points - views.points).max() < 1e-8
+    assert result.errors_a.max() < 1e-14
+    assert np.allclose(result.depths_a, views.points[:, 2])
+
+
+def test_triangulation_agrees_with_opencv_under_noise(rng: np.random.Generator) -> None:
+    views = two_views(rng, noise_px=0.5)
+    found = geometry.triangulate(np.eye(4), views.b_from_a, views.pixels_a, views.pixels_b, CAMERA.intrinsics)
+    normalized = [(p - CAMERA.intrinsics[2:]) / CAMERA.intrinsics[:2] for p in (views.pixels_a, views.pixels_b)]
+    expected = cv2.triangulatePoints(np.eye(4)[:3], views.b_from_a[:3], normalized[0].T, normalized[1].T)
+    assert np.abs(found - (expected[:3] / expected[3]).T).max() < 1e-6
+
+
+def test_points_at_infinity_are_marked() -> None:
+    pixels = np.array([[160.0, 120.0], [50.0, 60.0]])
+    moved = np.eye(4)
+    moved[0, 3] = -1.0
+    result = geometry.TwoViewPoints(np.eye(4), moved, pixels, pixels, CAMERA.intrinsics)
+    assert (result.cosines > 1.0 - 1e-9).all()
+
+
+def test_epipole_is_the_other_camera_seen(rng: np.random.Generator) -> None:
+    b_from_a = two_views(rng).b_from_a.copy()
+    b_from_a[:3, 3] = [0.1, 0.05, 1.0]
+    fundamental, epipole = geometry.fundamental_between(np.eye(4), b_from_a, CAMERA.matrix)
+    assert np.allclose(epipole, CAMERA.project(b_from_a[None, :3, 3])[0])
+    assert np.abs(np.array([*epipole, 1.0]) @ fundamental).max() < 1e-12

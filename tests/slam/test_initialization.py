@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
+
+from codecbench.slam.frame import Frame
+from codecbench.slam.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
+
+FACTORS = 1.2 ** np.arange(8)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_the_motion_is_found_and_the_model_fits_the_scene(rng: np.random.Generator, planar: bool) -> None:
+    views = two_views(rng, planar=planar)
+    descriptors = random_descriptors(rng, 300)
+    first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
+    matches = match_for_start(first, second)
+    assert (matches == np.arange(300)).mean() > 0.95
+    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    assert isinstance(start, TwoViewStart)
+    assert start.model == ("homography" if planar else "fundamental")
+    scale = np.linalg.norm(views.b_from_a[:3, 3])
+    assert np.abs(start.second_from_first[:3, :3] - views.b_from_a[:3, :3]).max() < 1e-6
+    assert np.abs(start.second_from_first[:3, 3] * scale - views.b_from_a[:3, 3]).max() < 1e-5
+    assert np.abs(start.points_first * scale - views.points[start.features_first]).max() < 1e-3
+
+
+def test_wrong_matches_do_not_matter(rng: np.random.Generator) -> None:
+    views = two_views(rng, noise_px=0.3)
+    descriptors = random_descriptors(rng, 300)
+    first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
+    matches = np.arange(300)
+    matches[:60] = np.roll(matches[:60], 1)
+    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    assert isinstance(start, TwoViewStart)
+    assert np.abs(start.second_from_first[:3, :3] - views.b_from_a[:3, :3]).max() < 0.02
+    assert (start.features_first >= 60).mean() > 0.97
+
+
+def test_pure_rotation_gives_no_map(rng: np.random.Generator) -> None:
+    views = two_views(rng, noise_px=0.2)
+    turned = CAMERA.project(views.points @ views.b_from_a[:3, :3].T) + rng.normal(0.0, 0.2, (300, 2))
+    descriptors = random_descriptors(rng, 300)
+    first, second = features_at(views.pixels_a, descriptors), features_at(turned, descriptors)
+    start = start_from_two_views(first, second, np.arange(300), CAMERA, np.random.default_rng(0))
+    assert isinstance(start, str)
+
+
+def test_few_matches_are_refused_with_a_reason(rng: np.random.Generator) -> None:
+    views = two_views(rng)
+    descriptors = random_descriptors(rng, 300)
+    first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
+    matches = np.where(np.arange(300) < 50, np.arange(300), -1)
+    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    assert start == "50 matches between the first two frames"
+
+
+def test_the_first_map_is_exact_and_of_unit_depth(rng: np.random.Generator) -> None:
+    views = two_views(rng)
+    descriptors = random_descriptors(rng, 300)
+    initializer = Initializer(CAMERA, FACTORS, 300, np.random.default_rng(0))
+    first = Frame.of(0, 0.0, features_at(views.pixels_a, descriptors))
+    second = Frame.of(1, 0.1, features_at(views.pixels_b, descriptors))
+    assert initializer.add(first, 0) == "waiting for a second view"
+    started = initializer.add(second, 0)
+    assert not isinstance(started, str)
+    slam_map, mapper = started
+    assert slam_map.keyframes.count == 2
+    assert mapper.median_depth(0) == pytest.approx(1.0)
+    scale = np.linalg.norm(views.b_from_a[:3, 3]) / np.linalg.norm(second.camera_from_world[:3, 3])
+    shown = first.matched
+    points = slam_map.points.positions[first.points[shown]] * scale
+    assert len(shown) > 250
+    assert np.abs(points - views.points[shown]).max() < 1e-3
+
+
+def test_a_poor_frame_forgets_the_reference(rng: np.random.Generator) -> None:
+    descriptors = random_descriptors(rng, 300)
+    initializer = Initializer(CAMERA, FACTORS, 300, np.random.default_rng(0))
+    pixels = rng.uniform(10.0, 230.0, (300, 2))
+    initializer.add(Frame.of(0, 0.0, features_at(pixels, descriptors)), 0)
+    initializer.add(Frame.of(1, 0.1, features_at(pixels[:20], descriptors[:20])), 0)
+    answer = initializer.add(Frame.of(2, 0.2, features_at(pixels, descriptors)), 0)
+    assert answer == "waiting for a second view"

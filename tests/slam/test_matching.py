@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import numpy as np
+from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
+
+from codecbench.slam.geometry import fundamental_between
+from codecbench.slam.hamming import hamming
+from codecbench.slam.matching import (
+    keep_consistent_rotations,
+    match_by_appearance,
+    match_in_windows,
+    match_on_epipolar_lines,
+)
+
+FACTORS = 1.2 ** np.arange(8)
+
+
+def test_hamming_distance_counts_bits(rng: np.random.Generator) -> None:
+    a, b = random_descriptors(rng, 20), random_descriptors(rng, 20)
+    for i in range(20):
+        assert hamming(a, i, b, i) == int(np.unpackbits((a[i] ^ b[i]).view(np.uint8)).sum())
+
+
+def test_windows_find_every_feature_at_its_place(rng: np.random.Generator) -> None:
+    pixels = rng.uniform([5.0, 5.0], [315.0, 235.0], (200, 2))
+    descriptors = random_descriptors(rng, 200)
+    features = features_at(pixels, descriptors)
+    low, high = np.zeros(200, np.int64), np.ones(200, np.int64)
+    shifted = pixels + rng.uniform(-4.0, 4.0, (200, 2))
+    matches = match_in_windows(shifted, np.full(200, 5.0), low, high, descriptors, features, np.ones(200, bool), 50)
+    assert np.array_equal(matches, np.arange(200))
+
+
+def test_windows_respect_radius_level_mask_and_ratio(rng: np.random.Generator) -> None:
+    descriptors = random_descriptors(rng, 1)
+    features = features_at(np.array([[100.0, 100.0], [103.0, 100.0]]), np.repeat(descriptors, 2, axis=0))
+    query, queried = np.array([[100.0, 100.0]]), descriptors ^ np.uint64(1)
+    one, zero, free = np.ones(1, np.int64), np.zeros(1, np.int64), np.ones(2, bool)
+
+    def match(radius=5.0, low=zero, free=free, ratio=1.0):  # type: ignore[no-untyped-def]
+        return int(match_in_windows(query, np.full(1, radius), low, one, queried, features, free, 50, ratio)[0])
+
+    assert match() == 0
+    assert match(low=one) == -1
+    assert match(free=np.zeros(2, bool)) == -1
+    assert match(free=np.array([False, True])) == 1
+    assert match(radius=2.0, free=np.array([False, True])) == -1
+    assert match(ratio=0.9) == -1
+
+
+def test_a_feature_is_given_once_and_to_the_nearest(rng: np.random.Generator) -> None:
+    descriptor = random_descriptors(rng, 1)
+    near = descriptor.copy()
+    near[0, 0] ^= np.uint64(0b111)
+    features = features_at(np.array([[50.0, 50.0]]), descriptor)
+    queries = np.concatenate([near, descriptor, near])
+    levels = np.zeros(3, np.int64)
+    matches = match_in_windows(
+        np.full((3, 2), 50.0), np.full(3, 5.0), levels, levels, queries, features, np.ones(1, bool), 50
+    )
+    assert matches.tolist() == [-1, 0, -1]
+
+
+def test_appearance_finds_the_permutation_and_keeps_to_nodes(rng: np.random.Generator) -> None:
+    descriptors = random_descriptors(rng, 100)
+    order = rng.permutation(100)
+    every = np.ones(100, bool)
+    nodes = np.arange(100) % 7
+    matches = match_by_appearance(descriptors, nodes, every, descriptors[order], nodes[order], every, 50, 0.7)
+    assert np.array_equal(order[matches], np.arange(100))
+    apart = match_by_appearance(descriptors, nodes, every, descriptors[order], nodes[order] + 7, every, 50, 0.7)
+    assert (apart == -1).all()
+
+
+def test_epipolar_search_finds_true_matches_only(rng: np.random.Generator) -> None:
+    views = two_views(rng, count=150)
+    descriptors = random_descriptors(rng, 150)
+    fundamental, epipole = fundamental_between(np.eye(4), views.b_from_a, CAMERA.matrix)
+    octaves, free = np.zeros(150, np.int32), np.ones(150, bool)
+    off_line = views.pixels_b.copy()
+    off_line[::2, 1] += 15.0  # the motion is sideways: lines run along x
+
+    def search(pixels_b):  # type: ignore[no-untyped-def]
+        return match_on_epipolar_lines(
+            views.pixels_a, octaves, descriptors, free, pixels_b, octaves, descriptors, free,
+            fundamental, epipole, FACTORS, 50, 10.0,
+        )  # fmt: skip
+
+    assert np.array_equal(search(views.pixels_b), np.arange(150))
+    assert (search(off_line)[::2] == -1).all()
+    assert np.array_equal(search(off_line)[1::2], np.arange(150)[1::2])
+
+
+def test_matches_that_turn_otherwise_are_dropped(rng: np.random.Generator) -> None:
+    angles = rng.uniform(-np.pi, np.pi, 100)
+    turned = angles - 0.7
+    turned[:8] -= np.pi / 2.0
+    matches = keep_consistent_rotations(np.arange(100), angles, turned)
+    assert (matches[:8] == -1).all()
+    assert (matches[8:] == np.arange(8, 100)).all()
