@@ -16,6 +16,8 @@ COMMANDS = {
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
+    "status": ("codecbench.cli.status:status", "Say how far a run is, also while it is running."),
+    "reproduce": ("codecbench.cli.reproduce:reproduce", "Put the paper's tables and figures beside a run."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }
 

@@ -19,7 +19,7 @@ _WEBP_QUALITY: Final = 82
 _FOUND_PX: Final = 3.0
 """A feature counts as kept where the decoded frame has one within this distance."""
 _GAIN: Final = 4
-"""Differences are shown this many times stronger, around middle gray."""
+"""Differences of gray are shown this many times stronger, around middle gray."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,11 @@ def frame_view(coded: CodedFrame) -> FrameView:
     """The middle of a coded frame; circles on the difference mark features that the decoded frame no longer has."""
     original, decoded = (_middle(image) for image in (coded.original.image, coded.decoded))
     points, kept = _kept_features(original, decoded)
-    difference = 128 + _GAIN * (decoded.astype(np.int16) - original.astype(np.int16))
-    shown = np.clip(difference, 0, 255).astype(np.uint8)
-    shown = np.ascontiguousarray(shown if shown.ndim == 3 else np.repeat(shown[:, :, None], 3, axis=2))
+    difference = 128 + _GAIN * (gray_from_image(decoded).astype(np.int16) - gray_from_image(original))
+    shown = np.repeat(np.clip(difference, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
     for (x, y), found in zip(points, kept, strict=True):
         if not found:
-            cv2.circle(shown, (round(float(x)), round(float(y))), 4, (214, 40, 40), 1, cv2.LINE_AA)
+            cv2.circle(shown, (round(float(x)), round(float(y))), 5, (230, 20, 20), 2, cv2.LINE_AA)
     return FrameView(_uri(original), _uri(decoded), _uri(shown), len(points), int((~kept).sum()))
 
 

@@ -23,7 +23,8 @@ function layout(extra) {
   const axis = { gridcolor: line, zerolinecolor: line, linecolor: line, automargin: true };
   return {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, family: "system-ui, sans-serif" },
-    margin: { l: 56, r: 16, t: 20, b: 48 }, legend: { orientation: "h", y: -0.2 }, hovermode: "closest", ...extra,
+    margin: { l: 56, r: 16, t: 20, b: 48 }, legend: { orientation: "h", y: -0.2 }, hovermode: "closest",
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, ...extra,
     xaxis: { ...axis, ...(extra.xaxis || {}) }, yaxis: { ...axis, ...(extra.yaxis || {}) },
   };
 }

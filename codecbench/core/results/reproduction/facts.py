@@ -14,8 +14,8 @@ from typing import Final
 import pandas as pd
 
 CITATION: Final = (
-    "O. M. Salih and J. Vásárhelyi, “End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust "
-    "Monocular Visual ORB-SLAM”"
+    "O. M. Salih and J. Vásárhelyi, *End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust "
+    "Monocular Visual ORB-SLAM*"
 )
 
 RAW_RMSE: Final = 0.22114
