@@ -82,21 +82,13 @@ def _trajectories(measured: Measured) -> Iterator[str]:
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
-        "A run succeeds where at least 90 % of the frames are tracked and the error is at most twice the median of the raw "
-        "codec's runs. A setting holds where most of its runs succeed; the limit is the least rate down to which every "
+        "A run succeeds where at least 90 % of the frames are tracked and the error is at most twice the median of the "
+        "raw codec's runs. A setting holds where most of its runs succeed; the limit is the least rate down to which every "
         "setting holds. The bound is the lower end of the 95 % Wilson interval of its success rate.\n"
     )
     for evaluator in dict.fromkeys(success["evaluator"]):
         limits = trajectory_limits(run.wide, success[success["evaluator"] == evaluator], run.curves)
-        rows = []
-        for (sequence, curve), limit in limits.items():
-            if limit is None:
-                rows.append([sequence, curve, "fails at every setting", "", "", "", ""])
-            else:
-                share = f"{limit.successes}/{limit.runs}, at least {100 * limit.low:.0f} %"
-                rows.append(
-                    [sequence, curve, limit.point, limit.rate_bpp, share, limit.next_failing or "none", _paper(curve)]
-                )
+        rows = [[sequence, curve, *_limit(limit), _paper(curve)] for (sequence, curve), limit in limits.items()]
         yield f"### {evaluator}\n"
         yield table(["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows)
         yield from _errors(measured, str(evaluator))
