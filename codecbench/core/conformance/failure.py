@@ -11,3 +11,7 @@ class ConformanceFailure(AssertionError):
         self.where = where
         self.got = got
         self.expected = expected
+
+
+class NotClaimed(Exception):
+    """The check is about something that the codec, or this setting of it, does not claim; the text says what."""

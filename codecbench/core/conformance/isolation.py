@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from codecbench.core.conformance.failure import ConformanceFailure
+from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
 from codecbench.core.conformance.images import NamedImage
 from codecbench.core.conformance.round_trip import CodecClass, encoded, require_equal
 from codecbench.core.conformance.sandbox import Verb, sandbox
@@ -45,9 +45,9 @@ def bytes_alone_decode(codec_class: CodecClass, params: Params, images: Sequence
 
 
 def threads_do_not_interfere(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:
-    """One instance in several threads at once gives what it gives alone. Codecs that do not claim it pass."""
+    """One instance in several threads at once gives what it gives alone."""
     if not codec_class.capabilities.thread_safe:
-        return
+        raise NotClaimed("this codec does not claim to be thread-safe")
     codec = codec_class(params)
     alone = [(image, bitstream, codec.decode(bitstream)) for image, bitstream in encoded(codec, images)]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from codecbench.core.conformance import counting, isolation, robustness, round_trip
-from codecbench.core.conformance.failure import ConformanceFailure
+from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
 from codecbench.core.conformance.images import NamedImage, conformance_images
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.params import Params
@@ -22,19 +22,26 @@ class Check:
     function: Callable[[type[Codec[Any]], Params, Sequence[NamedImage]], None]
 
 
+Status = Literal["passed", "failed", "skipped"]
+
+
 @dataclass(frozen=True)
 class CheckResult:
-    """How one check went for images of one layout; `failure` is None where the codec passed."""
+    """How one check went for images of one layout, and why where it did not pass."""
 
     check: Check
     channels: int
-    failure: str | None
+    status: Status
+    reason: str = ""
+
+    @property
+    def layout(self) -> str:
+        """`gray` or `colour`."""
+        return "gray" if self.channels == 1 else "colour"
 
     def __str__(self) -> str:
-        layout = "gray" if self.channels == 1 else "colour"
-        return f"{'ok    ' if self.failure is None else 'FAILED'} {self.check.name} ({layout})" + (
-            f": {self.failure}" if self.failure else ""
-        )
+        mark = "FAILED" if self.status == "failed" else self.status
+        return f"{mark} {self.check.name} ({self.layout})" + (f": {self.reason}" if self.reason else "")
 
 
 CHECKS: tuple[Check, ...] = (
@@ -59,18 +66,26 @@ CHECKS: tuple[Check, ...] = (
 
 def run_checks(codec_class: type[Codec[Any]], params: Params, checks: Sequence[Check] = CHECKS) -> list[CheckResult]:
     """Every check on every layout that the codec declares."""
-    results = []
-    for channels in codec_class.capabilities.channels:
-        images = conformance_images(channels)
-        results += [CheckResult(check, channels, _failure(check, codec_class, params, images)) for check in checks]
-    return results
+    return list(checking(codec_class, params, checks))
 
 
-def _failure(check: Check, codec_class: type[Codec[Any]], params: Params, images: list[NamedImage]) -> str | None:
+def checking(codec_class: type[Codec[Any]], params: Params, checks: Sequence[Check] = CHECKS) -> Iterator[CheckResult]:
+    """The same, check by check: each result as soon as it is there."""
+    images = {channels: conformance_images(channels) for channels in codec_class.capabilities.channels}
+    for check in checks:
+        for channels, of_layout in images.items():
+            yield _result(check, channels, codec_class, params, of_layout)
+
+
+def _result(
+    check: Check, channels: int, codec_class: type[Codec[Any]], params: Params, images: list[NamedImage]
+) -> CheckResult:
     try:
         check.function(codec_class, params, images)
+    except NotClaimed as claim:
+        return CheckResult(check, channels, "skipped", str(claim))
     except ConformanceFailure as failure:
-        return str(failure)
+        return CheckResult(check, channels, "failed", str(failure))
     except Exception as error:  # noqa: BLE001 - a codec may raise anything, which is a finding too
-        return f"raised {type(error).__name__}: {error}"
-    return None
+        return CheckResult(check, channels, "failed", f"raised {type(error).__name__}: {error}")
+    return CheckResult(check, channels, "passed")

@@ -111,6 +111,7 @@ class JpegXl(_Enveloped[JpegXlParams]):
 
     name = "jpegxl"
     params_type = JpegXlParams
+    examples = ({}, {"distance": 0})
     magic, function, decoding = b"ICxl", "jpegxl", {"numthreads": 1}
 
     def is_lossless(self) -> bool:
@@ -132,6 +133,7 @@ class JpegLs(_Enveloped[JpegLsParams]):
 
     name = "jpegls"
     params_type = JpegLsParams
+    examples = ({}, {"near": 3})
     magic, function = b"ICls", "jpegls"
 
     def is_lossless(self) -> bool:
@@ -152,6 +154,7 @@ class Htj2k(_Enveloped[Htj2kParams]):
 
     name = "htj2k"
     params_type = Htj2kParams
+    examples = ({}, {"step": 0})
     magic, function = b"ICht", "htj2k"
 
     def is_lossless(self) -> bool:
@@ -174,6 +177,7 @@ class Webp(_Enveloped[WebpParams]):
 
     name = "webp"
     params_type = WebpParams
+    examples = ({}, {"lossless": True})
     magic, function, colour_only, max_side = b"ICwp", "webp", True, 16383
 
     def is_lossless(self) -> bool:
@@ -197,6 +201,7 @@ class Avif(_Enveloped[AvifParams]):
 
     name = "avif"
     params_type = AvifParams
+    examples = ({}, {"subsampling": "444", "quality": 90})
     magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
 
     def _arguments(self) -> dict[str, Any]:

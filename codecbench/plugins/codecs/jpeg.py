@@ -53,6 +53,12 @@ class Jpeg(Codec[JpegParams]):
     version = "1"
     params_type = JpegParams
     capabilities = Capabilities()
+    examples = (
+        {},
+        {"quality": 1, "subsampling": "444", "optimize": True},
+        {"quality": 100, "subsampling": "422"},
+        {"progressive": True},
+    )
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)

@@ -39,6 +39,7 @@ class Png(Codec[PngParams]):
     version = "1"
     params_type = PngParams
     capabilities = Capabilities(lossless=True)
+    examples = ({}, {"effort": 9})
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)

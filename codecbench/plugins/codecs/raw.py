@@ -36,6 +36,7 @@ class Raw(Codec[NoParams]):
     version = "1"
     params_type = NoParams
     capabilities = Capabilities(lossless=True)
+    examples = ({},)
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)

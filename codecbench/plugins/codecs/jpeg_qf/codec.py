@@ -57,6 +57,12 @@ class JpegQf(Codec[JpegQfParams]):
     version = "1"
     params_type = JpegQfParams
     capabilities = Capabilities(counts_operations=True)
+    examples = (
+        {},
+        {"qf": 100, "optimize": True, "color": "ycbcr420"},
+        {"qf": 0.01, "table": "standard", "color": "ycbcr420"},
+        {"qf": 20, "color": "gray"},
+    )
 
     def __init__(self, params: JpegQfParams) -> None:
         super().__init__(params)

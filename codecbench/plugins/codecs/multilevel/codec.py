@@ -33,6 +33,12 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
+    examples = (
+        {},
+        {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
+        {"qf": 75, "keys": "random", "seed": 3, "scan": "coefficient", "table": "standard", "color": "ycbcr444"},
+        {"qf": 10, "group": 2, "table": "flat", "color": "gray"},
+    )
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         """The bitstream of one image; a gray image is coded as one plane whatever `color` says.
