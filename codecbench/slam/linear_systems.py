@@ -53,6 +53,8 @@ def envelope_order(adjacency: NDArray[np.bool_]) -> Indices:
     Sources: Cuthill and McKee, 1969; George, 1971.
     """
     natural = np.arange(len(adjacency), dtype=np.int64)
+    if len(natural) < 3:
+        return natural
     reverse = reverse_cuthill_mckee(csr_array(adjacency), symmetric_mode=True).astype(np.int64)
     sizes = [int((natural - first_neighbours(adjacency[np.ix_(o, o)])).sum()) for o in (natural, reverse)]
     return natural if sizes[0] <= sizes[1] else reverse
@@ -60,6 +62,8 @@ def envelope_order(adjacency: NDArray[np.bool_]) -> Indices:
 
 def first_neighbours(adjacency: NDArray[np.bool_]) -> Indices:
     """Return for each node (n,) the first position that it is joined to, or its own."""
+    if not len(adjacency):
+        return np.zeros(0, dtype=np.int64)
     linked = adjacency | np.eye(len(adjacency), dtype=np.bool_)
     first: Indices = np.argmax(linked, axis=1).astype(np.int64)
     return first
