@@ -10,21 +10,19 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
 from codecbench.plugins.datasets.calibration import YamlFile, numbers_in
 from codecbench.plugins.datasets.files import Content, FileSequence
-from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.selection import Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
 
 Floats = NDArray[np.float64]
 _REMEDY = "set `ground_truth: false` to use the frames without it"
 
 
-class EurocParams(Selection):
+class EurocParams(Located):
     """Parameters of `euroc`."""
 
-    path: Annotated[PathParam, Field(description="folder that holds mav0/")]
     camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
     ground_truth: Annotated[bool, Field(description="false for a sequence without state_groundtruth_estimate0")] = True
 
@@ -42,7 +40,8 @@ class Euroc(Dataset[EurocParams]):
 
     def open(self) -> Sequence:
         params = self.params
-        folder = params.path / "mav0" / params.camera
+        root = params.folder("mav0/")
+        folder = root / "mav0" / params.camera
         if not folder.is_dir():
             raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds mav0/")
         rows = read_rows(folder / "data.csv", "the list of frames", 2, ",")
@@ -53,13 +52,13 @@ class Euroc(Dataset[EurocParams]):
         if rate_hz <= 0.0:
             raise DatasetError(f"{sensor.where('rate_hz')}: `rate_hz` is {rate_hz}, which is not above 0")
         content = Content(
-            name=params.path.resolve().name,
+            name=root.resolve().name,
             where=str(folder),
             files=tuple(folder / "data" / rows[index].fields[1] for index in chosen),
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=rate_hz / params.stride,
             camera=_camera(sensor),
-            ground_truth=_trajectory(params.path / "mav0", _mounting(sensor)) if params.ground_truth else None,
+            ground_truth=_trajectory(root / "mav0", _mounting(sensor)) if params.ground_truth else None,
             color=params.color,
         )
         return FileSequence(content)

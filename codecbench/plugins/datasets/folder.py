@@ -14,13 +14,12 @@ from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Sequence
 from codecbench.plugins.datasets.calibration import camera_from_file
 from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence
-from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.selection import Located
 
 
-class FolderParams(Selection):
+class FolderParams(Located):
     """Parameters of `folder`."""
 
-    path: Annotated[PathParam, Field(description="folder of image files; folders inside it are not searched")]
     frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
 
@@ -34,11 +33,12 @@ class Folder(Dataset[FolderParams]):
 
     def open(self) -> Sequence:
         params = self.params
-        files = image_files(params.path)
-        chosen = params.indices(len(files), str(params.path))
+        folder = params.folder("image files")
+        files = image_files(folder)
+        chosen = params.indices(len(files), str(folder))
         content = Content(
-            name=params.path.resolve().name,
-            where=str(params.path),
+            name=folder.resolve().name,
+            where=str(folder),
             files=tuple(files[index] for index in chosen),
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,

@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
 from codecbench.plugins.datasets.files import Content, FileSequence, read_image_file
-from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.selection import Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
 
 
-class KittiParams(Selection):
+class KittiParams(Located):
     """Parameters of `kitti`."""
 
-    path: Annotated[PathParam, Field(description="folder with sequences/ and poses/")]
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
     camera: Annotated[
         Literal["image_0", "image_1", "image_2", "image_3"],
@@ -44,7 +42,10 @@ class Kitti(Dataset[KittiParams]):
 
     def open(self) -> Sequence:
         params = self.params
-        folder = params.path / "sequences" / params.sequence
+        root = params.folder("sequences/ and poses/")
+        if (root / "dataset").is_dir():
+            root = root / "dataset"  # the publisher's archives hold this folder
+        folder = root / "sequences" / params.sequence
         if not folder.is_dir():
             raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds sequences/ and poses/")
         rows = read_rows(folder / "times.txt", "the list of times", 1)
@@ -54,7 +55,7 @@ class Kitti(Dataset[KittiParams]):
         projection = read_projection(folder / "calib.txt", f"P{params.camera[-1]}")
         truth = None
         if params.ground_truth:
-            truth = _trajectory(params.path / "poses" / f"{params.sequence}.txt", times_s, projection)
+            truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
         content = Content(
             name=f"kitti_{params.sequence}",
             where=str(folder),

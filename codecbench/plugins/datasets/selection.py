@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
 import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
-from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.params import Params, PathParam
 
 Color = Literal["as_is", "rgb", "gray"]
 
@@ -35,6 +36,29 @@ class Selection(Params):
             limit = f"stop ({stop})" if self.stop is not None else f"the number of frames ({count})"
             raise DatasetError(f"{where}: start is {self.start}, which is not below {limit}; no frame is left")
         return range(self.start, stop, self.stride)
+
+
+class Located(Selection):
+    """Selection from a folder on disk: one's own, or one that `codecbench data fetch` brought."""
+
+    path: Annotated[PathParam | None, Field(description="folder of the sequence")] = None
+    fetched: Annotated[str | None, Field(description="name of a dataset of `codecbench data list`, instead")] = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.path is None) == (self.fetched is None):
+            raise ValueError("give either `path` or `fetched`")
+        return self
+
+    def folder(self, holds: str) -> Path:
+        """The sequence's folder. Raises DatasetError where it is not there, saying what it `holds`."""
+        from codecbench.plugins.datasets import catalog
+
+        if self.path is None:
+            return catalog.path(str(self.fetched))
+        if not self.path.is_dir():
+            raise DatasetError(f"{self.path}: is not a folder; `path` names the one that holds {holds}")
+        return self.path
 
 
 def converted(image: Image, color: Color) -> Image:

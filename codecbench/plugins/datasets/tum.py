@@ -14,16 +14,15 @@ from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
 from codecbench.plugins.datasets.calibration import FREIBURG, camera_from_file
 from codecbench.plugins.datasets.files import Content, FileSequence
-from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.selection import Located
 from codecbench.plugins.datasets.tables import increasing, rate_hz, read_rows, trajectory_from_quaternions
 
 _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
 
 
-class TumParams(Selection):
+class TumParams(Located):
     """Parameters of `tum`."""
 
-    path: Annotated[PathParam, Field(description="folder with rgb.txt, rgb/ and groundtruth.txt")]
     camera: Annotated[
         Literal["auto", "freiburg1", "freiburg2", "freiburg3", "none"],
         Field(description="auto: calib.yaml beside the frames, else by `freiburgN` in the folder's name"),
@@ -51,12 +50,10 @@ class Tum(Dataset[TumParams]):
 
     def open(self) -> Sequence:
         params = self.params
-        folder = params.path
-        if not folder.is_dir():
-            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds rgb.txt")
+        folder = params.folder("rgb.txt")
         rows = read_rows(folder / "rgb.txt", "the list of frames", 2)
         times_s = increasing([row.number(0) for row in rows], rows)
-        camera, fps = _camera(params)
+        camera, fps = _camera(params, folder)
         chosen = params.indices(len(rows), str(folder / "rgb.txt"))
         content = Content(
             name=folder.resolve().name,
@@ -80,17 +77,17 @@ def read_tum_trajectory(file: Path) -> Trajectory:
     return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)
 
 
-def _camera(params: TumParams) -> tuple[Camera | None, float | None]:
+def _camera(params: TumParams, folder: Path) -> tuple[Camera | None, float | None]:
     if params.camera == "none":
         return None, None
     if params.camera != "auto":
         return FREIBURG[params.camera], None
-    beside = params.path / "calib.yaml"
+    beside = folder / "calib.yaml"
     if params.calibration is not None:
         return camera_from_file(params.calibration)
     if beside.is_file():
         return camera_from_file(beside)
-    named = _FOLDER_NAME.search(params.path.resolve().name)
+    named = _FOLDER_NAME.search(folder.resolve().name)
     if named is None:
         raise DatasetError(
             f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "

@@ -1,0 +1,103 @@
+"""Downloads over HTTP that survive a cut connection: what has arrived stays, and the next try asks for the rest."""
+
+from __future__ import annotations
+
+import fcntl
+import http.client
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from codecbench.core.contracts.errors import DatasetError
+
+Progress = Callable[[int, int | None], None]
+"""Told the bytes of a file that have arrived, and how many there will be where the server says."""
+
+_CHUNK_BYTES = 1 << 18
+_TIMEOUT_S = 60.0
+
+
+class ResumingDownloader:
+    """A downloader in pooch's sense: called with the address, the file to write and the pooch.
+
+    partial: where the arriving bytes are kept between tries and calls. After `tries` connections that bring
+    nothing new it gives up, and the partial file stays for the next call. Raises DatasetError.
+    """
+
+    def __init__(self, partial: Path, progress: Progress | None = None, tries: int = 4, pause_s: float = 2.0) -> None:
+        self._partial = partial
+        self._version = partial.with_name(partial.name + ".version")
+        self._progress = progress or (lambda done, total: None)
+        self._tries = tries
+        self._pause_s = pause_s
+
+    def __call__(self, url: str, output_file: str | Path, pooch: Any = None) -> None:
+        try:
+            self._partial.parent.mkdir(parents=True, exist_ok=True)
+            with open(self._partial, "ab") as stream:
+                self._lock(stream)
+                self._fill(url, stream)
+            self._partial.replace(output_file)
+            self._version.unlink(missing_ok=True)
+        except OSError as error:
+            raise DatasetError(f"{self._partial}: cannot be written: {error.strerror or error}") from error
+
+    def _lock(self, stream: IO[bytes]) -> None:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise DatasetError(f"{self._partial}: another process is fetching this file; wait for it") from error
+
+    def _fill(self, url: str, stream: IO[bytes]) -> None:
+        failures = 0
+        while True:
+            before = stream.tell()
+            try:
+                if self._receive(url, stream):
+                    return
+                reason = "the connection was cut"
+            except urllib.error.HTTPError as error:
+                if error.code < 500:
+                    raise DatasetError(f"{url}: the server answers {error.code} {error.reason}") from error
+                reason = f"the server answers {error.code} {error.reason}"
+            except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError) as error:
+                reason = str(getattr(error, "reason", error)) or type(error).__name__
+            failures = failures + 1 if stream.tell() <= before else 0
+            if failures >= self._tries:
+                raise DatasetError(f"{url}: {reason} after {stream.tell()} bytes; fetch again to go on from there")
+            time.sleep(self._pause_s)
+
+    def _receive(self, url: str, stream: IO[bytes]) -> bool:
+        """One connection; whether the file is now complete."""
+        with self._ask(url, stream) as response:
+            if response.status != 206:
+                stream.seek(0)
+                stream.truncate()
+            start = stream.tell()
+            length = response.headers.get("Content-Length")
+            total = None if length is None else start + int(length)
+            self._version.write_text(response.headers.get("ETag") or response.headers.get("Last-Modified") or "")
+            while chunk := response.read(_CHUNK_BYTES):
+                stream.write(chunk)
+                self._progress(stream.tell(), total)
+            stream.flush()
+        return total is None or stream.tell() >= total
+
+    def _ask(self, url: str, stream: IO[bytes]) -> Any:
+        """The server's answer: the rest of the same version of the file, or else the whole."""
+        request = urllib.request.Request(url, headers={"User-Agent": "codecbench"})
+        version = self._version.read_text() if self._version.is_file() else ""
+        if stream.tell() and version:
+            request.add_header("Range", f"bytes={stream.tell()}-")
+            request.add_header("If-Range", version)
+        try:
+            return urllib.request.urlopen(request, timeout=_TIMEOUT_S)
+        except urllib.error.HTTPError as error:
+            if error.code != 416:
+                raise
+            stream.seek(0)
+            stream.truncate()
+            return urllib.request.urlopen(url, timeout=_TIMEOUT_S)
