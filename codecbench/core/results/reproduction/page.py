@@ -83,8 +83,8 @@ def _trajectories(measured: Measured) -> Iterator[str]:
     yield "## How far a codec can go before tracking fails\n"
     yield (
         "A run succeeds where at least 90 % of the frames are tracked and the error is at most twice the median of the "
-        "raw codec's runs. A setting holds where most of its runs succeed; the limit is the least rate down to which every "
-        "setting holds. The bound is the lower end of the 95 % Wilson interval of its success rate.\n"
+        "raw codec's runs. A setting holds where most of its runs succeed; the limit is the least rate down to which "
+        "every setting holds. The bound is the lower end of the 95 % Wilson interval of its success rate.\n"
     )
     for evaluator in dict.fromkeys(success["evaluator"]):
         limits = trajectory_limits(run.wide, success[success["evaluator"] == evaluator], run.curves)

@@ -1,0 +1,118 @@
+"""Comparisons: exact where values repeat, statistical where they do not, silent on equal code."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.results.comparison.compare import YARDSTICK, Comparison, compare
+from codecbench.core.results.comparison.snapshot import Series, Snapshot, read_snapshot, write_snapshot
+
+MACHINE = ("a processor, 2 cores, here",)
+
+
+def series(metric: str, values: tuple[float, ...], *, better: str = "higher", repeatable: bool = True) -> Series:
+    return Series("room", "jpeg", "quality=10", "test", metric, better, repeatable, values, "ok", "", "f00d")
+
+
+def snapshot(*members: Series, machines: tuple[str, ...] = MACHINE) -> Snapshot:
+    return Snapshot("run", machines, members)
+
+
+def only(found: list[Comparison]) -> Comparison:
+    (one,) = found
+    return one
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "better", "verdict"),
+    [
+        (30.0, 30.0, "higher", "same"),
+        (30.0, 29.9, "higher", "worse"),
+        (30.0, 30.1, "higher", "better"),
+        (1000.0, 1001.0, "lower", "worse"),
+        (1000.0, 999.0, "lower", "better"),
+        (5.0, 6.0, "neither", "changed"),
+        (math.nan, math.nan, "higher", "same"),
+        (30.0, math.nan, "higher", "changed"),
+        (math.inf, math.inf, "higher", "same"),
+    ],
+)
+def test_what_repeats_is_compared_exactly(before: float, after: float, better: str, verdict: str) -> None:
+    found = compare(snapshot(series("m", (before,), better=better)), snapshot(series("m", (after,), better=better)))
+    assert only(found).verdict == verdict
+
+
+def test_a_tenth_of_a_decibel_is_caught_and_said() -> None:
+    one = only(compare(snapshot(series("psnr_gray_db", (34.5,))), snapshot(series("psnr_gray_db", (34.4,)))))
+    assert one.verdict == "worse"
+    assert one.change == pytest.approx(-0.1)
+
+
+def timed(rng: np.random.Generator, factor: float, drift: float, repeats: int = 5) -> Snapshot:
+    """Times of a codec and of the yardstick on a machine that slows down by `drift` over the run, with 1 % noise."""
+    pace = np.linspace(1.0, 1.0 + drift, repeats) * rng.uniform(0.9, 1.1)
+    times = 8.0 * factor * pace * rng.normal(1.0, 0.01, repeats)
+    yardstick = 2.0 * pace * rng.normal(1.0, 0.01, repeats)
+    return snapshot(
+        series("encode_wall_ms", tuple(times), better="lower", repeatable=False),
+        series(YARDSTICK, tuple(yardstick), better="neither", repeatable=False),
+    )
+
+
+def test_equal_code_raises_no_alarm_in_twenty_trials_on_a_machine_that_drifts(rng: np.random.Generator) -> None:
+    for _ in range(20):
+        one = only(compare(timed(rng, 1.0, 0.15), timed(rng, 1.0, 0.0)))
+        assert one.verdict in ("same", "cannot tell"), one
+
+
+def test_a_slowdown_of_ten_percent_is_caught_on_a_machine_that_drifts(rng: np.random.Generator) -> None:
+    verdicts = [only(compare(timed(rng, 1.0, 0.1), timed(rng, 1.1, 0.0))).verdict for _ in range(20)]
+    assert verdicts.count("worse") >= 19
+    assert only(compare(timed(rng, 1.1, 0.1), timed(rng, 1.0, 0.0))).verdict == "better"
+
+
+def test_rates_of_work_are_better_when_higher(rng: np.random.Generator) -> None:
+    slow = series("encode_mpix_per_s", tuple(rng.normal(30, 0.2, 5)), repeatable=False)
+    fast = replace(slow, values=tuple(1.3 * value for value in slow.values))
+    assert only(compare(snapshot(slow), snapshot(fast))).verdict == "better"
+    assert only(compare(snapshot(fast), snapshot(slow))).verdict == "worse"
+
+
+def test_few_repeats_and_other_machines_and_frames_cannot_tell(rng: np.random.Generator) -> None:
+    few = compare(timed(rng, 1.0, 0.0, repeats=4), timed(rng, 2.0, 0.0, repeats=4))
+    assert "at least 5 are needed" in only(few).note
+    elsewhere = replace(timed(rng, 2.0, 0.0), machines=("another",))
+    assert only(compare(timed(rng, 1.0, 0.0), elsewhere)).note.startswith("another machine")
+    other = replace(series("m", (1.0,)), fingerprint="beef")
+    assert only(compare(snapshot(series("m", (1.0,))), snapshot(other))).note == "the sequences have other frames"
+
+
+def test_failures_and_absences_are_verdicts() -> None:
+    good, bad = series("m", (1.0,)), replace(series("m", ()), status="crashed", reason="SIGSEGV")
+    assert only(compare(snapshot(good), snapshot(bad))).verdict == "worse"
+    assert only(compare(snapshot(bad), snapshot(good))).verdict == "better"
+    assert only(compare(snapshot(good), snapshot())).note == "not in the second run"
+
+
+def test_patterns_choose_metrics() -> None:
+    both = snapshot(series("psnr_gray_db", (1.0,)), series("size_bytes", (2.0,)))
+    assert only(compare(both, both, metrics=["test.psnr*"])).key[4] == "psnr_gray_db"
+
+
+def test_a_baseline_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -> None:
+    whole = snapshot(series("psnr", (math.inf, math.nan, 3.25)), series("size", (1.0,), better="lower"))
+    write_snapshot(whole, tmp_path / "baseline.json")
+    again = read_snapshot(tmp_path / "baseline.json")
+    assert all(one.verdict == "same" for one in compare(whole, again))
+    for content in ("", "{}", '{"format": 99}', "no json"):
+        (tmp_path / "bad.json").write_text(content)
+        with pytest.raises(StoreError, match="not a baseline"):
+            read_snapshot(tmp_path / "bad.json")
+    with pytest.raises(StoreError, match="neither a run folder nor a baseline"):
+        read_snapshot(tmp_path / "nothing")
