@@ -92,12 +92,13 @@ def _camera(projection: Floats, first: Path) -> Camera:
 
 def _trajectory(file: Path, times_s: Floats, projection: Floats) -> Trajectory:
     """Poses of the camera with this projection, one a frame, from lines of 12 numbers for camera 0."""
-    rows = read_rows(file, "ground truth", 12, remedy="set `ground_truth: false` to use the frames without it")
+    remedy = "set `ground_truth: false` to use the frames without it"
+    rows = read_rows(file, "ground truth", 12, remedy=remedy, exact=True)
     if len(rows) != len(times_s):
         raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both have one row a frame")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     for index, row in enumerate(rows):
-        poses[index, :3] = np.array(row.numbers()[:12]).reshape(3, 4)
+        poses[index, :3] = np.array(row.numbers()).reshape(3, 4)
         poses[index] = checked_rotation(poses[index], row.where)
     zero_from_camera = np.eye(4)
     zero_from_camera[:3, 3] = -np.linalg.solve(projection[:, :3], projection[:, 3])

@@ -65,14 +65,16 @@ def read_text(file: Path, what: str, remedy: str = "") -> str:
         raise DatasetError(f"{file}: {what} is not text, at byte {error.start}") from error
 
 
-def read_rows(file: Path, what: str, columns: int, separator: str | None = None, remedy: str = "") -> list[Row]:
-    """The rows of a table of at least `columns` fields; empty lines and lines that begin with # do not count.
+def read_rows(
+    file: Path, what: str, columns: int, separator: str | None = None, remedy: str = "", exact: bool = False
+) -> list[Row]:
+    """The rows of a table of at least, or exactly, `columns` fields; empty lines and lines with # do not count.
 
-    Raises DatasetError for a file without rows and for a row that is too short.
+    Raises DatasetError for a file without rows and for a row of another length.
     """
     rows = list(_rows(file, read_text(file, what, remedy), separator))
     for row in rows:
-        if len(row.fields) < columns:
+        if len(row.fields) < columns or (exact and len(row.fields) > columns):
             raise DatasetError(f"{row.where}: {len(row.fields)} field(s), {what} has {columns}")
     if not rows:
         raise DatasetError(f"{file}: {what} has no rows")

@@ -71,8 +71,8 @@ class Tum(Dataset[TumParams]):
 def read_tum_trajectory(file: Path) -> Trajectory:
     """Poses from lines `time tx ty tz qx qy qz qw`: seconds, metres, world from camera. Raises DatasetError."""
     remedy = "set `ground_truth: false` to use the frames without it"
-    rows = read_rows(file, "ground truth", 8, remedy=remedy)
-    table = np.array([row.numbers() for row in rows])[:, :8]
+    rows = read_rows(file, "ground truth", 8, remedy=remedy, exact=True)
+    table = np.array([row.numbers() for row in rows])
     times_s = increasing(table[:, 0].tolist(), rows)
     return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)
 

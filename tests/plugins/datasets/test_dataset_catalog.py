@@ -117,7 +117,7 @@ def test_an_archive_is_fetched_and_unpacked(server, own_cache):
     assert told[-1] == ("some.tgz", size, size)
     fetch_entry(one)
     assert len(server.asked) == 1
-    assert not [file for file in own_cache.rglob("*.tgz*")]
+    assert not list(own_cache.rglob("*.tgz*"))
 
 
 def test_single_files_become_a_folder(server):

@@ -1,0 +1,470 @@
+"""Datasets of image files: layouts made here with known content, then one thing at a time broken."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import gray_from_image
+from codecbench.plugins.datasets.calibration import FREIBURG, camera_from_file
+from codecbench.plugins.datasets.euroc import Euroc
+from codecbench.plugins.datasets.files import read_image_file
+from codecbench.plugins.datasets.folder import Folder, natural_key
+from codecbench.plugins.datasets.kitti import Kitti
+from codecbench.plugins.datasets.tum import Tum
+
+CALIBRATION = (
+    "model: pinhole\nwidth: 32\nheight: 24\nfps: 25\nfx: 30.5\nfy: 31\ncx: 15.5\ncy: 11.5\nk1: 0.1\np2: -1e-3\n"
+)
+
+
+def picture(number, shape=(24, 32, 3)):
+    return np.random.default_rng(number).integers(0, 256, shape, dtype=np.uint8)
+
+
+def write_picture(file, image):
+    file.parent.mkdir(parents=True, exist_ok=True)
+    stored = image if image.ndim == 2 else np.ascontiguousarray(image[:, :, ::-1])
+    assert cv2.imwrite(str(file), stored)
+
+
+def random_poses(count, seed=1):
+    rng = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    poses[:, :3, 3] = rng.normal(size=(count, 3))
+    return poses
+
+
+def rewrite(file, before, after):
+    text = file.read_text()
+    assert before in text
+    file.write_text(text.replace(before, after, 1))
+
+
+def message(dataset, **values):
+    with pytest.raises(DatasetError) as caught:
+        dataset.create(**values).open()
+    return str(caught.value)
+
+
+# TUM
+
+
+@pytest.fixture
+def tum(tmp_path):
+    """Five frames; ground truth at other times, and more of them."""
+    folder = tmp_path / "my_sequence"
+    lines = ["# color images", "# timestamp filename"]
+    for number in range(5):
+        write_picture(folder / "rgb" / f"{number}.png", picture(number))
+        lines.append(f"{100 + number * 0.04:.6f} rgb/{number}.png")
+    (folder / "rgb.txt").write_text("\n".join(lines) + "\n")
+    poses = random_poses(8)
+    rows = ["# ground truth"]
+    for number, pose in enumerate(poses):
+        quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        rows.append(" ".join(f"{value:.12f}" for value in (99.9 + number * 0.05, *pose[:3, 3], *quaternion)))
+    (folder / "groundtruth.txt").write_text("\n".join(rows) + "\n")
+    (folder / "calib.yaml").write_text(CALIBRATION)
+    return folder
+
+
+def test_tum_gives_frames_times_camera_and_the_whole_true_path(tum):
+    sequence = Tum.create(path=tum, start=1, stop=5, stride=2).open()
+    assert sequence.name == "my_sequence"
+    assert len(sequence) == 2
+    np.testing.assert_allclose(sequence.timestamps_s, [100.04, 100.12])
+    assert sequence.frame_rate_hz == 12.5
+    frame = sequence.read(1)
+    assert (frame.index, frame.timestamp_s) == (1, 100.12)
+    np.testing.assert_array_equal(frame.image, picture(3))
+    assert sequence.camera == camera_from_file(tum / "calib.yaml")[0]
+    assert sequence.camera.distortion == (0.1, 0, 0, -1e-3, 0)
+    assert len(sequence.ground_truth) == 8
+    np.testing.assert_allclose(sequence.ground_truth.world_from_camera, random_poses(8), atol=1e-10)
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s, 99.9 + np.arange(8) * 0.05)
+    assert [one.index for one in sequence] == [0, 1]
+
+
+def test_tum_finds_its_camera(tum, tmp_path):
+    (tum / "calib.yaml").rename(tmp_path / "other.yaml")
+    assert "give `camera`, `calibration`, or `camera: none`" in message(Tum, path=tum)
+    assert Tum.create(path=tum, calibration=tmp_path / "other.yaml").open().camera.fx == 30.5
+    assert Tum.create(path=tum, camera="none").open().camera is None
+    assert "is 32x24, but the calibration is for 640x480" in message(Tum, path=tum, camera="freiburg1")
+    named = tum.rename(tmp_path / "rgbd_dataset_freiburg2_desk")
+    for number in range(5):
+        write_picture(named / "rgb" / f"{number}.png", picture(number, (480, 640, 3)))
+    assert Tum.create(path=named).open().camera == FREIBURG["freiburg2"]
+    with pytest.raises(ValidationError, match="not both"):
+        Tum.create(path=named, camera="freiburg1", calibration=tmp_path / "other.yaml")
+
+
+def test_tum_without_ground_truth_says_so(tum):
+    (tum / "groundtruth.txt").unlink()
+    assert "groundtruth.txt: ground truth is missing; set `ground_truth: false`" in message(Tum, path=tum)
+    assert Tum.create(path=tum, ground_truth=False).open().ground_truth is None
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "words"),
+    [
+        ("rgb.txt", "100.040000", "100.0x", "rgb.txt:4: field 1 is '100.0x', which is not a finite number"),
+        ("rgb.txt", "100.040000", "nan", "rgb.txt:4: field 1 is 'nan'"),
+        ("rgb.txt", "100.040000", "100.000000", "rgb.txt:4: time 100.000000 repeats that of the row before"),
+        ("rgb.txt", "100.040000", "99.5", "rgb.txt:4: time 99.5 is before that of the row before; sort the file"),
+        ("rgb.txt", " rgb/1.png", "", "rgb.txt:4: 1 field(s), the list of frames has 2"),
+        ("rgb.txt", "rgb/1.png", "rgb/9.png", "rgb/9.png: frame is missing"),
+        ("groundtruth.txt", "99.950000000000", "99.9", "groundtruth.txt:3: time 99.9 repeats"),
+        ("groundtruth.txt", "99.950000000000", "inf", "groundtruth.txt:3: field 1 is 'inf'"),
+        ("groundtruth.txt", "99.950000000000 ", "99.95 5 ", "groundtruth.txt:3: 9 field(s), ground truth has 8"),
+        ("calib.yaml", "fx: 30.5", "fx: wide", "calib.yaml:5: `fx` is 'wide', which is not a finite number"),
+        ("calib.yaml", "fx: 30.5\n", "", "calib.yaml: `fx` is missing"),
+        ("calib.yaml", "fx: 30.5", "fx: -1", "calib.yaml:5: `fx` is -1, which is not above 0"),
+        ("calib.yaml", "fps: 25", "fps: 0", "calib.yaml:4: `fps` is 0"),
+        ("calib.yaml", "pinhole", "fisheye", "calib.yaml:1: `model` is 'fisheye'; only `pinhole` is known"),
+        ("calib.yaml", "width: 32", "width: [", "calib.yaml:"),
+        ("calib.yaml", "width: 32", "width: 64", "0.png: is 32x24, but the calibration is for 64x24"),
+    ],
+)
+def test_tum_names_file_and_line_of_what_is_wrong(tum, file, before, after, words):
+    rewrite(tum / file, before, after)
+    assert words in message(Tum, path=tum)
+
+
+def test_tum_quaternions_have_unit_length(tum):
+    lines = (tum / "groundtruth.txt").read_text().splitlines()
+    lines[2] = "99.95 0 0 0 0 0 0 0.5"
+    (tum / "groundtruth.txt").write_text("\n".join(lines))
+    assert "groundtruth.txt:3: quaternion has length 0.5, not 1" in message(Tum, path=tum)
+
+
+def test_tum_files_that_are_missing_empty_or_not_text(tum, tmp_path):
+    assert "is not a folder; `path` names the one that holds rgb.txt" in message(Tum, path=tmp_path / "nowhere")
+    (tum / "rgb.txt").write_text("# nothing\n")
+    assert "rgb.txt: the list of frames has no rows" in message(Tum, path=tum)
+    (tum / "rgb.txt").write_bytes(b"\xff\xfe\x00")
+    assert "rgb.txt: the list of frames is not text, at byte 0" in message(Tum, path=tum)
+    (tum / "rgb.txt").unlink()
+    assert "rgb.txt: the list of frames is missing" in message(Tum, path=tum)
+
+
+@pytest.mark.parametrize("values", [{}, {"path": "x", "fetched": "y"}])
+def test_one_place_must_be_given(values):
+    with pytest.raises(ValidationError, match="either `path` or `fetched`"):
+        Tum.create(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"stop": 6}, "rgb.txt: stop is 6, but there are 5 frames"),
+        ({"start": 5}, "rgb.txt: start is 5, which is not below the number of frames (5)"),
+        ({"start": 3, "stop": 2}, "start is 3, which is not below stop (2)"),
+    ],
+)
+def test_selections_that_are_not_there(tum, values, words):
+    assert words in message(Tum, path=tum, **values)
+
+
+def test_frames_that_do_not_fit_are_named_when_they_are_read(tum):
+    sequence = Tum.create(path=tum).open()
+    write_picture(tum / "rgb" / "2.png", picture(2, (20, 32, 3)))
+    with pytest.raises(DatasetError, match=r"2\.png: is 32x20, the first frame 32x24"):
+        sequence.read(2)
+    write_picture(tum / "rgb" / "2.png", picture(2, (24, 32)))
+    with pytest.raises(DatasetError, match=r"2\.png: has 1 channel\(s\), the first frame 3; choose `color: rgb`"):
+        sequence.read(2)
+    assert Tum.create(path=tum, color="rgb").open().read(2).image.shape == (24, 32, 3)
+    (tum / "rgb" / "2.png").unlink()
+    with pytest.raises(DatasetError, match=r"2\.png: cannot be read: No such file"):
+        sequence.read(2)
+    with pytest.raises(DatasetError, match=r"frame 5 is not in 0\.\.4"):
+        sequence.read(5)
+
+
+def test_fingerprints_follow_the_content(tum, tmp_path):
+    import shutil
+
+    plain = Tum.create(path=tum).open().fingerprint
+    copy = shutil.copytree(tum, tmp_path / "elsewhere")
+    assert Tum.create(path=copy).open().fingerprint == plain
+    assert Tum.create(path=tum, stop=5, color="rgb").open().fingerprint == plain
+    changed = [
+        Tum.create(path=tum, **values).open().fingerprint
+        for values in ({"start": 1}, {"stride": 2}, {"color": "gray"}, {"camera": "none"}, {"ground_truth": False})
+    ]
+    rewrite(tum / "groundtruth.txt", "99.950000000000 ", "99.951 ")
+    changed.append(Tum.create(path=tum).open().fingerprint)
+    rewrite(tum / "calib.yaml", "cx: 15.5", "cx: 15.6")
+    changed.append(Tum.create(path=tum).open().fingerprint)
+    content = bytearray((tum / "rgb" / "3.png").read_bytes())
+    write_picture(tum / "rgb" / "3.png", picture(99))
+    changed.append(Tum.create(path=tum).open().fingerprint)
+    (tum / "rgb" / "3.png").write_bytes(content)
+    os.utime(tum / "rgb" / "3.png", ns=(1, 1))
+    assert Tum.create(path=tum).open().fingerprint == changed[-2]
+    assert len({plain, *changed}) == 9
+
+
+# Image files
+
+
+@pytest.mark.parametrize("extension", ["png", "jpg", "bmp", "tif", "webp"])
+def test_a_file_that_is_cut_short_is_no_image(tmp_path, extension):
+    file = tmp_path / f"a.{extension}"
+    write_picture(file, picture(1, (64, 80, 3)))
+    whole = file.read_bytes()
+    assert read_image_file(file).shape == (64, 80, 3)
+    for share in (0.0, 0.3, 0.9):
+        file.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(DatasetError, match=rf"a\.{extension}: .*again"):
+            read_image_file(file)
+
+
+def test_channels_come_out_as_they_are_in_the_file(tmp_path):
+    from PIL import Image as Pillow
+
+    gray, color = picture(1, (24, 32)), picture(2)
+    equal = np.repeat(gray[:, :, None], 3, axis=2)
+    for name, image in (("gray", gray), ("color", color), ("equal", equal)):
+        Pillow.fromarray(image).save(tmp_path / f"{name}.png")
+        np.testing.assert_array_equal(read_image_file(tmp_path / f"{name}.png"), image)
+    alpha = np.dstack([color, picture(3, (24, 32))])
+    Pillow.fromarray(alpha, "RGBA").save(tmp_path / "alpha.png")
+    np.testing.assert_array_equal(read_image_file(tmp_path / "alpha.png"), color)
+
+
+def test_sixteen_bits_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "deep.png"), np.ones((4, 4), np.uint16))
+    with pytest.raises(DatasetError, match=r"deep\.png: has samples of uint16; frames have 8 bits"):
+        read_image_file(tmp_path / "deep.png")
+
+
+# Folder
+
+
+def test_folder_reads_any_images_in_natural_order(tmp_path):
+    shapes = {"frame2.png": (10, 12, 3), "frame10.png": (12, 10, 3), "Frame1.PNG": (8, 8, 3)}
+    for number, (name, shape) in enumerate(shapes.items()):
+        write_picture(tmp_path / "pictures" / name, picture(number, shape))
+    (tmp_path / "pictures" / "notes.txt").write_text("not an image")
+    (tmp_path / "pictures" / ".hidden.png").write_text("not an image either")
+    sequence = Folder.create(path=tmp_path / "pictures", frame_rate_hz=10).open()
+    assert sequence.name == "pictures"
+    assert [frame.image.shape for frame in sequence] == [(8, 8, 3), (10, 12, 3), (12, 10, 3)]
+    np.testing.assert_allclose(sequence.timestamps_s, [0, 0.1, 0.2])
+    assert sequence.camera is None
+    assert sequence.ground_truth is None
+    gray = Folder.create(path=tmp_path / "pictures", color="gray", start=1, stride=2).open()
+    assert (len(gray), gray.channels, gray.frame_rate_hz) == (1, 1, 15.0)
+    np.testing.assert_array_equal(gray.read(0).image, gray_from_image(picture(0, (10, 12, 3))))
+
+
+def test_folder_with_a_camera_checks_sizes(tmp_path):
+    write_picture(tmp_path / "f" / "1.png", picture(1))
+    write_picture(tmp_path / "f" / "2.png", picture(1, (8, 8, 3)))
+    (tmp_path / "c.yaml").write_text(CALIBRATION)
+    sequence = Folder.create(path=tmp_path / "f", calibration=tmp_path / "c.yaml").open()
+    assert sequence.camera.width == 32
+    with pytest.raises(DatasetError, match=r"2\.png: is 8x8, but the calibration is for 32x24"):
+        sequence.read(1)
+
+
+def test_folder_without_images(tmp_path):
+    assert "holds no image files (.png" in message(Folder, path=tmp_path)
+    assert "is not a folder" in message(Folder, path=tmp_path / "nowhere")
+    (tmp_path / "a.png").write_text("hello")
+    assert "a.png: not an image that OpenCV can read (5 bytes)" in message(Folder, path=tmp_path)
+
+
+def test_natural_order_is_total(tmp_path):
+    names = ["a1", "a01", "1a", "10", "9", "a", "b2c10", "b2c9", "A1", "²"]
+    assert len({str(natural_key(tmp_path / name)) for name in names}) == len(names)
+    ordered = sorted((tmp_path / name for name in names), key=natural_key)
+    assert [file.name for file in ordered][:3] == ["1a", "9", "10"]
+
+
+# KITTI
+
+
+@pytest.fixture
+def kitti(tmp_path):
+    folder = tmp_path / "kitti" / "sequences" / "07"
+    for number in range(4):
+        write_picture(folder / "image_0" / f"{number:06d}.png", picture(number, (24, 32)))
+        write_picture(folder / "image_2" / f"{number:06d}.png", picture(number))
+    (folder / "times.txt").write_text("0.0\n0.1\n2.0e-1\n0.3\n")
+    matrix = "{name}: 30 0 15.5 {x} 0 31 11.5 {y} 0 0 1 {z}\n"
+    (folder / "calib.txt").write_text(
+        matrix.format(name="P0", x=0, y=0, z=0) + matrix.format(name="P2", x=30 * 0.06, y=0.2, z=0.01) + "Tr: 1 2\n"
+    )
+    rows = [" ".join(f"{value:e}" for value in pose[:3].ravel()) for pose in random_poses(4)]
+    (tmp_path / "kitti" / "poses").mkdir()
+    (tmp_path / "kitti" / "poses" / "07.txt").write_text("\n".join(rows) + "\n")
+    return tmp_path / "kitti"
+
+
+def test_kitti_gray(kitti):
+    sequence = Kitti.create(path=kitti, sequence="07", stride=3).open()
+    assert (sequence.name, len(sequence), sequence.channels) == ("kitti_07", 2, 1)
+    np.testing.assert_array_equal(sequence.read(1).image, picture(3, (24, 32)))
+    assert sequence.camera.fy == 31
+    assert (sequence.camera.width, sequence.camera.height) == (32, 24)
+    np.testing.assert_allclose(sequence.ground_truth.world_from_camera, random_poses(4), atol=1e-6)
+    assert sequence.frame_rate_hz == pytest.approx(10 / 3)
+    inner = kitti.rename(kitti.parent / "dataset")
+    (kitti.parent / "outer").mkdir()
+    inner.rename(kitti.parent / "outer" / "dataset")
+    assert Kitti.create(path=kitti.parent / "outer", sequence="07").open().camera == sequence.camera
+
+
+def test_kitti_colour_has_the_poses_of_its_own_camera(kitti):
+    """A point projected through P2 from camera 0's frame and through K from camera 2's gives one pixel."""
+    sequence = Kitti.create(path=kitti, sequence="07", camera="image_2").open()
+    assert sequence.channels == 3
+    projection = np.array([[30, 0, 15.5, 30 * 0.06], [0, 31, 11.5, 0.2], [0, 0, 1, 0.01]])
+    point_zero = np.array([0.3, -0.2, 5.0, 1.0])
+    expected = projection @ point_zero
+    point_world = random_poses(4)[2] @ point_zero
+    own = np.linalg.inv(sequence.ground_truth.world_from_camera[2]) @ point_world
+    found = projection[:, :3] @ own[:3]
+    np.testing.assert_allclose(found[:2] / found[2], expected[:2] / expected[2], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "words"),
+    [
+        ("sequences/07/times.txt", "0.1", "x", "times.txt:2: field 1 is 'x'"),
+        ("sequences/07/times.txt", "0.1\n", "0.1\n0.1\n", "times.txt:3: time 0.1 repeats"),
+        ("sequences/07/calib.txt", "P0:", "Q0:", "calib.txt: calibration has no row `P0:`"),
+        ("sequences/07/calib.txt", "P0: 30", "P0:", "calib.txt:1: P0 has 11 numbers, a projection matrix has 12"),
+        ("sequences/07/calib.txt", "P0: 30", "P0: -30", "calib.txt:1: P0 is not the matrix of a rectified camera"),
+        ("poses/07.txt", "\n", "\n1 2 3\n", "07.txt:2: 3 field(s), ground truth has 12"),
+        ("poses/07.txt", "\n", "\n1 0 0 0 0 1 0 0 0 0 5 0\n", "07.txt: 5 poses, but 4 times"),
+    ],
+)
+def test_kitti_names_file_and_line(kitti, file, before, after, words):
+    rewrite(kitti / file, before, after)
+    assert words in message(Kitti, path=kitti, sequence="07")
+
+
+def test_kitti_what_is_missing(kitti):
+    assert "sequences/08: is not a folder" in message(Kitti, path=kitti, sequence="08")
+    rows = (kitti / "poses" / "07.txt").read_text().splitlines()
+    rows[1] = "2 0 0 0 0 2 0 0 0 0 2 0"
+    (kitti / "poses" / "07.txt").write_text("\n".join(rows))
+    assert "07.txt:2: the first three columns are not a rotation" in message(Kitti, path=kitti, sequence="07")
+    (kitti / "poses" / "07.txt").unlink()
+    assert "ground truth is missing; set `ground_truth: false`" in message(Kitti, path=kitti, sequence="07")
+    assert Kitti.create(path=kitti, sequence="07", ground_truth=False).open().ground_truth is None
+    (kitti / "sequences/07/image_0/000001.png").unlink()
+    (kitti / "sequences/07/image_0/000002.png").unlink()
+    words = message(Kitti, path=kitti, sequence="07", ground_truth=False)
+    assert "000001.png: frame is missing (and 1 more of 4)" in words
+
+
+# EuRoC
+
+START_NS = 1403636579763555584
+
+
+@pytest.fixture
+def euroc(tmp_path):
+    cam = tmp_path / "MH_01" / "mav0" / "cam0"
+    names = [START_NS + 50_000_000 * number for number in range(4)]
+    for number, name in enumerate(names):
+        write_picture(cam / "data" / f"{name}.png", picture(number, (24, 32)))
+    (cam / "data.csv").write_text("#timestamp [ns],filename\r\n" + "".join(f"{n},{n}.png\r\n" for n in names))
+    mounting = random_poses(1, seed=5)[0]
+    (cam / "sensor.yaml").write_text(
+        "#Default imu sensor yaml file\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: "
+        f"[{', '.join(f'{value:.12f}' for value in mounting.ravel())}]\nrate_hz: 20\nresolution: [32, 24]\n"
+        "camera_model: pinhole\nintrinsics: [30.5, 31, 15.5, 11.5] #fu, fv, cu, cv\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 1.76e-05]\n"
+    )
+    truth = cam.parent / "state_groundtruth_estimate0"
+    truth.mkdir()
+    rows = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v"]
+    for number, pose in enumerate(random_poses(6)):
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        values = ",".join(f"{value:.12f}" for value in (*pose[:3, 3], w, x, y, z, 0.1))
+        rows.append(f"{START_NS + 5_000_000 * number},{values}")
+    (truth / "data.csv").write_text("\n".join(rows))
+    return tmp_path / "MH_01"
+
+
+def test_euroc_turns_body_poses_into_camera_poses(euroc):
+    sequence = Euroc.create(path=euroc, start=1).open()
+    assert (sequence.name, len(sequence), sequence.channels, sequence.frame_rate_hz) == ("MH_01", 3, 1, 20.0)
+    np.testing.assert_allclose(np.diff(sequence.timestamps_s), 0.05, atol=1e-6)
+    assert sequence.camera.distortion == (-0.28, 0.07, 0.0002, 1.76e-05, 0.0)
+    np.testing.assert_array_equal(sequence.read(0).image, picture(1, (24, 32)))
+    body_from_camera = random_poses(1, seed=5)[0]
+    expected = random_poses(6) @ body_from_camera
+    np.testing.assert_allclose(sequence.ground_truth.world_from_camera, expected, atol=1e-9)
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s[5] - START_NS / 1e9, 0.025, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "words"),
+    [
+        ("cam0/data.csv", f"{START_NS},", "12.5,", "data.csv:2: field 1 is '12.5', which is not a whole number of ns"),
+        ("cam0/data.csv", f"{START_NS + 50_000_000},", f"{START_NS},", "data.csv:3: time 1403636579763555584 repeats"),
+        ("cam0/sensor.yaml", "pinhole", "omni", "sensor.yaml:9: `camera_model` is 'omni'; only `pinhole` is known"),
+        ("cam0/sensor.yaml", "radial-tangential", "equidistant", "sensor.yaml:11: `distortion_model` is"),
+        ("cam0/sensor.yaml", "[32, 24]", "[32]", "sensor.yaml:8: `resolution` is [32], not a list of 2 numbers"),
+        ("cam0/sensor.yaml", "30.5", "-30.5", "sensor.yaml:10: `intrinsics` holds a number that is not above 0"),
+        ("cam0/sensor.yaml", "  data: [", "  data: [9, ", "`T_BS.data` is"),
+        ("state_groundtruth_estimate0/data.csv", ",0.1", ",", ""),
+        ("state_groundtruth_estimate0/data.csv", f"{START_NS + 5_000_000},", f"{START_NS + 5_000_000},x", "data.csv:3"),
+    ],
+)
+def test_euroc_names_file_and_line(euroc, file, before, after, words):
+    rewrite(euroc / "mav0" / file, before, after)
+    if words:
+        assert words in message(Euroc, path=euroc)
+    else:
+        Euroc.create(path=euroc).open()
+
+
+def test_euroc_what_is_missing(euroc, tmp_path):
+    assert "cam1: is not a folder" in message(Euroc, path=euroc, camera="cam1")
+    (euroc / "mav0/state_groundtruth_estimate0/data.csv").unlink()
+    assert "ground truth is missing; set `ground_truth: false`" in message(Euroc, path=euroc)
+    assert Euroc.create(path=euroc, ground_truth=False).open().ground_truth is None
+    (euroc / "mav0/cam0/sensor.yaml").unlink()
+    assert "sensor.yaml: calibration is missing" in message(Euroc, path=euroc, ground_truth=False)
+
+
+# Real sequences
+
+
+@pytest.mark.real
+def test_real_sequences_open_as_they_are(data_folder):
+    office = Tum.create(path=data_folder / "fr3_office_715").open()
+    assert (len(office), office.channels, office.frame_rate_hz) == (715, 3, 30.0)
+    assert office.camera == FREIBURG["freiburg3"]
+    assert len(office.ground_truth) == 8710
+    road = Tum.create(path=data_folder / "kitti00_half", stop=100, stride=3).open()
+    assert (len(road), road.channels) == (34, 1)
+    assert road.read(33).image.shape == (188, 620)
+    stills = Folder.create(path=data_folder / "kodak").open()
+    assert {frame.image.shape for frame in stills} == {(512, 768, 3), (768, 512, 3)}
+
+
+@pytest.mark.real
+def test_true_paths_agree_with_evo(data_folder):
+    from evo.tools import file_interface
+
+    expected = file_interface.read_tum_trajectory_file(data_folder / "fr3_office_715" / "groundtruth.txt")
+    found = Tum.create(path=data_folder / "fr3_office_715").open().ground_truth
+    np.testing.assert_allclose(found.timestamps_s, expected.timestamps)
+    np.testing.assert_allclose(found.world_from_camera, np.array(expected.poses_se3), atol=2e-4)

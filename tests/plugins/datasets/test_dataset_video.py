@@ -1,0 +1,91 @@
+"""Video files written here by OpenCV, read in every order."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import gray_from_image
+from codecbench.plugins.datasets.video import Video
+
+COUNT = 200
+
+
+def frame(number):
+    """A picture that says which one it is: two flat halves and a moving bar."""
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:, :, 0] = number
+    image[24:, :, 2] = 255 - number
+    return image
+
+
+@pytest.fixture(scope="module", params=[("MJPG", "avi"), ("mp4v", "mp4")], ids=lambda one: one[1])
+def video(request, tmp_path_factory):
+    code, extension = request.param
+    file = tmp_path_factory.mktemp("video") / f"clip.{extension}"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*code), 25.0, (64, 48))
+    if not writer.isOpened():
+        pytest.skip(f"this OpenCV does not write {code}")
+    for number in range(COUNT):
+        writer.write(np.ascontiguousarray(frame(number)[:, :, ::-1]))
+    writer.release()
+    return file
+
+
+def test_frames_in_order_with_their_times(video):
+    sequence = Video.create(path=video).open()
+    assert (sequence.name, len(sequence), sequence.channels, sequence.frame_rate_hz) == ("clip", COUNT, 3, 25.0)
+    np.testing.assert_allclose(sequence.timestamps_s, np.arange(COUNT) / 25, atol=1e-6)
+    for one in sequence:
+        assert np.abs(one.image.astype(int) - frame(one.index)).mean() < 4
+
+
+def test_any_order_gives_the_frames_of_the_straight_one(video):
+    straight = [one.image for one in Video.create(path=video).open()]
+    jumping = Video.create(path=video).open()
+    for index in (199, 0, 100, 99, 170, 3, 3, 150, 20, 90, 198):
+        np.testing.assert_array_equal(jumping.read(index).image, straight[index])
+
+
+def test_selection_colour_and_rate(video):
+    sequence = Video.create(path=video, start=5, stop=100, stride=10, color="gray", frame_rate_hz=50).open()
+    assert (len(sequence), sequence.channels, sequence.frame_rate_hz) == (10, 1, 5.0)
+    assert sequence.timestamps_s[1] == pytest.approx(15 / 50)
+    expected = gray_from_image(Video.create(path=video).open().read(25).image)
+    np.testing.assert_array_equal(sequence.read(2).image, expected)
+
+
+def test_fingerprint_follows_bytes_and_selection(video, tmp_path):
+    plain = Video.create(path=video).open().fingerprint
+    copy = tmp_path / f"other{video.suffix}"
+    copy.write_bytes(video.read_bytes())
+    assert Video.create(path=copy).open().fingerprint == plain
+    assert Video.create(path=copy, stop=50).open().fingerprint != plain
+    with open(copy, "ab") as stream:
+        stream.write(b"\0" * 8)
+    assert Video.create(path=copy).open().fingerprint != plain
+
+
+def test_a_file_that_is_cut_short_is_refused(video, tmp_path):
+    content = video.read_bytes()
+    cut = tmp_path / f"cut{video.suffix}"
+    cut.write_bytes(content[: len(content) // 2])
+    with pytest.raises(DatasetError, match=r"cut\.(avi: is cut short|mp4: not a video)"):
+        Video.create(path=cut).open()
+
+
+def test_files_that_are_no_video(tmp_path, video):
+    with pytest.raises(DatasetError, match=r"none\.mp4: cannot be read: No such file"):
+        Video.create(path=tmp_path / "none.mp4").open()
+    (tmp_path / "text.mp4").write_text("hello")
+    with pytest.raises(DatasetError, match=r"text\.mp4: not a video that OpenCV can open"):
+        Video.create(path=tmp_path / "text.mp4").open()
+    with pytest.raises(DatasetError, match="stop is 201, but there are 200 frames"):
+        Video.create(path=video, stop=201).open()
+    with pytest.raises(DatasetError, match=r"not in 0\.\.199"):
+        Video.create(path=video).open().read(200)
+    (tmp_path / "c.yaml").write_text("width: 3\nheight: 4\nfx: 1\nfy: 1\ncx: 1\ncy: 1\n")
+    with pytest.raises(DatasetError, match="is 64x48, but the calibration is for 3x4"):
+        Video.create(path=video, calibration=tmp_path / "c.yaml").open()
