@@ -18,6 +18,7 @@ COMMANDS = {
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
     "status": ("codecbench.cli.status:status", "Say how far a run is, also while it is running."),
     "reproduce": ("codecbench.cli.reproduce:reproduce", "Put the paper's tables and figures beside a run."),
+    "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }
 

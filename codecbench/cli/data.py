@@ -1,0 +1,59 @@
+"""`codecbench data`: datasets that can be fetched."""
+
+from __future__ import annotations
+
+import click
+from rich.console import Console
+from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
+
+
+@click.group()
+def data() -> None:
+    """List, fetch and find datasets. They are kept in the folder that CODECBENCH_CACHE names."""
+
+
+@data.command("list")
+def list_data() -> None:
+    """List the datasets that are known here, with licence and citation."""
+    from codecbench.plugins.datasets.catalog import list_datasets
+
+    for entry in list_datasets():
+        state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
+        click.echo(f"{click.style(entry.name, bold=True)}  [{state}]  sequence: use: {entry.kind}")
+        click.echo(f"    {entry.licence}; {entry.homepage}")
+        click.echo(f"    {entry.citation}")
+
+
+@data.command()
+@click.argument("name")
+def fetch(name: str) -> None:
+    """Fetch the dataset NAME, going on where an earlier download was cut, and print its folder."""
+    from codecbench.plugins.datasets import catalog
+
+    entry = catalog.find(name)
+    click.echo(f"{entry.name}: {entry.licence}\n{entry.citation}", err=True)
+    columns = (*Progress.get_default_columns(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(file: str, arrived: int, total: int | None) -> None:
+            task = tasks.get(file)
+            if task is None:
+                task = tasks[file] = bar.add_task(file, total=total)
+            bar.update(task, completed=arrived, total=total)
+
+        folder = catalog.fetch(name, show)
+    click.echo(str(folder))
+
+
+@data.command()
+@click.argument("name")
+def path(name: str) -> None:
+    """Print the folder of the dataset NAME, which has been fetched."""
+    from codecbench.plugins.datasets import catalog
+
+    click.echo(str(catalog.path(name)))
+
+
+def _size(size_bytes: int | None) -> str:
+    return "size not known" if size_bytes is None else f"{size_bytes / 1e6:,.0f} MB"
