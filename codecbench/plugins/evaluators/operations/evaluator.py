@@ -74,7 +74,13 @@ class Operations(CodecEvaluator[OperationsParams]):
     version = "1"
     params_type = OperationsParams
     metrics: ClassVar[tuple[Metric, ...]] = tuple(
-        Metric(f"{family}_{name}", "ops", "lower", f"{_SUMMARIES[name]}, {family} counts")
+        Metric(
+            f"{family}_{name}",
+            "ops",
+            "lower",
+            f"{_SUMMARIES[name]}, {family} counts",
+            repeatable=family != "machine",
+        )
         for family in _FAMILIES
         for name in _names(family)
     )
@@ -94,7 +100,9 @@ class Operations(CodecEvaluator[OperationsParams]):
     def _available(self, codec: Codec[Any]) -> list[Family]:
         """The requested families that there are for this codec here; Unsupported, with reasons, if none."""
         reasons: dict[Family, str | None] = {
-            "source": None if codec.capabilities.counts_operations else f"{codec.name} is opaque: it runs no kernels that could be counted",
+            "source": None
+            if codec.capabilities.counts_operations
+            else f"{codec.name} is opaque: it has no kernels to count",
             "model": None if self._has_model(codec) else f"the paper has no model of {codec.name} with this setting",
             "machine": machine.missing(),
         }
