@@ -69,11 +69,11 @@ def start_from_two_views(
         motions = geometry.decompose_homography(homography, camera.matrix)
     else:
         motions = geometry.decompose_fundamental(fundamental, camera.matrix)
-    chosen = _choose_motion(motions, pixels_a[inliers], pixels_b[inliers], camera)
+    chosen = _choose_motion(motions, pixels_a, pixels_b, int(inliers.sum()), camera)
     if isinstance(chosen, str):
         return chosen
     motion, points, good = chosen
-    kept = np.nonzero(inliers)[0][good]
+    kept = np.nonzero(good)[0]
     return TwoViewStart(
         motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
     )
@@ -114,9 +114,12 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
 
 
 def _choose_motion(
-    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, camera: Camera
+    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, inlier_count: int, camera: Camera
 ) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
-    """The one motion that most points agree with, its points (N, 3) and which of them are good (N,)."""
+    """The one motion that most points agree with, its points (N, 3) and which of them are good (N,).
+
+    All matches have a say, not the model's inliers alone: what lies off a plane tells its two motions apart.
+    """
     results = []
     for motion in motions:
         views = geometry.TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
@@ -125,15 +128,23 @@ def _choose_motion(
         results.append((int(agree.sum()), motion, views, agree))
     results.sort(key=lambda result: -result[0])
     count, motion, views, agree = results[0]
-    if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * len(pixels_a)):
-        return f"the best motion agrees with {count} of {len(pixels_a)} points"
-    if len(results) > 1 and results[1][0] > thresholds.INIT_RIVAL_SHARE * count:
-        return f"two motions agree with {count} and {results[1][0]} points"
+    if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
+        return f"the best motion agrees with {count} points where the model had {inlier_count}"
+    rivals = [result[0] for result in results[1:] if not _nearly_equal(result[1], motion)]
+    if rivals and rivals[0] > thresholds.INIT_RIVAL_SHARE * count:
+        return f"two motions agree with {count} and {rivals[0]} points"
     angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
     parallax = float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
     if parallax < thresholds.INIT_MIN_PARALLAX_DEG:
         return f"parallax of {parallax:.2f} degrees"
     return motion, views.points, agree & (views.cosines < thresholds.INIT_MAX_COSINE)
+
+
+def _nearly_equal(motion_a: Floats, motion_b: Floats) -> bool:
+    """Whether two motions of unit translation mean the same start; bundle adjustment settles what is left."""
+    limit = np.cos(np.radians(thresholds.INIT_SAME_MOTION_DEG))
+    turn = (np.trace(motion_a[:3, :3].T @ motion_b[:3, :3]) - 1.0) / 2.0
+    return bool(turn > limit and motion_a[:3, 3] @ motion_b[:3, 3] > limit)
 
 
 class Initializer:

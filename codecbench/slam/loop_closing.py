@@ -123,4 +123,4 @@ def _apply(slam_map: Map, old: Array, new: Array) -> None:
         table.scales[k] /= sim3_scale(new[k])
     chosen = transforms[references]
     points.positions[moved] = np.einsum("nij,nj->ni", chosen[:, :3, :3], points.positions[moved]) + chosen[:, :3, 3]
-    slam_map.refresh_points(moved)
+    slam_map.refresh_points(moved, False)

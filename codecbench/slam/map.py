@@ -213,14 +213,14 @@ class Map:
         resolved[(resolved >= 0) & ~self.points.alive[resolved]] = NONE
         return resolved
 
-    def refresh_points(self, points: Indices) -> None:
+    def refresh_points(self, points: Indices, descriptors: bool = True) -> None:
         """Recompute what a point derives from its observations: normal, distances, descriptor."""
         table, keyframes = self.points, self.keyframes
         map_kernels.refresh_points(
             points, table.positions, table.references, table.heads, self._following,
             self._link_keyframes, self._link_features,
             keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
-            table.normals, table.min_distances, table.max_distances, table.descriptors,
+            table.normals, table.min_distances, table.max_distances, table.descriptors, descriptors,
         )  # fmt: skip
 
     # The graph ------------------------------------------------------------------------------------------------
@@ -303,7 +303,7 @@ class Map:
         poses[:, :3, 3] *= factor
         table.set_pose(np.arange(table.count), poses)
         self.points.positions *= factor
-        self.refresh_points(self.alive_points)
+        self.refresh_points(self.alive_points, False)
 
     @property
     def alive_keyframes(self) -> Indices:

@@ -97,9 +97,9 @@ def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
 def refresh_points(
     points: Any, positions: Any, references: Any, heads: Any, following: Any, link_keyframes: Any, link_features: Any,
     centers_world: Any, keyframe_octaves: Any, keyframe_descriptors: Any, scale_factors: Any,
-    normals: Any, min_distances: Any, max_distances: Any, descriptors: Any,
+    normals: Any, min_distances: Any, max_distances: Any, descriptors: Any, with_descriptors: bool,
 ) -> None:  # fmt: skip
-    """Recompute mean viewing direction, range of distances and representative descriptor (ORB-SLAM III-C)."""
+    """Recompute mean viewing direction, range of distances and, if wanted, representative descriptor (ORB-SLAM III-C)."""
     links = np.empty(_DESCRIPTORS_COMPARED, np.int64)
     for p in points:
         nx, ny, nz = 0.0, 0.0, 0.0
@@ -131,6 +131,8 @@ def refresh_points(
         z = positions[p, 2] - centers_world[reference, 2]
         max_distances[p] = math.sqrt(x * x + y * y + z * z) * scale_factors[reference_octave]
         min_distances[p] = max_distances[p] / scale_factors[-1]
+        if not with_descriptors:
+            continue
         best = _most_central(links[:count], link_keyframes, link_features, keyframe_descriptors)
         for w in range(4):
             descriptors[p, w] = keyframe_descriptors[link_keyframes[best], link_features[best], w]

@@ -225,4 +225,4 @@ def adjust_keyframes(
     table.positions[points] = result.points_world
     for keyframe, feature in zip(seen_by[~result.inliers], features[~result.inliers], strict=True):
         slam_map.unobserve(int(keyframe), int(feature))
-    slam_map.refresh_points(points[table.alive[points]])
+    slam_map.refresh_points(points[table.alive[points]], False)

@@ -64,6 +64,8 @@ INIT_WINNER_SHARE: Final = 0.9
 """Of the inliers: share of points that the winning motion must triangulate (own)."""
 INIT_RIVAL_SHARE: Final = 0.7
 """Of the winner's points: a rival motion with more makes the start ambiguous (ORB-SLAM IV: one clear winner)."""
+INIT_SAME_MOTION_DEG: Final = 5.0
+"""Degrees: motions nearer in rotation and in direction are no rivals (own)."""
 INIT_MAX_COSINE: Final = 0.99998
 """Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90

@@ -45,9 +45,11 @@ def two_views(
     """Two views of points 3 to 8 in front of the camera, or on a slanted plane."""
     pixels = rng.uniform([20.0, 20.0], [300.0, 220.0], (count, 2))
     rays = np.column_stack([(pixels - CAMERA.intrinsics[2:]) / CAMERA.intrinsics[:2], np.ones(count)])
-    depths = 5.0 / (1.0 - 0.1 * rays[:, 0] + 0.5 * rays[:, 1]) if planar else rng.uniform(3.0, 8.0, count)
+    depths = 5.0 / (1.0 + 0.1 * rays[:, 0] + 0.2 * rays[:, 1]) if planar else rng.uniform(3.0, 8.0, count)
     points = rays * depths[:, None]
-    b_from_a = np.asarray(se3_exp(np.array([-baseline, 0.03, 0.1, 0.02, -0.05, 0.01])))
+    # Of the two motions that a plane allows, this one leaves the other with points behind it.
+    motion = [1.5, 0.03, -0.3] if planar else [-baseline, 0.03, 0.1]
+    b_from_a = np.asarray(se3_exp(np.array([*motion, 0.02, -0.05, 0.01])))
     in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
     noise = rng.normal(0.0, noise_px, (2, count, 2)) if noise_px else np.zeros((2, count, 2))
     return TwoViews(points, b_from_a, pixels + noise[0], CAMERA.project(in_b) + noise[1])

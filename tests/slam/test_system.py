@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rendered_scenes import CAMERA, Room, looking, position_error
+
+from codecbench.slam import Camera, Options, Result, System
+
+STEPS = 45
+
+
+def path_pose(step: float) -> NDArray[np.float64]:
+    """A walk sideways and forwards through the room, looking about."""
+    t = step / 30.0
+    return looking((-1.5 + 1.1 * t, 0.15 * np.sin(3.0 * t), -1.5 + 0.3 * t), 0.15 * np.sin(2.0 * t), 0.1)
+
+
+@pytest.fixture(scope="module")
+def film() -> list[NDArray[np.uint8]]:
+    room = Room()
+    return [room.image(path_pose(i)) for i in range(STEPS)]
+
+
+def run(film: list[NDArray[np.uint8]], **keywords: object) -> Result:
+    system = System(CAMERA, Options(features=600), seed=1)
+    for i, image in enumerate(film):
+        system.process(image, i / 15.0, **keywords)  # type: ignore[arg-type]
+    return system.finish()
+
+
+def error(result: Result) -> float:
+    true = np.array([np.linalg.inv(path_pose(i))[:3, 3] for i in result.trajectory.frame_indices])
+    return position_error(result.trajectory.world_from_camera[:, :3, 3], true)
+
+
+def digest(result: Result) -> str:
+    arrays = (result.trajectory.world_from_camera, result.points_world, result.trajectory_before_loops.world_from_camera)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
+
+
+def test_a_walk_is_followed(film: list[NDArray[np.uint8]]) -> None:
+    result = run(film)
+    states = [frame.state for frame in result.frames]
+    first = states.index("tracked")
+    assert first <= 15
+    assert states[first:] == ["tracked"] * (STEPS - first)
+    assert all(frame.reason for frame in result.frames[:first])
+    assert len(result.maps) == 1
+    assert len(result.trajectory) == STEPS - first
+    assert np.allclose(np.linalg.det(result.trajectory.world_from_camera[:, :3, :3]), 1.0)
+    assert error(result) < 0.01  # of a path 1.8 long
+    assert len(result.keyframe_indices) >= 3
+    assert min(frame.inliers for frame in result.frames[first:]) >= 30
+
+
+def test_runs_are_equal_to_the_last_bit_in_any_process(film: list[NDArray[np.uint8]]) -> None:
+    expected = digest(run(film))
+    assert digest(run(film)) == expected
+    program = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import cv2; cv2.setNumThreads(2)\n"
+        "from test_system import *\n"
+        "room = Room()\n"
+        "print(digest(run([room.image(path_pose(i)) for i in range(STEPS)])))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300)
+    assert done.stdout.split()[-1] == expected
+
+
+def test_colour_is_read_as_gray(film: list[NDArray[np.uint8]]) -> None:
+    colour = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in film]
+    assert digest(run(colour)) == digest(run([cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in colour]))
+
+
+def test_lens_distortion_is_undone() -> None:
+    bent = Camera(320, 240, 260.0, 262.0, 158.5, 121.0, (-0.25, 0.08, 0.001, -0.001))
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    straight = bent.undistort(np.column_stack([x.ravel(), y.ravel()])).reshape(240, 320, 2).astype(np.float32)
+    wide = Camera(520, 440, 260.0, 262.0, 258.5, 221.0)
+    room = Room()
+    system = System(bent, Options(features=600))
+    for i in range(30):
+        image = room.image(path_pose(i), wide)
+        system.process(cv2.remap(image, straight[..., 0] + 100.0, straight[..., 1] + 100.0, cv2.INTER_LINEAR), i / 15.0)
+    result = system.finish()
+    assert len(result.trajectory) >= 15
+    assert error(result) < 0.015
+
+
+def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) -> None:
+    asked: list[int] = []
+
+    def decoded(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        asked.append(len(asked))
+        return np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 30])[1], 0), dtype=np.uint8)
+
+    result = run(film, keyframe_image=decoded)
+    made = sum(frame.keyframe for frame in result.frames)
+    assert made >= 3
+    assert len(asked) >= made + 1  # and the first frame of the map
+    assert digest(result) != digest(run(film))
+    assert error(result) < 0.02
+
+
+def test_after_a_blackout_the_camera_is_found_again(film: list[NDArray[np.uint8]]) -> None:
+    black = np.zeros_like(film[0])
+    result = run([*film[:35], *[black] * 5, *film[30:]])
+    states = [frame.state for frame in result.frames]
+    assert states[35:40] == ["lost"] * 5
+    assert "lost" in result.frames[36].reason
+    assert states[-5:] == ["tracked"] * 5
+    assert len(result.maps) == 1
+
+
+def test_lost_for_good_starts_a_new_map_and_keeps_the_old(film: list[NDArray[np.uint8]]) -> None:
+    black = np.zeros_like(film[0])
+    other = [np.ascontiguousarray(image[::-1, ::-1]) for image in film]
+    result = run([*film, *[black] * 50, *other])
+    assert len(result.maps) == 2
+    assert any("new map" in frame.reason for frame in result.frames)
+    assert {frame.map_index for frame in result.frames if frame.state == "tracked"} == {0, 1}
+    assert len(result.maps[0].trajectory) >= len(result.maps[1].trajectory) > 10
+
+
+@pytest.mark.parametrize("filler", [0, 255])
+def test_frames_without_texture_never_start(filler: int) -> None:
+    system = System(CAMERA)
+    for i in range(4):
+        state = system.process(np.full((240, 320), filler, np.uint8), float(i))
+        assert state.state == "not_initialized"
+        assert state.reason == "0 features"
+    assert len(system.finish().trajectory) == 0
+
+
+def test_repeated_frames_and_gaps_are_survived(film: list[NDArray[np.uint8]]) -> None:
+    system = System(CAMERA, Options(features=600))
+    clock = 0.0
+    for i, image in enumerate(film):
+        for _ in range(3 if i in (5, 25, 30) else 1):
+            clock += 2.0 if i == 35 else 1.0 / 15.0
+            system.process(image, clock)
+    result = system.finish()
+    assert [frame.state for frame in result.frames][-8:] == ["tracked"] * 8
+    assert np.isfinite(result.trajectory.world_from_camera).all()
+
+
+def test_frames_that_cannot_be_used_are_refused_with_the_reason(film: list[NDArray[np.uint8]]) -> None:
+    system = System(CAMERA)
+    system.process(film[0], 1.0)
+    assert system.process(film[1][:-1], 2.0).reason == "an image of 320x239 where the camera has 320x240"
+    assert system.process(film[1], 1.0).state == "refused"
+    assert system.process(film[1], float("nan")).state == "refused"
+    assert system.process(film[1], 1.1).state == "not_initialized"
+    for wrong in (film[0].astype(np.float32), np.zeros((240, 320, 2), np.uint8), "no image"):
+        with pytest.raises(TypeError, match="image"):
+            system.process(wrong, 5.0)  # type: ignore[arg-type]
+
+
+def test_the_callers_number_of_threads_is_left_alone(film: list[NDArray[np.uint8]]) -> None:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        System(CAMERA).process(film[0], 0.0)
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
+
+
+def test_options_out_of_range_are_refused() -> None:
+    for wrong in ({"features": 10}, {"levels": 0}, {"scale_factor": 1.0}):
+        with pytest.raises(ValueError, match="Options"):
+            Options(**wrong)  # type: ignore[arg-type]
