@@ -29,7 +29,7 @@ function layout(extra) {
   };
 }
 const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
-const draw = (id, traces, extra) => Plotly.react(id, traces, layout(extra), CONFIG);
+const draw = (id, traces, extra, config = CONFIG) => Plotly.react(id, traces, layout(extra), config);
 
 function fill(select, values, chosen, names) {
   for (const value of values) {
@@ -79,6 +79,7 @@ function curves() {
     $("left-out").textContent = left.length
       ? `Without a finite value here: ${left.map((r) => `${r.codec} ${r.setting}`.trim()).join("; ")}.` : "";
     draw("curve", traces, {
+      showlegend: true,
       xaxis: { title: { text: columnName(x) }, type: $("logx").checked ? "log" : "linear" },
       yaxis: { title: { text: columnName(y) }, type: $("logy").checked ? "log" : "linear" },
     });
@@ -114,8 +115,8 @@ function trajectories() {
       if (one.truth) traces.push(line("ground truth", one.truth, "#8a8f98", "solid", 3));
       if (one.estimate) traces.push(line("estimated", one.estimate, "#E69F00", "dot", 1.4));
       if (one.optimised) traces.push(line("optimised", one.optimised, "#0072B2", "solid", 1.6));
-      draw(plotted.id, traces, { margin: { l: 34, r: 6, t: 6, b: 26 }, showlegend: i === 0,
-        legend: { x: 0, y: 1.02, orientation: "h", font: { size: 9 } }, yaxis: { scaleanchor: "x" } });
+      draw(plotted.id, traces, { margin: { l: 34, r: 6, t: 6, b: 26 }, showlegend: false, yaxis: { scaleanchor: "x" } },
+        { ...CONFIG, displayModeBar: false });
     });
   };
   for (const id of ["trajectory-sequence", "trajectory-codec"]) $(id).addEventListener("change", plot);

@@ -1,0 +1,118 @@
+"""The report, the figures and the page beside the paper, made from a real run of the embedded sequence."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import codecbench
+from codecbench.core.results.figures import draw_all
+from codecbench.core.results.report.render import SIZE_LIMIT_BYTES
+from codecbench.core.results.report.write import write_report
+from codecbench.core.results.reproduction.page import write_page
+from codecbench.core.results.run_result import RunResult
+
+MATRIX = """
+version: 1
+name: small
+sequences: [{use: synthetic, params: {stop: 40}}]
+codecs:
+  - raw
+  - {use: jpeg, params: {quality: {grid: [10, 30, 60]}}}
+  - {use: jpeg_qf, params: {qf: {grid: [5, 20]}}}
+  - {use: multilevel, params: {qf: {grid: [5, 20, 100]}}}
+evaluators:
+  - quality
+  - operations
+  - {use: timing, params: {frames: 1, repeats: 1, warmup: 1}}
+  - {use: trajectory, params: {start_offsets: [0]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "small.yaml").write_text(MATRIX)
+    return codecbench.run(folder / "small.yaml", out=folder / "run")
+
+
+@pytest.fixture(scope="module")
+def page(run: RunResult) -> Path:
+    path = run.folder / "report" / "report.html"
+    write_report(run, path)
+    return path
+
+
+def test_the_run_is_whole(run: RunResult) -> None:
+    assert run.failed == []
+    assert run.missing == 0
+
+
+def test_the_page_loads_nothing_and_is_small(page: Path) -> None:
+    html = page.read_text()
+    assert len(html.encode()) < SIZE_LIMIT_BYTES
+    own = html.split("<script>")[0]
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", own)
+    assert "@import" not in own
+
+
+def test_every_number_of_the_page_is_in_the_tables(page: Path, run: RunResult) -> None:
+    (text,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page.read_text(), re.DOTALL)
+    data = json.loads(text)
+    wide = run.wide
+    assert [row["setting"] for row in data["rows"]] == wide["setting"].tolist()
+    for preset in data["presets"]:
+        assert preset["x"] in wide.columns
+        assert preset["y"] in wide.columns
+    assert len(data["presets"]) >= 5
+    assert len(data["trajectories"]) == 9
+    assert len(data["frames"]) == 8
+    jpeg = next(row for row in data["rows"] if row["setting"] == "quality=30")
+    stored = wide[wide["setting"] == "quality=30"].iloc[0]
+    assert jpeg["quality.psnr_gray_db.mean"] == stored["quality.psnr_gray_db.mean"]
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium to open the page in")
+def test_the_page_opens_without_an_error_and_every_plot_is_drawn(page: Path, tmp_path: Path) -> None:
+    switches = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
+    switches += ["--disable-background-networking", "--disable-component-update", f"--user-data-dir={tmp_path}"]
+    command = [
+        "chromium",
+        *switches,
+        "--enable-logging=stderr",
+        "--virtual-time-budget=15000",
+        "--dump-dom",
+        page.as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    assert "CONSOLE" not in done.stderr, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    assert done.stdout.count("main-svg") >= 10
+    assert len(re.findall(r"<td", done.stdout)) > 50
+
+
+def test_figures_are_drawn_and_repeat_exactly(run: RunResult, tmp_path: Path) -> None:
+    first = {path.name: path.read_bytes() for path in draw_all(run, tmp_path / "a")}
+    again = {path.name: path.read_bytes() for path in draw_all(run, tmp_path / "b")}
+    assert {"synthetic-rate_psnr.svg", "synthetic-trajectory-jpeg.svg", "operations.svg"} <= set(first)
+    assert first == again
+
+
+def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunResult, tmp_path: Path) -> None:
+    written = write_page(run, tmp_path / "reproduction.md")
+    text = written[0].read_text()
+    for number in range(1, 7):
+        assert f"## Table {number}" in text
+    assert "| 5 | ours, synthetic |" in text
+    assert len(re.findall(r"^\d+\. \*\*", text, re.MULTILINE)) == 9
+    for image in re.findall(r"\]\((.*?\.svg)\)", text):
+        assert (tmp_path / image).exists()
+    # The formulas with the paper's conventions give the paper's totals on a frame of the paper's size.
+    assert (
+        "| ours, model, encode, synthetic | 614,400 | 844,800 | 706,560 | 337,920 | 368,640 | 1,228,800 | 983,040 |"
+        in text
+    )
