@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,13 +15,16 @@ import pytest
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.contracts.image import gray_from_image, png_bytes
+from codecbench.plugins.datasets.files import read_image_file
 from codecbench.plugins.datasets.synthetic import photographs
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, _renderer, room_camera
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, LOOP_S, HandheldPath
 from codecbench.plugins.datasets.synthetic.room import HALF_X, HALF_Y, HEIGHT
 from codecbench.plugins.datasets.synthetic.sensor import READ_NOISE, SHOT_NOISE, sensed
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "synthetic"
 
 
 @pytest.fixture(autouse=True)
@@ -98,8 +103,6 @@ def test_frames_are_the_same_in_another_process(tmp_path):
     )
     environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "other")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
-    import hashlib
-
     own = [hashlib.sha256(sequence.read(i).image.tobytes()).hexdigest() for i in (2, 0)]
     assert done.stdout.split() == [sequence.fingerprint, *own]
 
@@ -189,6 +192,19 @@ def test_a_long_exposure_blurs():
         return cv2.Laplacian(gray_from_image(image), cv2.CV_64F).var()
 
     assert sharpness(1.0) < 0.75 * sharpness(0.0)
+
+
+@pytest.mark.parametrize("index", [0, 130, 260])
+def test_pictures_are_those_of_this_version(index):
+    """Set CODECBENCH_REGENERATE_GOLDEN to write them anew; raise the dataset's version when they change."""
+    file = GOLDEN / f"version{Synthetic.version}-{index:03d}.png"
+    image = Synthetic.create(width=160, height=120, frames=300).open().read(index).image
+    if os.environ.get("CODECBENCH_REGENERATE_GOLDEN"):
+        GOLDEN.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(png_bytes(image))
+    difference = np.abs(read_image_file(file).astype(int) - image)
+    assert difference.max() <= 2
+    assert (difference > 0).mean() < 0.01
 
 
 def test_noise_has_the_stated_deviation(rng):
