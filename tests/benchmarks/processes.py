@@ -1,0 +1,106 @@
+"""Whole-process timings: `python tests/benchmarks/processes.py` prints a Markdown table; medians of rounds in turn."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+import codecbench
+from codecbench.core.engine.registry import installed
+
+COMMANDS = {
+    "python -c pass": [sys.executable, "-c", "pass"],
+    "codecbench --help": [sys.executable, "-m", "codecbench", "--help"],
+    "codecbench list": [sys.executable, "-m", "codecbench", "list"],
+}
+MATRIX = """
+version: 1
+name: engine
+sequences: [{{use: synthetic, params: {{stop: {frames}}}}}]
+codecs: [{{use: jpeg, params: {{quality: 30}}}}]
+evaluators: [quality]
+run: {{workers: 1}}
+"""
+
+
+def starts(rounds: int) -> dict[str, float]:
+    """Seconds that each command takes, the commands taking turns."""
+    taken: dict[str, list[float]] = {name: [] for name in COMMANDS}
+    for _ in range(rounds):
+        for name, command in COMMANDS.items():
+            begun = time.perf_counter()
+            subprocess.run(command, capture_output=True, check=True)
+            taken[name].append(time.perf_counter() - begun)
+    return {name: statistics.median(values) for name, values in taken.items()}
+
+
+def engine_share(frames: int, rounds: int) -> float:
+    """Frames per second of a quality cell over those of a bare loop with the same reads, codec and metric calls."""
+    registry = installed()
+    sequence = registry.create("dataset", "synthetic", {"stop": frames}).open()
+    codec = registry.create("codec", "jpeg", {"quality": 30})
+    bitstreams = [codec.encode(frame.image) for frame in sequence]
+    quality = registry.create("evaluator", "quality", {})
+    shares = []
+    for turn in range(rounds + 1):
+        begun = time.perf_counter()
+        list(quality.evaluate(_Coded(sequence, codec, bitstreams), None))
+        bare = time.perf_counter() - begun
+        with tempfile.TemporaryDirectory() as folder:
+            matrix = Path(folder) / "engine.yaml"
+            matrix.write_text(MATRIX.format(frames=frames))
+            run = codecbench.run(matrix, out=Path(folder) / "run")
+            (result,) = run.results
+            record = json.loads((result.folder / "record.json").read_text())
+        if turn:  # the first warms caches
+            shares.append(bare / record["duration_s"])
+    return statistics.median(shares)
+
+
+class _Coded:
+    def __init__(self, sequence, codec, bitstreams) -> None:  # type: ignore[no-untyped-def]
+        self.sequence, self.codec, self._bitstreams = sequence, codec, bitstreams
+
+    def __len__(self) -> int:
+        return len(self._bitstreams)
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        for frame, bitstream in zip(self.sequence, self._bitstreams, strict=True):
+            yield codecbench.CodedFrame(frame, bitstream, self.codec.decode(bitstream))
+
+
+def slam_ms(frames: int) -> tuple[float, float]:
+    """CPU milliseconds a frame, mean and median, of our SLAM on the embedded sequence."""
+    sequence = installed().create("dataset", "synthetic", {"stop": frames}).open()
+    backend = installed().create("slam_backend", "orb", {})
+    backend.run((sequence.read(index) for index in range(20)), sequence.camera, seed=0)  # compile
+    begun = time.process_time()
+    run = backend.run(list(sequence), sequence.camera, seed=0)
+    mean = 1000 * (time.process_time() - begun) / frames
+    return mean, float(np.median([one.elapsed_ms for one in run.frames]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--frames", type=int, default=120)
+    chosen = parser.parse_args()
+    print("| what | measured |\n|---|---:|")
+    for name, seconds in starts(chosen.rounds).items():
+        print(f"| `{name}` | {1000 * seconds:.0f} ms |", flush=True)
+    mean, median = slam_ms(chosen.frames)
+    print(f"| SLAM `orb`, 640x480, one thread: CPU time a frame, mean | {mean:.1f} ms |")
+    print(f"| SLAM `orb`: wall time a frame, median | {median:.1f} ms |", flush=True)
+    print(f"| quality cell / bare loop, frames a second | {engine_share(chosen.frames // 2, 3):.2f} |")
+
+
+if __name__ == "__main__":
+    main()
