@@ -20,7 +20,6 @@ from codecbench.slam.orb_kernels import (
     describe_patches,
     index_cells,
     orient_patches,
-    refine_corners,
     select_evenly,
 )
 
@@ -103,7 +102,7 @@ class FeatureExtractor:
         descriptors = describe_patches(blurred, corners, angles)
         # The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
         ratio = np.array([self._camera.width / level.shape[1], self._camera.height / level.shape[0]])
-        return (refine_corners(level, corners) + 0.5) * ratio - 0.5, angles, descriptors
+        return (corners + 0.5) * ratio - 0.5, angles, descriptors
 
     def _corners(self, level: NDArray[np.uint8], quota: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Corners x, y (N, 2) and their responses (N,): at the low threshold where the first try finds too few."""

@@ -148,9 +148,8 @@ class Mapper:
         weights[free] = 0
         order = np.argsort(-weights, kind="stable")
         fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
-        if len(fixed) == 0:  # the oldest keyframe, and if it must be another one for the scale, carry the gauge
-            oldest = np.sort(free)[: min(2, len(free) - 1)]
-            fixed, free = oldest, np.setdiff1d(free, oldest)
+        if len(fixed) == 0:  # the oldest keeps its pose; the scale is free, and damping keeps it where it was
+            fixed, free = free[free == free.min()], free[free != free.min()]
         adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10))
 
     def _cull_keyframes(self, keyframe: int) -> None:

@@ -74,35 +74,6 @@ def orient_patches(level: Any, corners: Any) -> Any:
 
 
 @njit(cache=True)
-def refine_corners(level: Any, corners: Any) -> Any:
-    """Corners (N, 2) to a fraction of a pixel: where the gradient lines of a 7x7 window meet best.
-
-    One step of Foerstner and Guelch's corner equation (ISPRS, 1987); a corner that would move by more than a pixel, or
-    whose window has no two directions, stays.
-    """
-    refined = corners.astype(np.float64)
-    for i in range(len(corners)):
-        x, y = corners[i, 0], corners[i, 1]
-        a, b, c, p, q = 0.0, 0.0, 0.0, 0.0, 0.0
-        for v in range(-3, 4):
-            for u in range(-3, 4):
-                gx = float(level[y + v, x + u + 1]) - float(level[y + v, x + u - 1])
-                gy = float(level[y + v + 1, x + u]) - float(level[y + v - 1, x + u])
-                weight = 32.0 - u * u - v * v
-                a, b, c = a + weight * gx * gx, b + weight * gx * gy, c + weight * gy * gy
-                p += weight * gx * (gx * u + gy * v)
-                q += weight * gy * (gx * u + gy * v)
-        determinant = a * c - b * b
-        if determinant <= 0.02 * (a + c) * (a + c):
-            continue
-        dx, dy = (c * p - b * q) / determinant, (a * q - b * p) / determinant
-        if dx * dx + dy * dy <= 1.0:
-            refined[i, 0] += dx
-            refined[i, 1] += dy
-    return refined
-
-
-@njit(cache=True)
 def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
     """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
     descriptors = np.empty((len(corners), 32), np.uint8)

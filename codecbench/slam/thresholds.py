@@ -62,7 +62,7 @@ INIT_MIN_POINTS: Final = 50
 """Points: fewer triangulated by the winning motion and the initialisation is refused (own)."""
 INIT_WINNER_SHARE: Final = 0.9
 """Of the inliers: share of points that the winning motion must triangulate (own)."""
-INIT_RIVAL_SHARE: Final = 0.7
+INIT_RIVAL_SHARE: Final = 0.85
 """Of the winner's points: a rival motion with more makes the start ambiguous (ORB-SLAM IV: one clear winner)."""
 INIT_SAME_MOTION_DEG: Final = 5.0
 """Degrees: motions nearer in rotation and in direction are no rivals (own)."""
