@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import platformdirs
 from numba.core import caching, compiler, serialize, sigutils
+
+from codecbench.core.instrument.cache_folder import cache_folder
 
 # numba is typed in part and differently in each version; what it does is checked by the tests of this module.
 _settings: Any = numba.config
@@ -27,12 +28,6 @@ _result: Any = compiler.CompileResult
 _arguments: Any = sigutils.normalize_signature
 
 _DIGEST_BYTES = 32
-
-
-def cache_folder() -> Path:
-    """The folder for what can be made again: `$CODECBENCH_CACHE`, else the platform's own place."""
-    named = os.environ.get("CODECBENCH_CACHE")
-    return Path(named).expanduser() if named else Path(platformdirs.user_cache_dir("codecbench"))
 
 
 class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
