@@ -20,7 +20,7 @@ def match_decoded(
     octaves = raw.octaves[chosen].astype(np.int64)
     return match_in_windows(
         raw.pixels[chosen], thresholds.DECODED_WINDOW_PX * scale_factors[octaves], octaves - 1, octaves + 1,
-        raw.descriptors[chosen], decoded, np.ones(len(decoded), np.bool_), thresholds.HAMMING_HIGH,
+        raw.descriptors[chosen], decoded, np.ones(len(decoded), np.bool_), thresholds.HAMMING_LOW,
     )  # fmt: skip
 
 

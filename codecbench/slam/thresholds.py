@@ -121,7 +121,7 @@ KEYFRAME_MAX_SHARE: Final = 0.9
 KEYFRAME_REFERENCE_OBSERVATIONS: Final = 3
 """Keyframes: a reference point counts in that share once so many keyframes see it (own)."""
 
-DECODED_WINDOW_PX: Final = 3.0
+DECODED_WINDOW_PX: Final = 1.5
 """Pixels at the finest level: how far a feature may move when a keyframe's image is coded and decoded (own)."""
 
 # Mapping ------------------------------------------------------------------------------------------------------------
