@@ -1,0 +1,104 @@
+"""A bench for tests of the engine: plugins that go wrong, a small sequence, runs in a temporary folder."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import distributions
+import numpy as np
+
+from codecbench.core.engine.matrix import read_matrix
+from codecbench.core.engine.model import Cell, Plan
+from codecbench.core.engine.plan import make_plan
+from codecbench.core.engine.record import Record
+from codecbench.core.engine.registry import installed
+from codecbench.core.engine.run import RunSummary, run_plan
+from codecbench.core.engine.samples import table_from_parquet
+from codecbench.core.engine.store import Store
+
+FRAMES = 5
+
+
+def write_stack(path: Path, frames: int = FRAMES, seed: int = 0) -> Path:
+    """Noise with the frame's index in pixel (0, 0)."""
+    stack = np.random.default_rng(seed).integers(0, 256, (frames, 16, 24), np.uint8)
+    stack[:, 0, 0] = np.arange(frames)
+    np.save(path, stack)
+    return path
+
+
+@dataclass
+class Bench:
+    """Runs matrices in one folder."""
+
+    folder: Path
+    site: Path
+
+    def plan(self, text: str) -> Plan:
+        path = self.folder / "matrix.yaml"
+        path.write_text(text)
+        return make_plan(read_matrix(path, installed()), installed())
+
+    def run(self, plan: Plan | str, name: str = "run", **options: Any) -> RunSummary:
+        plan = self.plan(plan) if isinstance(plan, str) else plan
+        options.setdefault("workers", 2)
+        return run_plan(plan, self.folder / name, **options)
+
+    def store(self, name: str = "run") -> Store:
+        return Store(self.folder / name)
+
+    def records(self, plan: Plan, name: str = "run") -> dict[str, tuple[Cell, Record]]:
+        store = self.store(name)
+        return {cell.id: (cell, store.read_record(cell.id)) for cell in plan.cells}
+
+
+def contents(store: Store, plan: Plan) -> dict[str, Any]:
+    """What a run found, without what may differ between two runs of the same plan."""
+    found = {}
+    for cell in plan.cells:
+        if cell.exclusive:
+            continue
+        record = store.read_record(cell.id)
+        samples = store.samples(record)
+        rows = None if samples is None else str(table_from_parquet(samples).to_pylist())
+        artifacts = {name: store.read_file(record, name) for name in record.artifacts}
+        key = (record.status, record.reason, record.measurements, tuple(sorted(record.summaries.items())), rows)
+        found[cell.id] = (key, artifacts)
+    return found
+
+
+@contextmanager
+def bench_in(folder: Path) -> Iterator[Bench]:
+    """A bench in an empty folder, with the plugins that go wrong installed."""
+    site = folder / "site"
+    site.mkdir()
+    distributions.register(site, "faults", "1.0", "fault_plugins")
+    sys.path.insert(0, str(site))
+    installed.cache_clear()
+    write_stack(folder / "stack.npy")
+    try:
+        yield Bench(folder, site)
+    finally:
+        sys.path.remove(str(site))
+        installed.cache_clear()
+
+
+def matrix(codecs: str, evaluators: str, run: str = "workers: 2") -> str:
+    """A matrix over the stack of frames."""
+    return f"""
+version: 1
+sequences: [{{use: stack, params: {{path: stack.npy}}}}]
+codecs: [{codecs}]
+evaluators: [{evaluators}]
+run: {{{run}}}
+"""
+
+
+def grid(use: str, faults: Iterable[str]) -> str:
+    """A plugin with each of these faults."""
+    return f"{{use: {use}, params: {{fault: {{grid: [{', '.join(faults)}]}}}}}}"

@@ -1,0 +1,240 @@
+"""Faults, injected: each costs its cell, is recorded with its reason, and disturbs nothing else."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine import atomic
+from codecbench.core.engine.record import RecordDamage
+from codecbench.core.engine.store import Store
+
+CODEC_FAULTS = {
+    "raise": ("failed", "coding failed: encode, frame 2: ZeroDivisionError: divided by nothing"),
+    "exit": ("failed", "coding failed: encode, frame 2: SystemExit: leaving"),
+    "leave": ("crashed", "coding failed: its worker exited with status 0"),
+    "segfault": ("crashed", "coding failed: its worker died of SIGSEGV"),
+    "abort": ("crashed", "coding failed: its worker died of SIGABRT"),
+    "hang": ("timed_out", "coding failed: no result within 2 s"),
+    "hog": ("failed", "coding failed: encode, frame 2: "),
+    "text": ("failed", "coding failed: encode, frame 2: encode returned str; a bitstream is bytes"),
+    "empty": ("failed", "coding failed: encode, frame 2: encode returned no bytes"),
+    "leak": ("ok", ""),
+    "fork": ("ok", ""),
+    "noise": ("ok", ""),
+    "scribble": ("ok", ""),
+}
+DECODE_FAULTS = {
+    "misread": ("failed", "decode, frame 2: no such marker"),
+    "shape": ("failed", "decode, frame 2: decode returned shape (15, 24); the frame has (16, 24)"),
+    "dtype": ("failed", "decode, frame 2: decode returned dtype float64; a decoded frame is uint8"),
+    "nothing": ("failed", "decode, frame 2: decode returned NoneType; a decoded frame is a numpy array"),
+    "memory": ("failed", "decode, frame 2: AttributeError: 'Faulty' object has no attribute 'last_shape'"),
+}
+EVALUATOR_FAULTS = {
+    "none": ("ok", ""),
+    "nan": ("failed", "evaluate, frame 2: error: NaN without a reason"),
+    "reasoned_nan": ("ok", ""),
+    "infinite": ("ok", ""),
+    "undeclared": ("failed", "evaluate, frame 2: metric 'surprise' is not declared; declared: error, note"),
+    "text": ("failed", "evaluate, frame 2: error: a value is a number, got str"),
+    "bool": ("failed", "evaluate, frame 2: error: a value is a number, got bool"),
+    "tuple": ("failed", "evaluate, frame 2: yielded tuple; evaluators yield Measurement"),
+    "frame": ("failed", "evaluate, frame 2: error: measured on frame 2 but yielded for frame 7"),
+    "raise": ("failed", "evaluate, frame 2: KeyError: 'gone'"),
+    "sleep": ("timed_out", "no result within 2 s"),
+}
+WHOLE_FAULTS = {
+    "none": ("ok", ""),
+    "raise": ("failed", "evaluate, frame 2: RuntimeError: lost the thread"),
+    "folder": ("failed", "artifacts: artifact 'nested' is a folder"),
+    "undeclared_plugin": ("failed", "codec 'faulty' is used but not declared"),
+}
+
+
+LIMITS = "workers: 2, timeout_s: 2, memory_mb: 300"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with bench_in(tmp_path) as made:
+        yield made
+
+
+def children_called_sleep() -> list[psutil.Process]:
+    return [one for one in psutil.process_iter(["cmdline"]) if one.info["cmdline"] == ["sleep", "300"]]
+
+
+def test_every_codec_fault_costs_its_own_cells_alone(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+    plan = bench.plan(matrix(grid("faulty", [*CODEC_FAULTS, "none"]), "wandering", LIMITS))
+    summary = bench.run(plan)
+    for cell, record in bench.records(plan).values():
+        status, reason = CODEC_FAULTS.get(cell.codec.params["fault"], ("ok", ""))
+        assert (record.status, record.reason[: len(reason)]) == (status, reason), cell.codec.label
+        assert record.reason or status == "ok"
+        if status == "ok":
+            assert [(one, value) for (one, _, _), value in record.summaries.items()] == [("error", 0.0)]
+    assert sum(summary.statuses.values()) == len(plan.cells)
+    assert not children_called_sleep()
+    assert capfd.readouterr() == ("", "")
+    lines = bench.store().log_path.read_text().splitlines()
+    bad = sum(status != "ok" for status, _ in CODEC_FAULTS.values())
+    assert sum("WARNING" in line for line in lines) == bad
+
+
+def test_every_decoder_fault_names_its_frame(bench: Bench) -> None:
+    plan = bench.plan(matrix(grid("faulty", [*DECODE_FAULTS, "jump", "none"]), "wandering", LIMITS))
+    bench.run(plan)
+    for cell, record in bench.records(plan).values():
+        expected = DECODE_FAULTS.get(cell.codec.params["fault"])
+        if expected is not None:
+            assert (record.status, record.reason) == expected
+            assert "Traceback" in record.traceback
+        elif cell.codec.params["fault"] == "jump":
+            assert (record.status, record.reason) == ("crashed", "its worker died of SIGSEGV")
+            assert "decode_jump" in record.traceback
+        else:
+            assert record.status == "ok"
+
+
+def test_every_evaluator_fault_fails_the_cell(bench: Bench) -> None:
+    evaluators = f"{grid('wandering', EVALUATOR_FAULTS)}, {grid('whole', WHOLE_FAULTS)}"
+    plan = bench.plan(matrix("{use: faulty, params: {step: 2}}", evaluators, LIMITS))
+    bench.run(plan)
+    for cell, record in bench.records(plan).values():
+        faults = EVALUATOR_FAULTS if cell.evaluator.name == "wandering" else WHOLE_FAULTS
+        status, reason = faults[cell.evaluator.params["fault"]]
+        assert record.status == status, record.reason
+        assert reason in record.reason
+        if cell.evaluator.params["fault"] == "none" and cell.evaluator.name == "wandering":
+            assert record.summaries["error", "", "mean"] == pytest.approx(1.5, abs=0.1)  # 2 bits dropped: 0..3
+
+
+def test_failed_cells_are_tried_again_and_good_ones_kept(bench: Bench) -> None:
+    text = matrix(grid("faulty", ["raise", "none"]), "wandering")
+    assert bench.run(text).statuses == {"failed": 1, "ok": 1}
+    again = bench.run(text)
+    assert (again.computed, again.kept, again.statuses) == (1, 1, {"failed": 1, "ok": 1})
+
+
+def test_a_changed_sequence_is_computed_anew(bench: Bench) -> None:
+    text = matrix("faulty", "wandering")
+    plan = bench.plan(text)
+    assert bench.run(plan).computed == 1
+    write_stack(bench.folder / "stack.npy", seed=1)
+    again = bench.run(bench.plan(text))
+    assert (again.computed, again.kept, again.encoded) == (1, 0, 1)
+    write_stack(bench.folder / "stack.npy", seed=2)
+    late = bench.run(plan, "late")
+    assert late.statuses == {"failed": 1}
+    [(_, record)] = bench.records(plan, "late").values()
+    assert record.reason == "coding failed: open: stack has changed since the plan was made; run the matrix again"
+
+
+def damage(path: Path, how: str) -> None:
+    content = bytearray(path.read_bytes())
+    if how == "flip":
+        content[len(content) // 2] ^= 4
+    path.write_bytes(content[: len(content) // 2] if how == "truncate" else content)
+
+
+def test_damaged_records_are_found_reported_and_computed_again(bench: Bench) -> None:
+    plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
+    bench.run(plan)
+    store, before = bench.store(), contents(bench.store(), plan)
+    of = {name: [cell for cell in plan.cells if cell.evaluator.name == name] for name in ("wandering", "whole")}
+    victims = {
+        of["wandering"][0].id: ("frames.parquet", "flip"),
+        of["wandering"][1].id: ("frames.parquet", "truncate"),
+        of["whole"][0].id: ("record.json", "flip"),
+        of["whole"][1].id: ("record.json", "truncate"),
+        of["whole"][2].id: ("total.txt", "flip"),
+    }
+    for cell_id, (name, how) in victims.items():
+        damage(store.record_folder(cell_id) / name, how)
+        with pytest.raises(RecordDamage, match=name):
+            read_everything(store, cell_id)
+    again = bench.run(plan)
+    assert set(again.damaged) == set(victims)
+    assert (again.computed, again.kept, again.encoded) == (5, 1, 0)
+    log = store.log_path.read_text()
+    assert all(cell_id in log for cell_id in victims)
+    assert contents(store, plan) == before
+    assert bench.run(plan).kept == 6
+
+
+def read_everything(store: Store, cell_id: str) -> None:
+    record = store.read_record(cell_id)
+    for name in record.files:
+        store.read_file(record, name)
+
+
+def test_damaged_bitstreams_are_encoded_again(bench: Bench) -> None:
+    codecs = grid("faulty", ["none", "fork", "noise", "leave_alone"])
+    plan = bench.plan(matrix(codecs, "wandering"))
+    bench.run(plan)
+    flipped, cut, gone, _ = [bench.store().coded_path(job.id) for job in plan.jobs]
+    damage(flipped, "flip")
+    damage(cut, "truncate")
+    gone.unlink()
+    more = bench.plan(matrix(codecs, "wandering, whole"))
+    again = bench.run(more)
+    assert (again.statuses, again.encoded, again.kept) == ({"ok": 8}, 3, 4)
+    log = bench.store().log_path.read_text()
+    assert [path.stem in log for path in (flipped, cut, gone)] == [True, True, False]
+    bench.run(more, "undisturbed")
+    assert contents(bench.store(), more) == contents(bench.store("undisturbed"), more)
+
+
+@pytest.mark.parametrize("how", ["flip", "truncate", "remove"])
+def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) -> None:
+    plan = bench.plan(matrix(grid("faulty", ["none", "fork"]), "wandering, whole"))
+    bench.run(plan)
+    path = bench.store().records_folder / "index.jsonl"
+    if how == "remove":
+        path.unlink()
+    else:
+        damage(path, how)
+    assert set(bench.store().entries()) == {cell.id for cell in plan.cells}
+    assert bench.run(plan).kept == 4
+
+
+@pytest.mark.parametrize("how", ["flip", "truncate"])
+def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) -> None:
+    plan = bench.plan(matrix("faulty", "wandering"))
+    bench.run(plan)
+    assert bench.store().read_plan() == plan
+    damage(bench.folder / "run" / "plan.json", how)
+    with pytest.raises(StoreError, match=r"plan\.json is damaged"):
+        bench.store().read_plan()
+    assert bench.run(plan).kept == 1
+    assert bench.store().read_plan() == plan
+
+
+def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
+    fsync = os.fsync
+
+    def full(*arguments: Any) -> Any:
+        if len(bench.store().entries()) >= 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return fsync(*arguments)
+
+    monkeypatch.setattr("codecbench.core.engine.store._DURABLE_FROM_S", 0.0)
+    monkeypatch.setattr(atomic.os, "fsync", full)
+    with pytest.raises(StoreError, match="No space left on device; all earlier records are kept"):
+        bench.run(plan)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
+    assert not list((bench.folder / "run").rglob(".new-*"))
+    again = bench.run(plan)
+    assert (again.kept, again.statuses) == (3, {"ok": 6})
+    bench.run(plan, "undisturbed")
+    assert contents(bench.store(), plan) == contents(bench.store("undisturbed"), plan)
