@@ -1,0 +1,193 @@
+"""Runs: resuming, interrupting, sharing bitstreams, and order."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from engine_bench import FRAMES, Bench, bench_in, contents, grid, matrix
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine.model import Cell, CodingJob
+from codecbench.core.engine.progress import Progress
+from codecbench.core.engine.schedule import Schedule
+
+STEPS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
+MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with bench_in(tmp_path) as made:
+        yield made
+
+
+def test_a_run_computes_every_cell_once_and_reports_as_it_goes(bench: Bench) -> None:
+    seen: list[Progress] = []
+    plan = bench.plan(MANY)
+    summary = bench.run(plan, listener=seen.append)
+    assert summary.statuses == {"ok": len(plan.cells)} == {"ok": 24}
+    assert (summary.computed, summary.kept, summary.encoded, summary.interrupted) == (24, 0, 4, None)
+    assert [one.cell.id for one in seen if one.cell] != []
+    assert {one.cell.id for one in seen if one.cell} == {cell.id for cell in plan.cells}
+    assert (seen[-1].cells_done, seen[-1].jobs_done, seen[-1].not_ok) == (24, 4, 0)
+    assert seen[-1].remaining_s == 0.0
+    assert all(one.remaining_s is not None for one in seen)
+    again = bench.run(plan)
+    assert (again.computed, again.kept, again.encoded) == (0, 24, 0)
+
+
+def test_records_say_what_where_and_when(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: 1}}", "wandering, whole"))
+    bench.run(plan)
+    environments = bench.store().environments()
+    for cell, record in bench.records(plan).values():
+        assert record.environment in environments
+        assert record.cell["codec"] == {
+            "name": "faulty",
+            "version": "1",
+            "params": cell.codec.params,
+            "label": "step=1",
+        }
+        assert record.cell["sequence"]["fingerprint"] == cell.sequence.fingerprint
+        assert record.duration_s > 0
+        assert record.worker["pid"] > 0
+    (whole,) = [record for cell, record in bench.records(plan).values() if cell.evaluator.name == "whole"]
+    assert whole.artifacts == ["total.txt"]
+    size = FRAMES * (3 + 16 * 24)
+    assert bench.store().read_file(whole, "total.txt") == f"{size}\n".encode()
+    assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
+
+
+def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:
+    plan = bench.plan(matrix(STEPS, "wandering, whole"))
+    bench.run(plan, "one", workers=1)
+    bench.run(plan, "three", workers=3)
+    assert contents(bench.store("one"), plan) == contents(bench.store("three"), plan)
+
+
+def test_a_further_evaluator_encodes_nothing(bench: Bench) -> None:
+    bench.run(matrix(STEPS, "wandering"), workers=1)
+    more = bench.run(matrix(STEPS, "wandering, whole"), workers=1)
+    assert (more.computed, more.kept, more.encoded) == (4, 4, 0)
+
+
+def test_exclusive_cells_come_last_alone_pinned_and_interleaved(bench: Bench) -> None:
+    plan = bench.plan(matrix(STEPS, "alone, slow"))
+    order: list[Cell] = []
+    bench.run(plan, listener=lambda one: order.append(one.cell) if one.cell else None)
+    alone = [cell for cell in order if cell.exclusive]
+    assert order[-8:] == alone
+    assert [cell.repeat for cell in alone] == [0] * 4 + [1] * 4
+    assert [cell.codec.params["step"] for cell in alone] == [0, 1, 2, 3] * 2
+    for cell, record in bench.records(plan).values():
+        if cell.exclusive:
+            assert {one.metric: one.value for one in record.measurements}["cores"] == 1
+
+
+def test_two_runs_in_one_folder_are_told(bench: Bench) -> None:
+    plan = bench.plan(matrix("faulty", "wandering"))
+    with bench.store().locked():
+        assert bench.store().in_use()
+        with pytest.raises(StoreError, match=r"is in use by process \d+ on .*; wait for it to end or choose another"):
+            bench.run(plan)
+    assert not bench.store().in_use()
+    assert bench.run(plan).statuses == {"ok": 1}
+
+
+def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering, alone"))
+    schedule = Schedule(plan, list(plan.cells), set())
+    first, second = schedule.take(), schedule.take()
+    assert isinstance(first, CodingJob)
+    assert isinstance(second, CodingJob)
+    assert schedule.take() is None
+    schedule.ended(first)
+    cell = schedule.take()
+    assert isinstance(cell, Cell)
+    assert cell.job_id == first.id
+    assert [one.job_id for one in schedule.failed(second)] == [second.id]
+    assert schedule.take() is None, "exclusive cells wait for the last other one"
+    schedule.encode_again(cell)
+    assert schedule.take() is first
+    schedule.ended(first)
+    assert schedule.take() is cell
+    schedule.ended(cell)
+    rest = [schedule.take() for _ in range(4)]
+    assert all(isinstance(one, Cell) and one.exclusive for one in rest)
+    assert len(schedule) == 4
+
+
+def interrupted_run(bench: Bench, name: str, number: signal.Signals, after_s: float) -> float:
+    """Start the matrix in a process, send it a signal, and return how long it took to end."""
+    driver = Path(__file__).parent / "run_driver.py"
+    command = [
+        sys.executable,
+        str(driver),
+        str(bench.folder / "matrix.yaml"),
+        str(bench.folder / name),
+        str(bench.site),
+    ]
+    process = subprocess.Popen(command, start_new_session=True)
+    time.sleep(after_s)
+    children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    sent = time.monotonic()
+    process.send_signal(number)
+    process.wait(30)
+    took = time.monotonic() - sent
+    _, alive = psutil.wait_procs([one for one in children if one.is_running()], timeout=10)
+    assert not alive, f"workers outlived {number.name}"
+    return took
+
+
+def check_interruptions(bench: Bench, trials: int, seed: int) -> None:
+    plan = bench.plan(MANY)
+    bench.run(plan, "undisturbed")
+    truth = contents(bench.store("undisturbed"), plan)
+    rng = np.random.default_rng(seed)
+    midway = 0
+    for trial in range(trials):
+        name = f"trial-{trial}"
+        numbers = [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]
+        for number in (numbers[trial % 3], numbers[int(rng.integers(3))])[: 1 + trial % 2]:
+            assert interrupted_run(bench, name, number, float(rng.uniform(0.5, 4.5))) < 10
+        finished = set(bench.store(name).entries()) if (bench.folder / name).exists() else set()
+        midway += 0 < len(finished) < len(plan.cells)
+        summary = bench.run(plan, name)
+        assert (summary.kept, summary.computed) == (len(finished), len(plan.cells) - len(finished))
+        assert summary.statuses == {"ok": len(plan.cells)}
+        assert not summary.damaged
+        assert contents(bench.store(name), plan) == truth
+        assert not list((bench.folder / name).rglob(".new-*"))
+    assert midway or trials < 10, "no run was ended midway: the times do not fit this machine"
+
+
+def test_a_run_killed_at_any_time_resumes_to_the_same_result(bench: Bench) -> None:
+    check_interruptions(bench, 3, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_fifty_runs_killed_at_random_times_resume_to_the_same_result(bench: Bench) -> None:
+    check_interruptions(bench, 50, seed=2)
+
+
+def test_an_interrupted_run_says_so_and_goes_on_later(bench: Bench) -> None:
+    plan = bench.plan(matrix(grid("faulty", "abcdef"), "slow"))
+
+    def stop(progress: Progress) -> None:
+        if progress.cells_done == 2:
+            signal.raise_signal(signal.SIGTERM)
+
+    summary = bench.run(plan, listener=stop)
+    assert summary.interrupted == "SIGTERM"
+    assert 2 <= summary.computed < 6
+    assert "ended by SIGTERM" in bench.store().log_path.read_text()
+    assert bench.run(plan).kept == summary.computed
