@@ -56,7 +56,7 @@ def adjust(
     *,
     iterations: Sequence[int] = (5, 10),
     huber: float | None = HUBER_95,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Adjustment:
     """Return poses and points that minimise the reprojection error of all observations.
 

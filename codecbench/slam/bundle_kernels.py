@@ -69,32 +69,33 @@ def camera_adjacency(slots, points, point_count, slot_count):  # type: ignore[no
 
 @njit(cache=True, error_model="numpy")
 def reprojection(pose, point, u, v, weight, intrinsics):  # type: ignore[no-untyped-def]
-    """Return x, y, z in the camera's frame, the error in pixels and the chi-square, which is at most MAX_CHI2."""
-    x = pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3]
-    y = pose[1, 0] * point[0] + pose[1, 1] * point[1] + pose[1, 2] * point[2] + pose[1, 3]
+    """Return x / z, y / z and 1 / z in the camera's frame, the error in pixels, and the chi-square up to MAX_CHI2."""
     z = pose[2, 0] * point[0] + pose[2, 1] * point[1] + pose[2, 2] * point[2] + pose[2, 3]
     if z <= 0.0:
-        return x, y, z, 0.0, 0.0, MAX_CHI2
-    e0 = intrinsics[0] * x / z + intrinsics[2] - u
-    e1 = intrinsics[1] * y / z + intrinsics[3] - v
-    return x, y, z, e0, e1, min(weight * weight * (e0 * e0 + e1 * e1), MAX_CHI2)
+        return 0.0, 0.0, 0.0, 0.0, 0.0, MAX_CHI2
+    inverse = 1.0 / z
+    x = inverse * (pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3])
+    y = inverse * (pose[1, 0] * point[0] + pose[1, 1] * point[1] + pose[1, 2] * point[2] + pose[1, 3])
+    e0, e1 = intrinsics[0] * x + intrinsics[2] - u, intrinsics[1] * y + intrinsics[3] - v
+    return x, y, inverse, e0, e1, min(weight * weight * (e0 * e0 + e1 * e1), MAX_CHI2)
 
 
-@njit(cache=True, error_model="numpy")
-def jacobians(pose, x, y, z, intrinsics):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def jacobians(pose, x, y, inverse, intrinsics):  # type: ignore[no-untyped-def]
     """Return the entries of the pixel's derivatives: first by the point, then by the left update (v, w) of the pose.
 
-    By the point p00 p01 p02 / p10 p11 p12; by the pose a0 0 a2 a3 a4 a5 / 0 b1 b2 b3 b4 b5. Scalars rather
-    than arrays, and products of them written out below: the compiler keeps them in registers, five times as
-    fast.
+    By the point p00 p01 p02 / p10 p11 p12; by the pose a0 0 a2 a3 a4 a5 / 0 b1 b2 b3 b4 b5, at the point
+    (x, y, 1) / inverse of the camera's frame. Scalars rather than arrays, and products of them written out below: the
+    compiler keeps them in registers, five times as fast.
     """
-    a0, b1 = intrinsics[0] / z, intrinsics[1] / z
-    a2, b2 = -a0 * x / z, -b1 * y / z
+    fx, fy = intrinsics[0], intrinsics[1]
+    a0, b1 = fx * inverse, fy * inverse
+    a2, b2 = -a0 * x, -b1 * y
     p00, p10 = a0 * pose[0, 0] + a2 * pose[2, 0], b1 * pose[1, 0] + b2 * pose[2, 0]
     p01, p11 = a0 * pose[0, 1] + a2 * pose[2, 1], b1 * pose[1, 1] + b2 * pose[2, 1]
     p02, p12 = a0 * pose[0, 2] + a2 * pose[2, 2], b1 * pose[1, 2] + b2 * pose[2, 2]
-    a3, a4, a5 = a2 * y, a0 * z - a2 * x, -a0 * y
-    b3, b4, b5 = b2 * y - b1 * z, -b2 * x, b1 * x
+    a3, a4, a5 = -fx * x * y, fx * (1.0 + x * x), -fx * y
+    b3, b4, b5 = -fy * (1.0 + y * y), fy * x * y, fy * x
     return p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5
 
 
@@ -178,19 +179,24 @@ def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyp
         if _count_active(active, starts[p], starts[p + 1]) < 2:
             continue
         point, normal = points[p], normals[p]
+        xx = xy = xz = yy = yz = zz = gx = gy = gz = 0.0
         for m in range(starts[p], starts[p + 1]):
             if not active[m]:
                 continue
             pose, cross, weight = poses[cameras[m]], crosses[m], weights[m]
-            x, y, z, e0, e1, chi2 = reprojection(pose, point, pixels[m, 0], pixels[m, 1], weight, intrinsics)
+            x, y, inverse, e0, e1, chi2 = reprojection(pose, point, pixels[m, 0], pixels[m, 1], weight, intrinsics)
             if chi2 >= MAX_CHI2:
                 for a in range(6):
                     cross[0, a] = cross[1, a] = cross[2, a] = 0.0
                 continue
             w = weight * weight if chi2 <= huber * huber else weight * weight * huber / math.sqrt(chi2)
-            p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5 = jacobians(pose, x, y, z, intrinsics)
+            p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5 = jacobians(
+                pose, x, y, inverse, intrinsics
+            )
             q00, q01, q02, q10, q11, q12 = w * p00, w * p01, w * p02, w * p10, w * p11, w * p12
-            _add_point(normal, p00, p01, p02, p10, p11, p12, q00, q01, q02, q10, q11, q12, e0, e1)
+            xx, xy, xz = xx + q00 * p00 + q10 * p10, xy + q00 * p01 + q10 * p11, xz + q00 * p02 + q10 * p12
+            yy, yz, zz = yy + q01 * p01 + q11 * p11, yz + q01 * p02 + q11 * p12, zz + q02 * p02 + q12 * p12
+            gx, gy, gz = gx - q00 * e0 - q10 * e1, gy - q01 * e0 - q11 * e1, gz - q02 * e0 - q12 * e1
             slot = slots[cameras[m]]
             if slot >= 0:
                 _add_camera(blocks[slot], a0, a2, a3, a4, a5, b1, b2, b3, b4, b5, w, e0, e1)
@@ -200,20 +206,8 @@ def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyp
                 cross[0, 3], cross[0, 4], cross[0, 5] = q00 * a3 + q10 * b3, q00 * a4 + q10 * b4, q00 * a5 + q10 * b5
                 cross[1, 3], cross[1, 4], cross[1, 5] = q01 * a3 + q11 * b3, q01 * a4 + q11 * b4, q01 * a5 + q11 * b5
                 cross[2, 3], cross[2, 4], cross[2, 5] = q02 * a3 + q12 * b3, q02 * a4 + q12 * b4, q02 * a5 + q12 * b5
-
-
-@njit(cache=True, fastmath={"contract"})
-def _add_point(normal, p00, p01, p02, p10, p11, p12, q00, q01, q02, q10, q11, q12, e0, e1):  # type: ignore[no-untyped-def]
-    """Add one observation to V (xx, xy, xz, yy, yz, zz) and to minus the gradient."""
-    normal[0] += q00 * p00 + q10 * p10
-    normal[1] += q00 * p01 + q10 * p11
-    normal[2] += q00 * p02 + q10 * p12
-    normal[3] += q01 * p01 + q11 * p11
-    normal[4] += q01 * p02 + q11 * p12
-    normal[5] += q02 * p02 + q12 * p12
-    normal[6] -= q00 * e0 + q10 * e1
-    normal[7] -= q01 * e0 + q11 * e1
-    normal[8] -= q02 * e0 + q12 * e1
+        normal[0], normal[1], normal[2], normal[3], normal[4], normal[5] = xx, xy, xz, yy, yz, zz
+        normal[6], normal[7], normal[8] = gx, gy, gz
 
 
 @njit(cache=True, fastmath={"contract"})

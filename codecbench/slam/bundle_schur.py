@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from codecbench.slam.transforms import so3_exp_into
+from codecbench.slam.vector_kernels import subtract_product
 
 MIN_DAMPING = 1e-9
 
@@ -103,24 +104,7 @@ def _eliminate_point(  # type: ignore[no-untyped-def]
         for n in range(start, m + 1):
             other = slots[cameras[n]]
             if other >= 0 and active[n]:
-                _subtract_block(product, crosses[n], system, row + 6 * other, stride)
-
-
-@njit(cache=True, fastmath={"contract"})
-def _subtract_block(product, cross, system, start, stride):  # type: ignore[no-untyped-def]
-    """Subtract product (6, 3) times cross (3, 6) from the block at `start`, whose rows are `stride` apart."""
-    x0, x1, x2, x3, x4, x5 = cross[0, 0], cross[0, 1], cross[0, 2], cross[0, 3], cross[0, 4], cross[0, 5]
-    y0, y1, y2, y3, y4, y5 = cross[1, 0], cross[1, 1], cross[1, 2], cross[1, 3], cross[1, 4], cross[1, 5]
-    z0, z1, z2, z3, z4, z5 = cross[2, 0], cross[2, 1], cross[2, 2], cross[2, 3], cross[2, 4], cross[2, 5]
-    for a in range(6):
-        u, v, w = product[a, 0], product[a, 1], product[a, 2]
-        row = system[start + a * stride : start + a * stride + 6]
-        row[0] -= u * x0 + v * y0 + w * z0
-        row[1] -= u * x1 + v * y1 + w * z1
-        row[2] -= u * x2 + v * y2 + w * z2
-        row[3] -= u * x3 + v * y3 + w * z3
-        row[4] -= u * x4 + v * y4 + w * z4
-        row[5] -= u * x5 + v * y5 + w * z5
+                subtract_product(system, row + 6 * other, stride, product, crosses, n)
 
 
 @njit(cache=True)
@@ -141,14 +125,15 @@ def move_cameras(poses, slots, step, out):  # type: ignore[no-untyped-def]
 def move_points(points, seen, slots, work, out):  # type: ignore[no-untyped-def]
     """Back substitution: each point's step is V^-1 (g - W^T step of the cameras)."""
     cameras, starts, _, _, active, _ = seen
+    inverses, normals, crosses, steps = work.inverses, work.normals, work.crosses, work.right_side
     for p in range(points.shape[0]):
-        inverse, normal = work.inverses[p], work.normals[p]
+        inverse, normal = inverses[p], normals[p]
         g0, g1, g2 = normal[6], normal[7], normal[8]
         if inverse[0] != 0.0:  # else the point stays
             for m in range(starts[p], starts[p + 1]):
                 slot = slots[cameras[m]]
                 if slot >= 0 and active[m]:
-                    cross, step = work.crosses[m], work.right_side[6 * slot : 6 * slot + 6]
+                    cross, step = crosses[m], steps[6 * slot : 6 * slot + 6]
                     for a in range(6):
                         g0 -= cross[0, a] * step[a]
                         g1 -= cross[1, a] * step[a]

@@ -51,7 +51,9 @@ def test_jacobians_against_finite_differences(rng: np.random.Generator) -> None:
     def pixel_of_update(x: np.ndarray) -> np.ndarray:
         return project((so3_exp(x[3:]) @ in_camera + x[:3])[None])[0]
 
-    p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5 = jacobians(pose, *in_camera, INTRINSICS)
+    p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5 = jacobians(
+        pose, in_camera[0] / in_camera[2], in_camera[1] / in_camera[2], 1.0 / in_camera[2], INTRINSICS
+    )
     by_point = [[p00, p01, p02], [p10, p11, p12]]
     by_camera = [[a0, 0.0, a2, a3, a4, a5], [0.0, b1, b2, b3, b4, b5]]
     np.testing.assert_allclose(by_point, approx_fprime(point, pixel_of_point, 1e-6), rtol=1e-5, atol=1e-3)
