@@ -13,6 +13,9 @@ MAX_JP2_PIXELS = MAX_PIXELS // 4
 
 _BOXES = (b"jP  ", b"ftyp", b"jp2h", b"jp2c")
 _SIGNATURE = b"\r\n\x87\n"
+_FILE_TYPE = b"jp2 \0\0\0\0jp2 "
+_COLOUR_SPACES = {1: b"\1\0\0\0\0\0\x11", 3: b"\1\0\0\0\0\0\x10"}
+"""Enumerated colour spaces (T.800 I.5.3.3): 17 grayscale, 16 sRGB."""
 SOC, SIZ, COD, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
 _SIZ = struct.Struct(">HIIIIIIIIH")
 _COD = struct.Struct(">BBHBBBBBB")
@@ -60,6 +63,8 @@ def checked_shape(bitstream: bytes) -> tuple[int, ...]:
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
         raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")
+    if bitstream[boxes[1][1] : boxes[1][2]] != _FILE_TYPE:
+        raise BitstreamError(f"jpeg2000: file type {bitstream[boxes[1][1] : boxes[1][2]]!r} is not that of a JP2 file")
     inner = _read_boxes(bitstream, boxes[2][1], boxes[2][2])
     if [kind for kind, _, _ in inner] != [b"ihdr", b"colr"] or inner[0][2] - inner[0][1] != _IHDR.size:
         raise BitstreamError("jpeg2000: the JP2 header must hold one image header and one colour box")
@@ -68,6 +73,8 @@ def checked_shape(bitstream: bytes) -> tuple[int, ...]:
         raise BitstreamError(f"jpeg2000: {channels} components, depth field {depth}; 1 or 3 of 8 bits are read")
     if not 0 < height * width <= MAX_JP2_PIXELS:
         raise BitstreamError(f"jpeg2000: {width}x{height} is not within 1..{MAX_JP2_PIXELS} pixels")
+    if bitstream[inner[1][1] : inner[1][2]] != _COLOUR_SPACES[channels]:
+        raise BitstreamError(f"jpeg2000: the colour box does not say what {channels} component(s) of ours are")
     _check_codestream(bitstream, boxes[3][1], width, height, channels)
     return (height, width) if channels == 1 else (height, width, channels)
 
