@@ -5,7 +5,7 @@
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
 installed codec at its example settings). Size, PSNR, operation counts and the codec's version go into `extra_info` of
 pytest-benchmark, and with `--codecbench-baseline FILE` size and PSNR are compared as well: a larger file or a loss of
-quality fails the test whatever the clock says.
+quality fails the test whatever the clock says. Settings that the file does not have yet are added to it.
 
 A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
 """
@@ -13,7 +13,6 @@ A test of your own asks for the fixture `codec_under_test` and is run once for e
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,6 +55,9 @@ class CodecCase:
         return facts
 
 
+_CASES = pytest.StashKey[list[CodecCase]]()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("codecbench", "benchmarks of codecs")
     group.addoption(
@@ -70,35 +72,35 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--codecbench-baseline",
         metavar="FILE",
-        help="a JSON file of sizes and PSNRs: written where it does not exist, compared exactly where it does",
+        help="a JSON file of sizes and PSNRs: what it has is compared exactly, what it has not is added",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--codecbench"):
+    wanted = config.getoption("--codecbench")
+    if wanted:
+        config.stash[_CASES] = [case for text in wanted for case in _cases(text)]
         config.args.append(str(Path(__file__).parent / "codec_benchmarks.py"))
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if _CASE_FIXTURE in metafunc.fixturenames:
-        wanted = metafunc.config.getoption("--codecbench") or [ALL]
-        cases = [case for text in wanted for case in _cases(text)]
+        cases = metafunc.config.stash.get(_CASES, None) or _cases(ALL)
         metafunc.parametrize(_CASE_FIXTURE, cases, ids=[case.name for case in cases])
 
 
 @pytest.fixture(scope="session")
 def codec_baseline(request: pytest.FixtureRequest) -> Any:
-    """A function that compares the facts of a case with the baseline file, or records them in a new one."""
+    """A function that compares the facts of a case with the baseline file, or adds them to it."""
     option = request.config.getoption("--codecbench-baseline")
     path = Path(option) if option else None
-    known: dict[str, Any] | None = json.loads(path.read_text()) if path is not None and path.exists() else None
-    fresh: dict[str, Any] = {}
+    known: dict[str, Any] = json.loads(path.read_text()) if path is not None and path.exists() else {}
+    added: dict[str, Any] = {}
 
     def check(facts: dict[str, Any]) -> None:
-        kept = {key: facts[key] for key in ("version", "size_bytes", "psnr_db")}
-        fresh[facts["codec"]] = kept
-        before = (known or {}).get(facts["codec"])
+        before = known.get(facts["codec"])
         if before is None:
+            added[facts["codec"]] = {key: facts[key] for key in ("version", "size_bytes", "psnr_db")}
             return
         if facts["size_bytes"] > before["size_bytes"]:
             pytest.fail(f"{facts['codec']}: {facts['size_bytes']} bytes; the baseline has {before['size_bytes']}")
@@ -106,8 +108,8 @@ def codec_baseline(request: pytest.FixtureRequest) -> Any:
             pytest.fail(f"{facts['codec']}: PSNR {facts['psnr_db']} dB; the baseline has {before['psnr_db']} dB")
 
     yield check
-    if path is not None and known is None and fresh:
-        path.write_text(json.dumps(fresh, indent=2) + "\n")
+    if path is not None and added:
+        path.write_text(json.dumps({**known, **added}, indent=2) + "\n")
 
 
 def psnr_db(first: Image, second: Image) -> float:
@@ -122,11 +124,12 @@ def _cases(text: str) -> list[CodecCase]:
     """The cases of one `--codecbench` value. Raises pytest.UsageError for what cannot be understood."""
     from pydantic import ValidationError
 
+    from codecbench.core.conformance.settings import setting_from_text, setting_label
     from codecbench.core.contracts.errors import CodecbenchError, Unsupported
     from codecbench.core.engine.registry import installed
 
     registry = installed()
-    name, values = _parsed(text)
+    name, _, rest = text.strip().partition(" ")
     cases = []
     for plugin in registry.plugins("codec") if name == ALL else [None]:
         if plugin is not None and plugin.missing is not None:
@@ -134,28 +137,15 @@ def _cases(text: str) -> list[CodecCase]:
         chosen = plugin.offer.name if plugin is not None else name
         try:
             cls = registry.load("codec", chosen)
-            for example in [values] if values else cls.examples:
-                label = " ".join([chosen, *(f"{key}={value}" for key, value in example.items())])
-                cases.append(CodecCase(label, cls(cls.params_type.model_validate(example)), _picture(cls)))
+            for example in [setting_from_text(rest)] if rest else cls.examples:
+                codec = cls(cls.params_type.model_validate(example))
+                cases.append(CodecCase(setting_label(chosen, example), codec, _picture(cls)))
         except Unsupported as error:
             if plugin is None:
                 raise pytest.UsageError(f"--codecbench {text}: {error}") from None
         except (CodecbenchError, ValidationError) as error:
             raise pytest.UsageError(f"--codecbench {text}: {error}") from None
     return cases
-
-
-def _parsed(text: str) -> tuple[str, dict[str, Any]]:
-    from ruamel.yaml import YAML
-
-    name, *pairs = shlex.split(text)
-    values: dict[str, Any] = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not equals:
-            raise pytest.UsageError(f"--codecbench {text}: {pair!r} is not KEY=VALUE")
-        values[key] = YAML(typ="safe").load(value)
-    return name, values
 
 
 def _picture(cls: type[Codec[Any]]) -> Image:

@@ -16,7 +16,8 @@ DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize(
-    "name", ["pyproject.toml", "codecbench_posterize/__init__.py", "codecbench_posterize/codec.py"]
+    "name",
+    ["pyproject.toml", "codecbench_posterize/__init__.py", "codecbench_posterize/codec.py", "tests/test_posterize.py"],
 )
 def test_the_tutorial_shows_the_package_that_is_tested(name: str) -> None:
     assert (THIRD_PARTY / "posterize" / name).read_text() in (DOCS / "writing-a-codec.md").read_text()

@@ -1,6 +1,8 @@
 """What every codec must keep, as small checks that anyone can run on theirs.
 
-from codecbench.core.conformance.suite import run_checks
-for result in run_checks(MyCodec, MyCodec.params_type()):
-    print(result)
+    from codecbench.core.conformance.suite import run_checks
+    for result in run_checks(MyCodec, MyCodec.params_type()):
+        print(result)
+
+`codecbench verify` runs them from the command line, `codecbench.testing.CodecSuite` under pytest.
 """

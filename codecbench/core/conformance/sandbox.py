@@ -6,6 +6,7 @@ It starts afresh rather than as a copy of this one, so nothing that an encoder l
 from __future__ import annotations
 
 import multiprocessing
+import os
 import resource
 import traceback
 from collections.abc import Iterator
@@ -93,12 +94,19 @@ def sandbox(verb: Verb) -> Sandbox:
 
 
 def _serve(connection: Connection) -> None:
+    with open(os.devnull, "wb") as nowhere:
+        for stream in (1, 2):
+            os.dup2(nowhere.fileno(), stream)  # libraries in C complain there of every damaged bitstream
     connection.send("ready")
     while True:
         try:
             request = connection.recv()
         except EOFError:
             return
+        except Exception as error:  # noqa: BLE001 - importing the codec's module may raise anything
+            reason = f"the codec's module does not import in another process: {type(error).__name__}: {error}"
+            connection.send(Reply("raised", reason=reason))
+            continue
         connection.send(_answer(*request))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -66,15 +66,8 @@ CHECKS: tuple[Check, ...] = (
 
 def run_checks(codec_class: type[Codec[Any]], params: Params, checks: Sequence[Check] = CHECKS) -> list[CheckResult]:
     """Every check on every layout that the codec declares."""
-    return list(checking(codec_class, params, checks))
-
-
-def checking(codec_class: type[Codec[Any]], params: Params, checks: Sequence[Check] = CHECKS) -> Iterator[CheckResult]:
-    """The same, check by check: each result as soon as it is there."""
-    images = {channels: conformance_images(channels) for channels in codec_class.capabilities.channels}
-    for check in checks:
-        for channels, of_layout in images.items():
-            yield _result(check, channels, codec_class, params, of_layout)
+    layouts = [(channels, conformance_images(channels)) for channels in codec_class.capabilities.channels]
+    return [_result(check, channels, codec_class, params, images) for check in checks for channels, images in layouts]
 
 
 def _result(

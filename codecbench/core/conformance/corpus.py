@@ -1,0 +1,208 @@
+"""A corpus: bitstreams in a folder, with the hashes of what they decode to, for other machines and later versions.
+
+    manifest.json          what is here, and where it came from
+    <codec>/<number>.bin   bitstreams
+
+A bitstream must decode to the same pixels everywhere and for ever. It need not be what a later version of the
+codec writes; but an encoder that writes other bytes under the same version of itself and its libraries forgot to
+raise its version, or depends on the machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ValidationError
+
+from codecbench.core.conformance.integer_images import GENERATOR, integer_image
+from codecbench.core.conformance.sandbox import sandbox
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import CodecbenchError, PluginError, StoreError, Unsupported
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import Params
+
+CodecClass = type[Codec[Any]]
+_FORMAT = 1
+_MANIFEST = "manifest.json"
+_SIZES = ((1, 1), (17, 31), (88, 120))
+_TIMEOUT_S = 60.0
+_MEMORY_MB = 1024
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A bitstream of the corpus: what wrote it, of which picture, and what it decoded to there.
+
+    shape: height, width and channels of the picture.
+    """
+
+    file: str
+    codec: str
+    version: str
+    libraries: dict[str, str]
+    params: dict[str, Any]
+    generator: str
+    seed: int
+    shape: tuple[int, int, int]
+    bitstream_sha256: str
+    pixels_sha256: str
+
+
+@dataclass(frozen=True)
+class EntryResult:
+    """How an entry fared: `passed`, `failed` with the reason, or `skipped` where its codec is not available.
+
+    note: what is worth knowing of an entry that passed.
+    """
+
+    entry: Entry
+    status: Literal["passed", "failed", "skipped"]
+    reason: str = ""
+    note: str = ""
+
+
+def pixels_sha256(pixels: Image) -> str:
+    """The hash of an image: of its shape and its samples row by row."""
+    shape = "x".join(map(str, pixels.shape))
+    return hashlib.sha256(f"uint8 {shape}\n".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
+
+
+def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], written_by: str) -> list[Entry]:
+    """Encode the pictures at every setting, and write bitstreams and manifest into a new or empty folder.
+
+    A picture that a setting does not support is left out. Raises StoreError where the folder holds anything.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
+    folder.mkdir(parents=True, exist_ok=True)
+    entries: list[Entry] = []
+    for codec_class, params in settings:
+        codec = codec_class(params)
+        for seed, size in enumerate(_SIZES):
+            for channels in codec.capabilities.channels:
+                with suppress(Unsupported):
+                    number = sum(entry.codec == codec.name for entry in entries)
+                    entries.append(_written(folder, f"{codec.name}/{number:03}.bin", codec, seed, (*size, channels)))
+    manifest = {
+        "format": _FORMAT,
+        "written_by": written_by,
+        "machine": f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
+        "entries": [asdict(entry) for entry in entries],
+    }
+    (folder / _MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    return entries
+
+
+def _written(folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int]) -> Entry:
+    bitstream = codec.encode(integer_image(seed, *shape))
+    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+    (folder / file).write_bytes(bitstream)
+    return Entry(
+        file=file,
+        codec=codec.name,
+        version=codec.version,
+        libraries=codec.libraries(),
+        params=codec.params.model_dump(mode="json"),
+        generator=GENERATOR,
+        seed=seed,
+        shape=shape,
+        bitstream_sha256=hashlib.sha256(bitstream).hexdigest(),
+        pixels_sha256=pixels_sha256(codec.decode(bitstream)),
+    )
+
+
+def read_manifest(folder: Path) -> list[Entry]:
+    """The entries of a corpus. Raises StoreError where there is none or it is of another format."""
+    path = folder / _MANIFEST
+    try:
+        manifest = json.loads(path.read_text())
+        if manifest["format"] != _FORMAT:
+            raise StoreError(f"{path}: format {manifest['format']}; this version reads {_FORMAT}")
+        return [Entry(**{**entry, "shape": tuple(entry["shape"])}) for entry in manifest["entries"]]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"{path} is not the manifest of a corpus: {type(error).__name__}: {error}") from error
+
+
+def check_corpus(folder: Path, load: Callable[[str], CodecClass], codecs: Sequence[str] = ()) -> Iterator[EntryResult]:
+    """Decode every bitstream (of `codecs`, where given) in another process and compare the pixels.
+
+    load: the class of a codec by name, which raises Unsupported or PluginError where there is none.
+    """
+    for entry in read_manifest(folder):
+        if codecs and entry.codec not in codecs:
+            continue
+        try:
+            codec, outdated = _codec_of(entry, load(entry.codec))
+        except (Unsupported, PluginError) as error:
+            yield EntryResult(entry, "skipped", str(error))
+            continue
+        failure = _decoding_failure(folder / entry.file, entry, codec)
+        if failure is not None:
+            yield EntryResult(entry, "failed", failure)
+        elif outdated:
+            yield EntryResult(entry, "passed", note="its parameters are not valid any more; only decoded")
+        else:
+            yield _encoded_again(entry, codec)
+
+
+def _codec_of(entry: Entry, codec_class: CodecClass) -> tuple[Codec[Any], bool]:
+    """An instance at the entry's setting, or, where that is not valid any more, at the first example; and which."""
+    try:
+        return codec_class(codec_class.params_type.model_validate(entry.params)), False
+    except ValidationError:
+        return codec_class.create(**codec_class.examples[0]), True
+
+
+def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None:
+    try:
+        bitstream = path.read_bytes()
+    except OSError as error:
+        return f"the corpus is damaged: {error}"
+    if hashlib.sha256(bitstream).hexdigest() != entry.bitstream_sha256:
+        return f"the corpus is damaged: {path} is not what was written"
+    reply = sandbox("decode").ask(
+        type(codec), codec.params, "decode", bitstream, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
+    )
+    if reply.status != "done":
+        return f"does not decode: {reply.status}: {reply.reason}{_changes(entry, codec)}"
+    if pixels_sha256(reply.value) != entry.pixels_sha256:
+        return f"decodes to other pixels, of shape {reply.value.shape}{_changes(entry, codec)}"
+    return None
+
+
+def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
+    """Whether the encoder still writes these bytes, which it must unless its version or a library's changed."""
+    if entry.generator != GENERATOR:
+        return EntryResult(entry, "passed", note=f"the picture is of generator {entry.generator}; only decoded")
+    try:
+        bitstream = codec.encode(integer_image(entry.seed, *entry.shape))
+    except CodecbenchError as error:
+        return EntryResult(entry, "failed", f"does not encode its picture any more: {error}")
+    if hashlib.sha256(bitstream).hexdigest() == entry.bitstream_sha256:
+        return EntryResult(entry, "passed")
+    changes = _changes(entry, codec)
+    if changes:
+        return EntryResult(entry, "passed", note=f"encodes to other bytes{changes}")
+    return EntryResult(
+        entry, "failed", "encodes to other bytes, with the same version and libraries: raise `version`, or mend it"
+    )
+
+
+def _changes(entry: Entry, codec: Codec[Any]) -> str:
+    """Which versions differ from those that wrote the entry, to be put behind a finding."""
+    now = {codec.name: codec.version, **codec.libraries()}
+    before = {entry.codec: entry.version, **entry.libraries}
+    differing = [
+        f"{name} {before.get(name, 'absent')} -> {now.get(name, 'absent')}"
+        for name in {**before, **now}
+        if before.get(name) != now.get(name)
+    ]
+    return f" ({', '.join(differing)})" if differing else ""

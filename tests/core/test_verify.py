@@ -1,0 +1,294 @@
+"""`codecbench verify`, corpora, and the checks as a pytest suite."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from codecbench import BitstreamError, Image, ParamsError, StoreError
+from codecbench.cli import cli
+from codecbench.core.conformance.corpus import check_corpus, read_manifest, write_corpus
+from codecbench.core.conformance.integer_images import integer_image
+from codecbench.core.conformance.sandbox import sandbox
+from codecbench.core.conformance.settings import setting_from_text, setting_label
+from codecbench.core.conformance.suite import CHECKS
+from codecbench.core.engine.registry import installed
+from codecbench.plugins.codecs.png import Png
+from codecbench.plugins.codecs.raw import Raw
+from codecbench.testing import CodecSuite
+
+DOCS = Path(__file__).parent.parent.parent / "docs"
+BROKEN = Path(__file__).parent.parent / "contracts"
+CORPUS_CODECS = ("raw", "png", "jpeg_qf")
+
+
+def verify(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, ["verify", *arguments])
+
+
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Puts a broken codec in the place of raw."""
+    monkeypatch.syspath_prepend(str(BROKEN))
+    import broken_codecs
+
+    registry = installed()
+    load = registry.load
+
+    def replace(codec_class: str) -> None:
+        replacement = getattr(broken_codecs, codec_class)
+        monkeypatch.setattr(registry, "load", lambda kind, name: replacement if name == "raw" else load(kind, name))
+
+    sandbox("encode").stop()
+    sandbox("decode").stop()  # started anew, with the module's folder on the path
+    return replace
+
+
+def test_a_sound_codec_passes_every_check() -> None:
+    done = verify("raw")
+    assert done.exit_code == 0, done.output
+    assert [line.split()[1] for line in done.output.splitlines() if line.startswith("  pass")] == [
+        check.name for check in CHECKS
+    ]
+    assert done.output.splitlines()[-1] == "16 passed, 0 failed, 0 skipped"
+    for check in CHECKS:
+        assert check.proves in done.output
+
+
+def test_what_a_codec_does_not_claim_is_skipped_with_the_reason() -> None:
+    done = verify("jpeg_qf", "--settings", "qf=20 color=gray", "--only", "lossless", "--only", "params")
+    assert done.exit_code == 0
+    assert "jpeg_qf qf=20 color=gray" in done.output
+    assert re.search(r"skip +lossless +this setting does not claim to be lossless", done.output)
+    assert done.output.splitlines()[-1] == "1 passed, 0 failed, 1 skipped"
+
+
+def test_a_broken_codec_fails_with_the_place(broken: Any) -> None:
+    broken("LosesARow")
+    done = verify("raw", "--only", "shape", "--only", "params")
+    assert done.exit_code == 1
+    assert re.search(r"FAIL  shape .*\n +gray: decode\(.*\): got shape \(\d+, \d+\); expected shape", done.output)
+    assert "pass  params" in done.output
+
+
+def test_json_says_what_the_lines_say(broken: Any, tmp_path: Path) -> None:
+    broken("LosesARow")
+    verify("raw", "png", "--only", "shape", "--json", str(tmp_path / "results.json"))
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["summary"] == {"passed": 2, "failed": 1, "skipped": 0}
+    assert [setting["codec"] for setting in results["settings"]] == ["raw", "png", "png"]
+    raw, png, effort = results["settings"]
+    assert [check["status"] for check in raw["checks"]] == ["failed", "failed"]
+    assert {check["layout"] for check in raw["checks"]} == {"gray", "colour"}
+    assert "expected shape" in raw["checks"][0]["reason"]
+    assert effort["params"] == {"effort": 9}
+    assert set(png["libraries"]) == {"opencv", "libpng"}
+
+
+def test_json_on_standard_output_stands_alone() -> None:
+    done = verify("raw", "--only", "params", "--json", "-")
+    assert json.loads(done.stdout)["summary"]["passed"] == 1
+    assert "pass  params" in done.stderr
+
+
+def test_an_unavailable_codec_is_skipped_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "imagecodecs" else object())
+    registry = installed()
+    monkeypatch.setattr(registry, "plugins", lambda kind: [registry.find(kind, name) for name in ("raw", "webp")])
+    done = verify("--only", "params")
+    assert done.exit_code == 0, done.output
+    assert re.search(r"webp\n  skip .*run: pip install 'codecbench\[codecs\]'", done.output)
+    named = verify("webp", "--only", "params")
+    assert named.exit_code == 1, "a codec that was asked for by name must not pass unseen"
+    assert "FAIL" in named.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--settings", "quality=5"), "exactly one CODEC"),
+        (("jpeg", "--settings", "quality=500"), "less than or equal to 100"),
+        (("jpeg", "--only", "nothing"), "'nothing' is not one of"),
+        (("--write-corpus", "a", "--check-corpus", "b"), "two runs"),
+    ],
+)
+def test_usage_errors_say_what_is_wrong(arguments: tuple[str, ...], said: str) -> None:
+    done = verify(*arguments)
+    assert done.exit_code == 2
+    assert said in done.output
+
+
+def test_settings_are_read_as_yaml_and_shell_words() -> None:
+    assert setting_from_text("quality=10 progressive=true keys='[0.5, 0.25]' table=flat") == {
+        "quality": 10, "progressive": True, "keys": [0.5, 0.25], "table": "flat",
+    }  # fmt: skip
+    assert setting_label("jpeg", {"quality": 10}) == "jpeg quality=10"
+    for wrong in ("quality", "=3", "a=1 a=2", "a='", "a=[1"):
+        with pytest.raises(ParamsError):
+            setting_from_text(wrong)
+
+
+# corpora
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("corpus") / "new"
+    done = verify(*CORPUS_CODECS, "--write-corpus", str(folder))
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+@pytest.fixture
+def corpus(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "corpus"))
+
+
+def test_a_corpus_is_all_that_its_manifest_says(corpus: Path) -> None:
+    entries = read_manifest(corpus)
+    settings = sum(len(installed().load("codec", name).examples) for name in CORPUS_CODECS)
+    assert len(entries) == settings * 3 * 2
+    for entry in entries:
+        assert hashlib.sha256((corpus / entry.file).read_bytes()).hexdigest() == entry.bitstream_sha256
+    lossless = [entry for entry in entries if entry.codec == "raw"]
+    for entry in lossless:
+        picture = integer_image(entry.seed, *entry.shape)
+        head = f"uint8 {'x'.join(map(str, picture.shape))}\n".encode()
+        assert hashlib.sha256(head + picture.tobytes()).hexdigest() == entry.pixels_sha256
+
+
+def test_a_sound_corpus_passes(corpus: Path) -> None:
+    done = verify("--check-corpus", str(corpus))
+    assert done.exit_code == 0
+    assert done.output == f"{len(read_manifest(corpus))} passed, 0 failed, 0 skipped\n"
+
+
+def test_only_the_codecs_named_are_checked(corpus: Path) -> None:
+    assert verify("raw", "--check-corpus", str(corpus)).output == "6 passed, 0 failed, 0 skipped\n"
+
+
+def test_a_damaged_or_missing_bitstream_is_told_from_a_changed_decoder(corpus: Path) -> None:
+    first, second = sorted((corpus / "png").iterdir())[:2]
+    first.write_bytes(first.read_bytes() + b"\0")
+    second.unlink()
+    done = verify("--check-corpus", str(corpus))
+    assert done.exit_code == 1
+    assert done.output.count("the corpus is damaged") == 2
+    assert done.output.splitlines()[-1].endswith("2 failed, 0 skipped")
+
+
+def edited(corpus: Path, of: str, /, **fields: Any) -> None:
+    """Change fields of all entries of a codec in the manifest."""
+    manifest = json.loads((corpus / "manifest.json").read_text())
+    for entry in manifest["entries"]:
+        if entry["codec"] == of:
+            entry.update(fields)
+    (corpus / "manifest.json").write_text(json.dumps(manifest))
+
+
+def test_a_decoder_that_gives_other_pixels_fails(corpus: Path, broken: Any) -> None:
+    broken("NotLossless")
+    done = verify("raw", "--check-corpus", str(corpus))
+    assert done.exit_code == 1
+    assert "decodes to other pixels" in done.output
+
+
+def test_an_encoder_that_changed_without_a_new_version_fails(corpus: Path) -> None:
+    edited(corpus, "png", params={"effort": 0})
+    done = verify("png", "--check-corpus", str(corpus))
+    assert done.exit_code == 1
+    assert "encodes to other bytes, with the same version and libraries: raise `version`" in done.output
+
+
+def test_an_encoder_that_changed_with_its_version_is_noted(corpus: Path) -> None:
+    edited(corpus, "png", params={"effort": 0}, version="0")
+    done = verify("png", "--check-corpus", str(corpus))
+    assert done.exit_code == 0
+    assert "encodes to other bytes (png 0 -> 1)" in done.output
+
+
+def test_bitstreams_of_a_setting_that_is_gone_still_decode(corpus: Path) -> None:
+    edited(corpus, "png", params={"speed": 3})
+    done = verify("png", "--check-corpus", str(corpus))
+    assert done.exit_code == 0
+    assert "only decoded" in done.output
+
+
+def test_a_codec_that_is_not_installed_is_skipped(corpus: Path) -> None:
+    edited(corpus, "raw", codec="gone")
+    done = verify("--check-corpus", str(corpus))
+    assert "no codec is called 'gone'" in done.output
+    assert done.output.splitlines()[-1].endswith("0 failed, 6 skipped")
+
+
+def test_nothing_is_overwritten(corpus: Path) -> None:
+    with pytest.raises(StoreError, match="not empty"):
+        write_corpus(corpus, [], "")
+
+
+def test_no_manifest_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="not the manifest"):
+        list(check_corpus(tmp_path, lambda name: Png))
+
+
+DIGESTS = {(1, 1, 1): "c4694f2e93d5c4e7", (17, 31, 1): "e958d0ab06469fc5", (88, 120, 3): "1bf748e1620a5d5f"}
+
+
+def test_pictures_are_the_same_on_every_machine() -> None:
+    """Hashes from the machine that introduced the generator; they change with its name only."""
+    digests = {shape: hashlib.sha256(integer_image(2, *shape).tobytes()).hexdigest()[:16] for shape in DIGESTS}
+    assert digests == DIGESTS
+
+
+def test_a_picture_has_something_of_everything() -> None:
+    image = integer_image(3, 88, 120, 3).astype(int)
+    assert image.min() < 60
+    assert image.max() > 190
+    assert 5 < np.abs(np.diff(image, axis=1)).mean() < 40
+    assert np.abs(image[..., 0] - image[..., 1]).mean() > 10
+
+
+# the suite
+
+
+class Forgetful(Raw):
+    """Gives back one gray level too many, which is not lossless."""
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        if len(bitstream) < 17:
+            raise BitstreamError("short")
+        return super().decode(bitstream) + np.uint8(1)
+
+
+class TestRaw(CodecSuite):
+    codec = Raw
+
+
+def test_every_check_is_a_test_of_the_suite() -> None:
+    tests = [name for name in vars(CodecSuite) if name.startswith("test_")]
+    assert tests == [f"test_{check.name}" for check in CHECKS]
+    assert all(getattr(CodecSuite, name).__doc__ for name in tests)
+
+
+def test_the_suite_fails_where_a_check_does() -> None:
+    class Suite(CodecSuite):
+        codec = Forgetful
+
+    with pytest.raises(pytest.fail.Exception, match=r"settings that claim to be lossless are\ngray: decode"):
+        Suite().test_lossless({})  # type: ignore[attr-defined]
+    Suite().test_shape({})  # type: ignore[attr-defined]
+
+
+def test_every_check_is_documented() -> None:
+    page = (DOCS / "verify.md").read_text()
+    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == [check.name for check in CHECKS]
