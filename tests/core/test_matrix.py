@@ -103,7 +103,7 @@ def test_an_unset_variable_is_named(tmp_path: Path) -> None:
         (
             "[10, 50]",
             "[10, 140]",
-            "10:34: codecs[1].params.quality.grid[1]: Input should be less than or equal to 100; got 140",
+            "10:35: codecs[1].params.quality.grid[1]: Input should be less than or equal to 100; got 140",
         ),
         ("quality", "qualty", "10:14: codecs[1].params.qualty: unknown; did you mean 'quality'?"),
         ("[5, 15, 5]", "[5, 15, 0]", "must be [first, last, step > 0]"),
