@@ -55,7 +55,7 @@ class _Trusting(Raw):
     def decode(self, bitstream: bytes, **_: Any) -> Image:
         if bitstream[4:5] == b"\xff":
             raise IndexError("out of range")
-        if bitstream[5:9] == b"\xff\xff\xff\xff":
+        if bitstream[5:8] == b"\xff\xff\xff":
             np.ones(520 << 20, np.uint8)
         if bitstream[8:9] == b"\xff":
             return np.zeros((4, 4), np.uint8).astype(np.float32)
@@ -80,7 +80,7 @@ def test_memory_and_results_are_judged() -> None:
     codec = _Trusting.create()
     bitstream = bytearray(Raw.create().encode(np.zeros((1, 1), np.uint8)))
     assert judge(codec, bytes(bitstream)).kind == "decoded"
-    bitstream[5:9] = b"\xff\xff\xff\xff"
+    bitstream[5:8] = b"\xff\xff\xff"
     with pytest.raises(Finding, match=r"5\d\d MiB"):
         judge(codec, bytes(bitstream))
 
@@ -90,3 +90,29 @@ def test_mutations_differ_and_repeat() -> None:
     first = [mutated(data, data, np.random.default_rng(seed)) for seed in range(50)]
     assert first == [mutated(data, data, np.random.default_rng(seed)) for seed in range(50)]
     assert len({*first, data}) > 45
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "setting", "shape"),
+    [
+        ("png", {}, (8192, 8192, 3)),
+        ("jpeg", {"quality": 1}, (8192, 8192, 3)),
+        ("jpeg", {"quality": 1, "progressive": True, "subsampling": "444"}, (8192, 4096, 3)),
+        ("jpeg_qf", {"qf": 1000, "optimize": True}, (4096, 4096, 3)),
+        ("jpeg2000", {"ratio": 50}, (4096, 4096, 3)),
+        ("multilevel", {"qf": 1000}, (4728, 4728, 3)),
+        ("multilevel", {"qf": 1000, "color": "gray"}, (8192, 8192, 3)),
+    ],
+)
+def test_the_largest_pictures_stay_within_the_limits(
+    name: str, setting: dict[str, Any], shape: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    """Few bytes that stand for as many pixels as a decoder takes."""
+    image = np.full(shape, 100, np.uint8)
+    image[:200, :200] = rng.integers(0, 256, (200, 200, *shape[2:]))
+    codec = TARGETS[name].codec_class().create(**setting)
+    bitstream = codec.encode(image)
+    del image
+    codec.decode(codec.encode(np.zeros((8, 8, *shape[2:]), np.uint8)))
+    assert judge(codec, bitstream).kind == "decoded"

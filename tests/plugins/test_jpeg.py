@@ -11,7 +11,7 @@ import skimage.data
 from pydantic import ValidationError
 from skimage.metrics import peak_signal_noise_ratio
 
-from codecbench import BitstreamError
+from codecbench import BitstreamError, ImageError
 from codecbench.plugins.codecs.dct.tables import LUMINANCE, ZIGZAG
 from codecbench.plugins.codecs.jpeg import Jpeg
 
@@ -86,6 +86,18 @@ def test_a_header_that_claims_too_much_is_refused(size: tuple[int, int]) -> None
     bitstream[place : place + 4] = size[0].to_bytes(2, "big") + size[1].to_bytes(2, "big")
     with pytest.raises(BitstreamError, match=r"pixels|cannot be coded"):
         Jpeg.create().decode(bytes(bitstream))
+
+
+def test_progressive_files_stay_below_half_a_gigabyte() -> None:
+    """libjpeg holds the coefficients of a progressive picture, so fewer pixels are allowed, to both sides."""
+    progressive = bytearray(Jpeg.create(progressive=True).encode(np.zeros((16, 16, 3), np.uint8)))
+    frame = progressive.index(b"\xff\xc2")
+    progressive[frame + 5 : frame + 9] = b"\x20\x00\x20\x00"
+    with pytest.raises(BitstreamError, match="in scans exceeds 33554432 pixels"):
+        Jpeg.create().decode(bytes(progressive))
+    large = np.broadcast_to(np.uint8(0), (8192, 8192))
+    with pytest.raises(ImageError, match="33554432 pixels"):
+        Jpeg.create(progressive=True).encode(large)
 
 
 def test_many_scans_are_refused() -> None:

@@ -30,6 +30,8 @@ from codecbench.plugins.codecs.opencv import library_versions, read_image, write
 
 _MAX_SIDE = 65500  # libjpeg's JPEG_MAX_DIMENSION
 _MAX_SCANS = 32  # libjpeg's own progressive script takes 10; each scan costs a pass over the whole image
+_MAX_PIXELS_OF_SCANS = MAX_PIXELS // 2
+"""libjpeg holds all coefficients of a picture in several scans, and that must stay below half a gigabyte."""
 _SAMPLING_FACTORS = {
     "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
     "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
@@ -63,9 +65,10 @@ class Jpeg(Codec[JpegParams]):
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)
         height, width = image.shape[:2]
-        if max(height, width) > _MAX_SIDE or height * width > MAX_PIXELS:
-            raise ImageError(f"jpeg: {width}x{height} exceeds {_MAX_SIDE} a side or {MAX_PIXELS} pixels")
         params = self.params
+        most = _MAX_PIXELS_OF_SCANS if params.progressive else MAX_PIXELS
+        if max(height, width) > _MAX_SIDE or height * width > most:
+            raise ImageError(f"jpeg: {width}x{height} exceeds {_MAX_SIDE} a side or {most} pixels")
         options = [cv2.IMWRITE_JPEG_QUALITY, params.quality]
         options += [cv2.IMWRITE_JPEG_OPTIMIZE, int(params.optimize), cv2.IMWRITE_JPEG_PROGRESSIVE, params.progressive]
         options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, _SAMPLING_FACTORS[params.subsampling]]
@@ -87,5 +90,7 @@ def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
     scans = sum(segment.code == SOS for segment in segments)
     if not 1 <= scans <= _MAX_SCANS:
         raise BitstreamError(f"jpeg: {scans} scans; 1 to {_MAX_SCANS} are read")
+    if (scans > 1 or header.code == SOF_PROGRESSIVE) and header.width * header.height > _MAX_PIXELS_OF_SCANS:
+        raise BitstreamError(f"jpeg: {header.width}x{header.height} in scans exceeds {_MAX_PIXELS_OF_SCANS} pixels")
     check_plausible(header, segments, "jpeg")
     return header.shape
