@@ -11,9 +11,6 @@ import skimage.data
 
 from codecbench.core.engine.registry import installed
 
-DEFAULTS: dict[str, dict[str, Any]] = {"jpeg2000": {"ratio": 8}}
-"""What to set where a codec has no defaults."""
-
 
 @pytest.fixture(scope="module", params=["gray", "rgb"])
 def picture(request: pytest.FixtureRequest) -> np.ndarray:
@@ -26,7 +23,8 @@ def codec(request: pytest.FixtureRequest) -> Any:
     missing = installed().find("codec", request.param).missing
     if missing is not None:
         pytest.skip(missing)
-    return installed().create("codec", request.param, DEFAULTS.get(request.param, {}))
+    codec_class = installed().load("codec", request.param)
+    return codec_class.create(**codec_class.examples[0])
 
 
 def test_encode(benchmark: Any, codec: Any, picture: np.ndarray) -> None:

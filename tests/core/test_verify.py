@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from distributions import install_posterize
 
 from codecbench import BitstreamError, Image, ParamsError, StoreError
 from codecbench.cli import cli
@@ -111,6 +114,16 @@ def test_an_unavailable_codec_is_skipped_with_its_remedy(monkeypatch: pytest.Mon
     named = verify("webp", "--only", "params")
     assert named.exit_code == 1, "a codec that was asked for by name must not pass unseen"
     assert "FAIL" in named.output
+
+
+def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> None:
+    install_posterize(tmp_path)
+    command = [sys.executable, "-m", "codecbench", "verify", "posterize"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1] == "46 passed, 0 failed, 2 skipped"
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize(
