@@ -62,7 +62,7 @@ def _mutate(name: str, arguments: argparse.Namespace) -> None:
     last_input = arguments.findings / f"{name}-last-input"
     campaign = fuzz(target, seeds, arguments.seed, last_input, seconds=arguments.seconds)
     for data in campaign.findings.values():
-        (arguments.findings / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}").write_bytes(data)
+        _keep(name, data, arguments.findings)
     summary = {
         "codec": name,
         "seconds": arguments.seconds,
@@ -86,16 +86,20 @@ def _follow_coverage(name: str, arguments: argparse.Namespace) -> NoReturn:
 
         target = TARGETS[name]
         codec = target.codec()
-    from limits import judge
+    from limits import Finding, judge
 
     warnings.simplefilter("ignore")  # numpy's scalars warn where machine integers wrap around
 
     def test_one_input(data: bytes) -> None:
+        repaired = target.repair(data)
         signal.alarm(_INTERPRETER_TIME_S)
         try:
-            judge(codec, target.repair(data))
+            judge(codec, repaired)
         except _Slow:
             pass
+        except Finding:
+            _keep(name, repaired, arguments.findings)
+            raise
         finally:
             signal.alarm(0)
 
@@ -112,6 +116,10 @@ def _follow_coverage(name: str, arguments: argparse.Namespace) -> NoReturn:
 
 def _give_up(*_: Any) -> NoReturn:
     raise _Slow
+
+
+def _keep(name: str, data: bytes, folder: Path) -> None:
+    (folder / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}").write_bytes(data)
 
 
 def _kept(name: str) -> list[bytes]:

@@ -70,7 +70,7 @@ class _TrustingTarget(Target):
 def test_the_fuzzer_finds_what_is_broken(tmp_path: Path) -> None:
     target = _TrustingTarget("trusting", TARGETS["raw"].repair)
     seed = Raw.create().encode(np.zeros((1, 1), np.uint8))
-    campaign = fuzz(target, [seed], 1, tmp_path / "last", inputs=3000)
+    campaign = fuzz(target, [seed], 1, tmp_path / "last", inputs=2000)
     found = " ".join(campaign.findings)
     assert "IndexError: out of range" in found
     assert "ImageError" in found
