@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -119,6 +120,11 @@ class Faulty(Codec[FaultParams]):
 
     def encode_abort(self, image: Image) -> bytes:
         os.abort()
+
+    def encode_kill_parent(self, image: Image) -> bytes:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(300)
+        return b"late"
 
     def encode_hang(self, image: Image) -> bytes:
         ctypes.PyDLL(None).sleep(300)

@@ -10,7 +10,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -179,19 +179,37 @@ class _Workbench:
         self._sequences: dict[str, Sequence] = {}
 
     def create(self, setting: PluginSetting) -> Any:
-        return self.registry.create(setting.kind, setting.name, setting.params)
+        """The plugin of a setting. Raises PluginError where another version of it is installed here."""
+        instance = self.registry.create(setting.kind, setting.name, setting.params)
+        if instance.version != setting.version:
+            message = f"{setting.kind} {setting.name} is version {instance.version} on {platform.node()}"
+            raise PluginError(f"{message} and {setting.version} in the plan; install the same version everywhere")
+        return instance
 
     def sequence(self, entry: SequenceEntry) -> Sequence:
         """The sequence, opened once. Raises DatasetError where it is no longer the one that was planned."""
         source = self._sequences.pop(entry.fingerprint, None)
         if source is None:
-            source = self.create(entry.dataset).open()
+            source = self.create(replace(entry.dataset, params=_located(entry.dataset.params))).open()
             if source.fingerprint != entry.fingerprint or len(source) != entry.frames:
                 raise DatasetError(f"{entry.name} has changed since the plan was made; run the matrix again")
         self._sequences[entry.fingerprint] = source
         while len(self._sequences) > _OPEN_SEQUENCES:
             del self._sequences[next(iter(self._sequences))]
         return CachedSequence(source, entry.name, self._cache)
+
+
+def _located(params: dict[str, Any]) -> dict[str, Any]:
+    """Parameters with paths as this machine knows them; CODECBENCH_PATHS holds `there=here`, joined as in PATH."""
+    places = [one.split("=", 1) for one in os.environ.get("CODECBENCH_PATHS", "").split(os.pathsep) if "=" in one]
+
+    def located(value: Any) -> Any:
+        for there, here in places:
+            if isinstance(value, str) and (value == there or value.startswith(there.rstrip("/") + "/")):
+                return here.rstrip("/") + value[len(there.rstrip("/")) :]
+        return value
+
+    return {name: located(value) for name, value in params.items()}
 
 
 @functools.cache

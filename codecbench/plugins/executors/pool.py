@@ -17,9 +17,9 @@ import tempfile
 import threading
 import time
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
@@ -43,17 +43,22 @@ _OUTPUT_LIMIT: Final = 16 << 20
 _main_lock = threading.Lock()
 
 
-class _WorkerProcess(SpawnProcess):
-    """A spawned process that does not import the program's main script again: tasks never live there."""
+@contextmanager
+def hidden_main() -> Iterator[None]:
+    """Processes spawned meanwhile do not import the program's main script again: tasks never live there."""
+    with _main_lock:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
 
+
+class _WorkerProcess(SpawnProcess):
     def start(self) -> None:
-        with _main_lock:
-            main = sys.modules["__main__"]
-            sys.modules["__main__"] = types.ModuleType("__main__")
-            try:
-                super().start()
-            finally:
-                sys.modules["__main__"] = main
+        with hidden_main():
+            super().start()
 
 
 class _WorkerContext(SpawnContext):
@@ -120,6 +125,12 @@ class WorkerPool:
             slot.task = slot.future = None
             self._discard(slot)
         shutil.rmtree(self._folder, ignore_errors=True)
+
+    def kill(self) -> None:
+        """Kill what the workers are doing; each task that this hits ends as crashed. For use from another thread."""
+        for slot in self._slots:
+            with suppress(OSError, ValueError):
+                _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
 
     def _launch(self, slot: _Slot) -> None:
         """Start the slot's task, in a new worker where the old one is gone."""

@@ -1,0 +1,234 @@
+"""The dask executor: the same tasks on the workers of a dask.distributed cluster.
+
+A dask worker hands each task to an isolated process of its own (see `pool`), so that a codec that crashes,
+hangs or eats memory costs its cell and not the worker. A worker that dies as a whole, with its host, say, has its
+tasks tried again elsewhere, `retries` times. Only the coordinator writes to the run folder.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import multiprocessing
+import os
+import pickle
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ClassVar, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from codecbench.core.contracts.errors import CodecbenchError, Unsupported
+from codecbench.core.contracts.executor import Executor, Finished, Task
+from codecbench.core.contracts.params import Params
+from codecbench.plugins.executors.isolation import SINGLE_THREADED
+from codecbench.plugins.executors.pool import WorkerPool, hidden_main
+
+_CLUSTERS: Final = {
+    "local": ("distributed", "LocalCluster", "codecbench[dask]"),
+    "ssh": ("distributed", "SSHCluster", "codecbench[dask] asyncssh"),
+    "slurm": ("dask_jobqueue", "SLURMCluster", "dask-jobqueue"),
+    "pbs": ("dask_jobqueue", "PBSCluster", "dask-jobqueue"),
+}
+_SEND_DIRECTLY_BYTES: Final = 1 << 20
+"""Larger tasks go to a worker past the scheduler, which would otherwise hold them all."""
+
+PATHS_VARIABLE: Final = "CODECBENCH_PATHS"
+
+
+class DaskParams(Params):
+    """Where the workers are.
+
+    Without `address`, a cluster of the kind `cluster` is made for the run and closed after it, with
+    `options` as keyword arguments of its class.
+    """
+
+    cluster: Literal["local", "ssh", "slurm", "pbs"] | None = Field(
+        None, description="what kind of cluster to make; default: local"
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="for LocalCluster, SSHCluster and so on")
+    address: str | None = Field(None, description="use the cluster whose scheduler is at tcp://host:port")
+    shared_files: bool | None = Field(
+        None, description="workers see the run folder under the same path; default: yes for a local cluster only"
+    )
+    paths: dict[str, str] = Field(
+        default_factory=dict, description="folders of sequences here, and where workers find them"
+    )
+    retries: int = Field(2, ge=0, description="how often a task is tried again whose worker died")
+    start_timeout_s: float = Field(600.0, gt=0, description="how long to wait for the first worker")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if self.address is not None and (self.cluster is not None or self.options):
+            raise ValueError("give either address, or cluster with its options")
+        return self
+
+    @property
+    def made(self) -> str:
+        """What kind of cluster is made where there is no address."""
+        return self.cluster or "local"
+
+
+class DaskExecutor(Executor[DaskParams]):
+    """Runs tasks on a dask.distributed cluster.
+
+    Exclusive tasks wait until nothing else runs and then go one at a time, all to the same worker, so that
+    times are of one machine and nothing of ours disturbs them.
+    """
+
+    name = "dask"
+    version = "1"
+    params_type: ClassVar[type[Params]] = DaskParams
+
+    def __init__(self, params: DaskParams) -> None:
+        super().__init__(params)
+        local = params.address is None and params.made == "local"
+        self.shares_files = local if params.shared_files is None else params.shared_files
+        self._cluster: Any = None
+        self._client: Any = None
+        self._prepare: Callable[[], None] | None = None
+        self._running: dict[str, tuple[Any, Any]] = {}
+        self._waiting: deque[Task] = deque()
+        self._alone = False
+        self._done: queue.Queue[tuple[str, Any]] = queue.Queue()
+        self._numbers = itertools.count()
+        self._stopping = False
+
+    def start(self, workers: int, prepare: Callable[[], None]) -> None:
+        import dask
+        from distributed import Client
+
+        self._prepare = prepare
+        settings = {"distributed.worker.daemon": False, "distributed.admin.low-level-log-length": 0}
+        with dask.config.set(settings):
+            if self.params.address is None:
+                self._cluster = self._make_cluster(workers)
+            try:
+                where = self._cluster or self.params.address
+                self._client = Client(where, timeout=self.params.start_timeout_s)  # type: ignore[no-untyped-call]
+                self._client.wait_for_workers(1, timeout=self.params.start_timeout_s)
+            except OSError as error:  # TimeoutError is one
+                place = self.params.address or f"the {self.params.made} cluster"
+                raise CodecbenchError(f"no dask worker at {place}: {error}") from error
+        self._client.run_on_scheduler(_allow_failures, count=self.params.retries)
+
+    def submit(self, task: Task) -> None:
+        self._waiting.append(task)
+        self._fill()
+
+    def next_finished(self, timeout_s: float) -> Finished | None:
+        try:
+            task_id, future = self._done.get(timeout=timeout_s) if timeout_s > 0 else self._done.get_nowait()
+        except queue.Empty:
+            return None
+        self._running.pop(task_id)
+        finished = _outcome(task_id, future)
+        self._fill()
+        return finished
+
+    def stop(self) -> None:
+        self._stopping = True
+        self._waiting.clear()
+        client, self._client = self._client, None
+        cluster, self._cluster = self._cluster, None
+        if client is not None:
+            with suppress(OSError, RuntimeError):
+                client.cancel([future for future, _ in self._running.values()], force=True)
+                client.run(stop_pools, wait=False, on_error="ignore")
+            client.close(timeout=5)
+        if cluster is not None:
+            cluster.close(timeout=5)
+        self._running.clear()
+
+    def _make_cluster(self, workers: int) -> Any:
+        module, name, requirement = _CLUSTERS[self.params.made]
+        try:
+            make = getattr(importlib.import_module(module), name)
+        except ImportError as error:
+            raise Unsupported(f"cluster: {self.params.made} needs {module}; run: pip install {requirement}") from error
+        options = dict(self.params.options)
+        if self.params.made == "local":
+            usual = {"threads_per_worker": 1, "processes": True, "memory_limit": 0, "dashboard_address": None}
+            with hidden_main():
+                return make(**{"n_workers": workers, **usual, **options})
+        cluster = make(**options)
+        if self.params.made != "ssh":  # there, each host is a worker
+            cluster.scale(jobs=workers)
+        return cluster
+
+    def _fill(self) -> None:
+        """Hand waiting tasks to the cluster, in order, as far as exclusive tasks allow."""
+        while self._waiting:
+            if self._running and (self._alone or self._waiting[0].exclusive):
+                return
+            task = self._waiting.popleft()
+            self._alone = task.exclusive
+            self._send(task)
+
+    def _send(self, task: Task) -> None:
+        assert self._client is not None
+        content: Any = pickle.dumps((task, self._prepare, self.params.paths))
+        if len(content) > _SEND_DIRECTLY_BYTES:
+            content = self._client.scatter(content, hash=False)
+        where = {"workers": [self._timing_worker()], "allow_other_workers": True} if task.exclusive else {}
+        future = self._client.submit(
+            perform_isolated, content, key=f"codecbench-{task.id}-{id(task)}", pure=False, **where
+        )
+        self._running[task.id] = (future, content)
+        future.add_done_callback(lambda done: None if self._stopping else self._done.put((task.id, done)))
+
+    def _timing_worker(self) -> str:
+        """The worker for exclusive tasks: always the first by name."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        return str(min(workers, key=lambda address: (str(workers[address]["name"]), address)))
+
+
+def _outcome(task_id: str, future: Any) -> Finished:
+    """What a finished future means: its own Finished, or the death of its worker."""
+    if future.status == "finished":
+        with suppress(OSError):  # the worker may die between having the result and giving it
+            return future.result()  # type: ignore[no-any-return]
+    if future.status == "cancelled":
+        return Finished(task_id, "crashed", reason="the cluster lost it")
+    error = future.exception()
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    if type(error).__name__ == "KilledWorker":
+        text = f"every worker that tried it died ({text})"
+    return Finished(task_id, "crashed", reason=text)
+
+
+def _allow_failures(dask_scheduler: Any, count: int) -> None:
+    """Run on the scheduler: how many workers may die of a task before it is given up."""
+    dask_scheduler.allowed_failures = count
+
+
+# What follows runs in dask workers.
+
+_local = threading.local()
+_pools: list[WorkerPool] = []
+
+
+def perform_isolated(content: bytes) -> Finished:
+    """Run a task in this dask worker's isolated process and wait for it."""
+    task, prepare, paths = pickle.loads(content)
+    pool: WorkerPool | None = getattr(_local, "pool", None)
+    if pool is None:
+        # A dask worker may be a daemon, which Python does not allow processes of its own; ours end with it anyway.
+        multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+        os.environ.update(SINGLE_THREADED)
+        os.environ[PATHS_VARIABLE] = os.pathsep.join(f"{here}={there}" for here, there in paths.items())
+        pool = _local.pool = WorkerPool(1, prepare)
+        _pools.append(pool)
+    pool.start(task)
+    while (finished := pool.next_finished(1.0)) is None:
+        continue
+    return finished
+
+
+async def stop_pools() -> None:
+    """End the isolated processes of this dask worker, whatever they are doing; the next task starts new ones."""
+    for pool in _pools:
+        pool.kill()

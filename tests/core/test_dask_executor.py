@@ -1,0 +1,217 @@
+"""The dask executor: the same results as the local one, through dying workers and without shared files."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+from pydantic import ValidationError
+
+from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.executor import Finished, Task
+from codecbench.core.engine.model import Cell
+from codecbench.plugins.executors.dask import DaskExecutor, DaskParams
+
+pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
+
+HERE = Path(__file__).parent
+CODECS = "{use: faulty, params: {step: {grid: [0, 1, 2]}}}"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with bench_in(tmp_path) as made:
+        yield made
+
+
+def on_dask(params: str = "", more: str = "") -> str:
+    return f"workers: 2, executor: {{use: dask, params: {{{params}}}}}{more}"
+
+
+def test_local_and_dask_runs_find_the_same(bench: Bench) -> None:
+    codecs = f"{CODECS}, {grid('faulty', ['raise', 'segfault', 'hang', 'noise'])}"
+    evaluators = "wandering, whole, alone"
+    local = bench.plan(matrix(codecs, evaluators, "workers: 2, timeout_s: 3"))
+    bench.run(local, "local")
+    plan = bench.plan(matrix(codecs, evaluators, on_dask(more=", timeout_s: 3")))
+    order: list[Cell] = []
+    summary = bench.run(plan, "dask", listener=lambda one: order.append(one.cell) if one.cell else None)
+    assert [cell.id for cell in plan.cells] == [cell.id for cell in local.cells]
+    assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
+    assert summary.statuses == {"ok": 22, "failed": 2, "crashed": 2, "timed_out": 2}
+    alone = [bench.store("dask").read_record(cell.id) for cell in plan.cells if cell.exclusive]
+    good = [record for record in alone if record.status == "ok"]
+    assert len({record.worker["pid"] for record in good}) == 1, "exclusive cells go to one worker"
+    assert {one.value for record in good for one in record.measurements if one.metric == "cores"} == {1.0}
+
+
+def prepare() -> None:
+    return None
+
+
+def slow_pid(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getppid()
+
+
+def kill_worker(_: object) -> None:
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60)
+
+
+@contextmanager
+def started(params: DaskParams) -> Iterator[DaskExecutor]:
+    executor = DaskExecutor(params)
+    try:
+        executor.start(2, prepare)
+        yield executor
+    finally:
+        executor.stop()
+
+
+def outcomes(executor: DaskExecutor, *tasks: Task, within_s: float = 120.0) -> dict[str, Finished]:
+    for task in tasks:
+        executor.submit(task)
+    found: dict[str, Finished] = {}
+    deadline = time.monotonic() + within_s
+    while len(found) < len(tasks):
+        assert time.monotonic() < deadline, f"only {sorted(found)} ended"
+        finished = executor.next_finished(1.0)
+        if finished is not None:
+            found[finished.task_id] = finished
+    return found
+
+
+def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up() -> None:
+    with started(DaskParams(retries=2)) as executor:
+        victim = outcomes(executor, Task("first", slow_pid, 0.0))["first"].value
+        threading.Timer(1.0, os.kill, (victim, signal.SIGKILL)).start()
+        found = outcomes(executor, *(Task(f"slow-{n}", slow_pid, 2.0) for n in range(2)))
+        assert {one.status for one in found.values()} == {"ok"}
+        assert victim not in {one.value for one in found.values()}
+        deadly = outcomes(executor, Task("deadly", kill_worker, None))["deadly"]
+        assert deadly.status == "crashed"
+        assert "every worker that tried it died" in deadly.reason
+        assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
+
+
+def test_stop_ends_hanging_tasks_and_leaves_no_process() -> None:
+    with started(DaskParams()) as executor:
+        executor.submit(Task("hang", slow_pid, 300.0))
+        time.sleep(3)
+        children = psutil.Process().children(recursive=True)
+        begun = time.monotonic()
+    assert time.monotonic() - begun < 20
+    _, alive = psutil.wait_procs([one for one in children if "spawn_main" in " ".join(_command(one))], timeout=10)
+    assert not alive
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+@contextmanager
+def cluster_elsewhere(folder: Path, site: Path, workers: int = 2) -> Iterator[str]:
+    """A scheduler and workers in processes of their own, each with a scratch folder of its own."""
+    folder.mkdir()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(HERE)])}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    scheduler_file = folder / "scheduler.json"
+    with ExitStack() as stack:
+
+        def start(command: list[str], name: str) -> None:
+            scratch = folder / name
+            scratch.mkdir()
+            log = stack.enter_context(open(folder / f"{name}.log", "wb"))
+            process = subprocess.Popen(command, cwd=scratch, env=environment, stdout=log, stderr=log)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        where = ["--no-dashboard", "--scheduler-file", str(scheduler_file)]
+        start([*dask, "--host", "127.0.0.1", "--port", "0", *where], "s")
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", *where]
+        for number in range(workers):
+            start([*worker, "--nthreads", "1", "--no-nanny", "--memory-limit", "0"], f"w{number}")
+        deadline = time.monotonic() + 60
+        while not scheduler_file.exists():
+            assert time.monotonic() < deadline, (folder / "s.log").read_text()
+            time.sleep(0.1)
+        yield json.loads(scheduler_file.read_text())["address"]
+
+
+def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
+    local = bench.plan(matrix(CODECS, "wandering, whole"))
+    bench.run(local, "local")
+    for name in ("here", "there"):
+        (bench.folder / name).mkdir()
+    shutil.copy(bench.folder / "stack.npy", bench.folder / "there" / "stack.npy")
+    shutil.move(bench.folder / "stack.npy", bench.folder / "here" / "stack.npy")
+    with cluster_elsewhere(bench.folder / "cluster", bench.site) as address:
+        paths = f"{{{bench.folder}/here: {bench.folder}/there}}"
+        run = on_dask(f'address: "{address}", paths: {paths}')
+        text = matrix(CODECS, "wandering, whole", run).replace("stack.npy", "here/stack.npy")
+        plan = bench.plan(text)
+        (bench.folder / "here").rename(bench.folder / "gone")
+        summary = bench.run(plan, "dask")
+    assert summary.statuses == {"ok": 6}
+    assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
+    assert not list((bench.folder / "cluster").rglob("*.bits"))
+
+
+def test_a_killed_coordinator_resumes(bench: Bench) -> None:
+    plan = bench.plan(matrix(CODECS, "wandering, whole, slow, {use: slow, params: {fault: again}}", on_dask()))
+    arguments = [HERE / "run_driver.py", bench.folder / "matrix.yaml", bench.folder / "killed", bench.site]
+    process = subprocess.Popen([sys.executable, *map(str, arguments)])
+    deadline = time.monotonic() + 60
+    while len(bench.store("killed").entries()) < 2 and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    process.kill()
+    process.wait()
+    finished = len(bench.store("killed").entries())
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+    summary = bench.run(plan, "killed")
+    assert (summary.kept, summary.statuses) == (finished, {"ok": 12})
+    bench.run(plan, "undisturbed")
+    assert contents(bench.store("killed"), plan) == contents(bench.store("undisturbed"), plan)
+
+
+def test_a_sequence_that_differs_on_the_workers_is_told(bench: Bench) -> None:
+    for name in ("here", "there"):
+        (bench.folder / name).mkdir()
+    write_stack(bench.folder / "here" / "stack.npy", seed=0)
+    write_stack(bench.folder / "there" / "stack.npy", seed=1)
+    paths = f"{{{bench.folder}/here: {bench.folder}/there}}"
+    text = matrix("faulty", "wandering", on_dask(f"paths: {paths}")).replace("stack.npy", "here/stack.npy")
+    plan = bench.plan(text)
+    bench.run(plan)
+    [(_, record)] = bench.records(plan).values()
+    assert record.status == "failed"
+    assert "stack has changed since the plan was made" in record.reason
+
+
+def test_contradicting_parameters_and_unreachable_clusters_are_told() -> None:
+    with pytest.raises(ValidationError, match="either address, or cluster"):
+        DaskParams(address="tcp://127.0.0.1:1", cluster="local")
+    with (
+        pytest.raises(CodecbenchError, match=r"no dask worker at tcp://127\.0\.0\.1:9"),
+        started(DaskParams(address="tcp://127.0.0.1:9", start_timeout_s=1.0)),
+    ):
+        pass
