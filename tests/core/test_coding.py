@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.engine.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 from codecbench.core.engine.coding import CodedFrames, CodingError, Place, checked_decoding, encode_sequence
-from codecbench.core.engine.frame_cache import CachedSequence, FrameCache
+from codecbench.core.engine.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
 
 
 def filed(*bitstreams: bytes) -> bytes:
@@ -118,6 +118,11 @@ def test_frames_are_read_once_while_they_fit_and_the_rest_every_time() -> None:
         list(CachedSequence(other, "other", cache))
     assert other.reads == [1, 1]
     assert (sequence.name, len(sequence)) == ("renamed", 5)
+
+
+def test_the_cache_leaves_codecs_most_of_the_memory() -> None:
+    assert cache_limit_bytes(256) == 64 << 20
+    assert cache_limit_bytes(1 << 20) == 512 << 20
 
 
 def test_writing_into_a_frame_harms_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,6 +66,11 @@ def slow_pid(seconds: float) -> int:
     return os.getppid()
 
 
+def slow_size(content: bytes) -> tuple[int, int]:
+    time.sleep(1.5)
+    return len(content), os.getppid()
+
+
 def kill_worker(_: object) -> None:
     os.kill(os.getppid(), signal.SIGKILL)
     time.sleep(60)
@@ -105,6 +110,15 @@ def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up
         assert deadly.status == "crashed"
         assert "every worker that tried it died" in deadly.reason
         assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
+
+
+def test_a_large_task_survives_the_worker_that_held_it() -> None:
+    with started(DaskParams()) as executor:
+        first = outcomes(executor, Task("a", slow_pid, 0.5), Task("b", slow_pid, 0.5))
+        victim = first["a"].value
+        threading.Timer(1.0, os.kill, (victim, signal.SIGKILL)).start()
+        found = outcomes(executor, *(Task(f"large-{n}", slow_size, os.urandom(3 << 20)) for n in range(4)))
+    assert {(one.status, one.value[0]) for one in found.values()} == {("ok", 3 << 20)}
 
 
 def test_stop_ends_hanging_tasks_and_leaves_no_process() -> None:

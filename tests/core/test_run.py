@@ -125,6 +125,15 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert len(schedule) == 4
 
 
+def test_a_clock_that_goes_backwards_harms_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(range(2_000_000_000, 0, -3600))
+    monkeypatch.setattr(time, "time", lambda: float(next(clock)))
+    plan = bench.plan(matrix(STEPS, "wandering", "workers: 2, timeout_s: 20"))
+    seen: list[Progress] = []
+    assert bench.run(plan, listener=seen.append).statuses == {"ok": 4}
+    assert all(0 <= one.elapsed_s < 60 for one in seen)
+
+
 def interrupted_run(bench: Bench, name: str, number: signal.Signals, after_s: float) -> float:
     """Start the matrix in a process, send it a signal, and return how long it took to end."""
     driver = Path(__file__).parent / "run_driver.py"

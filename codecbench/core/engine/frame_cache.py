@@ -7,7 +7,7 @@ from functools import cached_property
 
 from codecbench.core.contracts.sequence import Frame, Sequence
 
-DEFAULT_BYTES = 256 << 20
+MOST_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,11 @@ class _HandedOut(Frame):
         return self.kept.png_size_bytes
 
 
+def cache_limit_bytes(memory_mb: int) -> int:
+    """What frames may take of a worker's memory cap: a quarter, so that codecs and evaluators have the rest."""
+    return min(MOST_BYTES, (memory_mb << 20) // 4)
+
+
 class FrameCache:
     """Frames of the sequence in hand, up to `limit_bytes`.
 
@@ -28,7 +33,7 @@ class FrameCache:
     just before it is wanted, so a frame that does not fit is not kept; frames of other sequences make room.
     """
 
-    def __init__(self, limit_bytes: int = DEFAULT_BYTES) -> None:
+    def __init__(self, limit_bytes: int = MOST_BYTES) -> None:
         self.limit_bytes = limit_bytes
         self.used_bytes = 0
         self._frames: dict[str, dict[int, Frame]] = {}

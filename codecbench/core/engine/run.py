@@ -15,6 +15,7 @@ from typing import Any
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status, Task
+from codecbench.core.engine.frame_cache import cache_limit_bytes
 from codecbench.core.engine.interruption import Interruption
 from codecbench.core.engine.model import Cell, CodingJob, Plan
 from codecbench.core.engine.progress import Pace, Progress
@@ -150,16 +151,17 @@ class _Run:
             self.executor.submit(self._task(work))
 
     def _task(self, work: Work) -> Task:
+        cache_bytes = cache_limit_bytes(self.plan.run.memory_mb)
         limits = {"timeout_s": self.plan.run.timeout_s, "memory_mb": self.plan.run.memory_mb}
         shared = self.executor.shares_files
         if isinstance(work, CodingJob):
             target = self.store.coded_path(work.id).absolute() if shared else None
-            return Task(work.id, perform_coding, CodingOrder(work, target), **limits)  # type: ignore[arg-type]
+            return Task(work.id, perform_coding, CodingOrder(work, target, cache_bytes), **limits)  # type: ignore[arg-type]
         coded: Path | bytes | None = None
         if work.job_id is not None:
             path = self.store.coded_path(work.job_id).absolute()
             coded = path if shared else path.read_bytes()
-        return Task(work.id, perform_cell, CellOrder(work, coded), exclusive=work.exclusive, **limits)  # type: ignore[arg-type]
+        return Task(work.id, perform_cell, CellOrder(work, coded, cache_bytes), exclusive=work.exclusive, **limits)  # type: ignore[arg-type]
 
     def _take_back(self, finished: Finished) -> None:
         work = self.under_way.pop(finished.task_id)

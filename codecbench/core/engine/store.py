@@ -14,11 +14,12 @@ import json
 import logging
 import os
 import socket
+import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.atomic import remove_folder, sweep, write_file, write_folder
@@ -61,13 +62,11 @@ class Store:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         with open(self.folder / "lock", "a+", encoding="utf-8") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+            if not _locked(stream):
                 stream.seek(0)
                 holder = stream.read().strip() or "another process"
                 message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
-                raise StoreError(message) from None
+                raise StoreError(message)
             stream.truncate(0)
             stream.write(f"process {os.getpid()} on {socket.gethostname()}")
             stream.flush()
@@ -275,6 +274,16 @@ class Store:
             sweep(folder)
         for shard in self.records_folder.glob("??"):
             sweep(shard)
+
+
+def _locked(stream: TextIO) -> bool:
+    """Lock an open file for this process alone; tries for a moment, for `in_use` may just be looking."""
+    for _ in range(4):
+        with suppress(BlockingIOError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def _json(value: Any) -> bytes:

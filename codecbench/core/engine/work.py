@@ -37,7 +37,7 @@ from codecbench.core.engine.atomic import open_whole
 from codecbench.core.engine.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 from codecbench.core.engine.coding import CodedFrames, Place, encode_sequence
 from codecbench.core.engine.environment import describe_environment
-from codecbench.core.engine.frame_cache import DEFAULT_BYTES, CachedSequence, FrameCache
+from codecbench.core.engine.frame_cache import MOST_BYTES, CachedSequence, FrameCache
 from codecbench.core.engine.model import Cell, CodingJob, PluginSetting, SequenceEntry
 from codecbench.core.engine.record import RECORD_FILE, SAMPLES_FILE, Record, cell_description
 from codecbench.core.engine.registry import Registry, installed
@@ -50,10 +50,14 @@ _OPEN_SEQUENCES: Final = 4
 
 @dataclass(frozen=True)
 class CodingOrder:
-    """A coding job to do. target: where to write the bitstreams; None to send them back."""
+    """A coding job to do.
+
+    target: where to write the bitstreams; None to send them back. cache_bytes: for frames kept in the worker.
+    """
 
     job: CodingJob
     target: Path | None
+    cache_bytes: int = MOST_BYTES
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ class CellOrder:
 
     cell: Cell
     coded: Path | bytes | None = field(default=None, repr=False)
+    cache_bytes: int = MOST_BYTES
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,7 @@ class _Workbench:
     def __init__(self) -> None:
         self.registry = installed()
         self.environment = describe_environment(self.registry)
-        self._cache = FrameCache(DEFAULT_BYTES)
+        self._cache = FrameCache()
         self._sequences: dict[str, Sequence] = {}
 
     def create(self, setting: PluginSetting) -> Any:
@@ -186,8 +191,11 @@ class _Workbench:
             raise PluginError(f"{message} and {setting.version} in the plan; install the same version everywhere")
         return instance
 
-    def sequence(self, entry: SequenceEntry) -> Sequence:
-        """The sequence, opened once. Raises DatasetError where it is no longer the one that was planned."""
+    def sequence(self, entry: SequenceEntry, cache_bytes: int) -> Sequence:
+        """The sequence, opened once, with frames kept up to `cache_bytes`.
+
+        Raises DatasetError where it is no longer the one that was planned.
+        """
         source = self._sequences.pop(entry.fingerprint, None)
         if source is None:
             source = self.create(replace(entry.dataset, params=_located(entry.dataset.params))).open()
@@ -196,6 +204,7 @@ class _Workbench:
         self._sequences[entry.fingerprint] = source
         while len(self._sequences) > _OPEN_SEQUENCES:
             del self._sequences[next(iter(self._sequences))]
+        self._cache.limit_bytes = cache_bytes
         return CachedSequence(source, entry.name, self._cache)
 
 
@@ -233,7 +242,7 @@ class _DeclaredPlugins:
 def _encode(order: CodingOrder, place: Place) -> bytes | None:
     place.at("open")
     bench = _workbench()
-    sequence = bench.sequence(order.job.sequence)
+    sequence = bench.sequence(order.job.sequence, order.cache_bytes)
     codec: Codec[Any] = bench.create(order.job.codec)
     bitstreams = encode_sequence(codec, sequence, place)
     if order.target is None:
@@ -248,7 +257,7 @@ def _encode(order: CodingOrder, place: Place) -> bytes | None:
 def _evaluate(order: CellOrder, place: Place) -> _Result:
     cell, bench = order.cell, _workbench()
     place.at("open")
-    sequence = bench.sequence(cell.sequence)
+    sequence = bench.sequence(cell.sequence, order.cache_bytes)
     codec: Codec[Any] = bench.create(cell.codec)
     evaluator: Evaluator[Any] = bench.create(cell.evaluator)
     check = MeasurementCheck(evaluator, len(sequence))

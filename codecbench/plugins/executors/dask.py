@@ -17,6 +17,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -90,7 +91,7 @@ class DaskExecutor(Executor[DaskParams]):
         self._cluster: Any = None
         self._client: Any = None
         self._prepare: Callable[[], None] | None = None
-        self._running: dict[str, tuple[Any, Any]] = {}
+        self._running: dict[str, _Sent] = {}
         self._waiting: deque[Task] = deque()
         self._alone = False
         self._done: queue.Queue[tuple[str, Any]] = queue.Queue()
@@ -124,10 +125,14 @@ class DaskExecutor(Executor[DaskParams]):
             task_id, future = self._done.get(timeout=timeout_s) if timeout_s > 0 else self._done.get_nowait()
         except queue.Empty:
             return None
-        self._running.pop(task_id)
+        sent = self._running[task_id]
         finished = _outcome(task_id, future)
+        if finished is None and sent.attempt <= self.params.retries:
+            self._send(sent.task, sent.attempt + 1)
+            return None
+        del self._running[task_id]
         self._fill()
-        return finished
+        return finished or Finished(task_id, "crashed", reason="the cluster lost it with the worker that held it")
 
     def stop(self) -> None:
         self._stopping = True
@@ -136,7 +141,7 @@ class DaskExecutor(Executor[DaskParams]):
         cluster, self._cluster = self._cluster, None
         if client is not None:
             with suppress(OSError, RuntimeError):
-                client.cancel([future for future, _ in self._running.values()], force=True)
+                client.cancel([sent.future for sent in self._running.values()], force=True)
                 client.run(stop_pools, wait=False, on_error="ignore")
             client.close(timeout=5)
         if cluster is not None:
@@ -148,7 +153,8 @@ class DaskExecutor(Executor[DaskParams]):
         try:
             make = getattr(importlib.import_module(module), name)
         except ImportError as error:
-            raise Unsupported(f"cluster: {self.params.made} needs {module}; run: pip install {requirement}") from error
+            message = f"cluster: {self.params.made} needs {module}, which is not installed"
+            raise Unsupported(f"{message}; run: pip install {requirement}") from error
         options = dict(self.params.options)
         if self.params.made == "local":
             usual = {"threads_per_worker": 1, "processes": True, "memory_limit": 0, "dashboard_address": None}
@@ -168,16 +174,15 @@ class DaskExecutor(Executor[DaskParams]):
             self._alone = task.exclusive
             self._send(task)
 
-    def _send(self, task: Task) -> None:
+    def _send(self, task: Task, attempt: int = 1) -> None:
         assert self._client is not None
         content: Any = pickle.dumps((task, self._prepare, self.params.paths))
         if len(content) > _SEND_DIRECTLY_BYTES:
             content = self._client.scatter(content, hash=False)
         where = {"workers": [self._timing_worker()], "allow_other_workers": True} if task.exclusive else {}
-        future = self._client.submit(
-            perform_isolated, content, key=f"codecbench-{task.id}-{id(task)}", pure=False, **where
-        )
-        self._running[task.id] = (future, content)
+        key = f"codecbench-{task.id}-{next(self._numbers)}"
+        future = self._client.submit(perform_isolated, content, key=key, pure=False, **where)
+        self._running[task.id] = _Sent(task, future, content, attempt)
         future.add_done_callback(lambda done: None if self._stopping else self._done.put((task.id, done)))
 
     def _timing_worker(self) -> str:
@@ -186,13 +191,23 @@ class DaskExecutor(Executor[DaskParams]):
         return str(min(workers, key=lambda address: (str(workers[address]["name"]), address)))
 
 
-def _outcome(task_id: str, future: Any) -> Finished:
-    """What a finished future means: its own Finished, or the death of its worker."""
+@dataclass(frozen=True)
+class _Sent:
+    """A task on the cluster; `content` is held because the cluster drops data that nobody holds."""
+
+    task: Task
+    future: Any
+    content: Any
+    attempt: int
+
+
+def _outcome(task_id: str, future: Any) -> Finished | None:
+    """What a finished future means: its own Finished, the death of its workers, or None if it was lost."""
     if future.status == "finished":
         with suppress(OSError):  # the worker may die between having the result and giving it
             return future.result()  # type: ignore[no-any-return]
-    if future.status == "cancelled":
-        return Finished(task_id, "crashed", reason="the cluster lost it")
+    if future.status != "error":
+        return None
     error = future.exception()
     text = " ".join(f"{type(error).__name__}: {error}".split())
     if type(error).__name__ == "KilledWorker":
