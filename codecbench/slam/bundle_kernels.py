@@ -168,7 +168,7 @@ def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ign
     return limit
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyped-def]
     """Fill the points' blocks V, the cameras' blocks U, both with gradients, and the cross terms W."""
     cameras, starts, pixels, weights, active, intrinsics = seen
@@ -210,7 +210,7 @@ def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyp
         normal[6], normal[7], normal[8] = gx, gy, gz
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True)
 def _add_camera(block, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5, w, e0, e1):  # type: ignore[no-untyped-def]
     """Add one observation to U (lower triangle, row by row) and to minus the gradient."""
     c0, c2, c3, c4, c5 = w * a0, w * a2, w * a3, w * a4, w * a5

@@ -83,7 +83,7 @@ def _invert_damped(normal, damping, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True)
 def _eliminate_point(  # type: ignore[no-untyped-def]
     inverse, normal, start, end, cameras, active, slots, first, offsets, crosses, system, right_side, product
 ):
@@ -121,7 +121,7 @@ def move_cameras(poses, slots, step, out):  # type: ignore[no-untyped-def]
             out[k, i, 3] += own[i]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True)
 def move_points(points, seen, slots, work, out):  # type: ignore[no-untyped-def]
     """Back substitution: each point's step is V^-1 (g - W^T step of the cameras)."""
     cameras, starts, _, _, active, _ = seen

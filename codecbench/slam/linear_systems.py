@@ -78,7 +78,7 @@ def envelope_offsets(first: Indices, block: int) -> Indices:
     return np.concatenate([[0], np.cumsum(widths * block * block)]).astype(np.int64)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True)
 def _dot_3x3(values, row_a, stride_a, row_b, stride_b, length, out):  # type: ignore[no-untyped-def]
     """Write the products of three rows with three rows: nine sums that share their loads."""
     s00 = s01 = s02 = s10 = s11 = s12 = s20 = s21 = s22 = 0.0
@@ -100,7 +100,7 @@ def _dot_3x3(values, row_a, stride_a, row_b, stride_b, length, out):  # type: ig
     out[2, 0], out[2, 1], out[2, 2] = s20, s21, s22
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True)
 def _dot(values, row_a, row_b, length):  # type: ignore[no-untyped-def]
     total = 0.0
     a, b = values[row_a:], values[row_b:]

@@ -73,7 +73,7 @@ def _spread(builder: Any, scalar: Any, width: int) -> Any:
 
 
 def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c, rounded once where the processor has such an instruction."""
+    """a b + c, rounded once, on every processor."""
     kind = ir.FunctionType(a.type, [a.type] * 3)
-    function = builder.module.declare_intrinsic(f"llvm.fmuladd.v{a.type.count}f64", (), kind)
+    function = builder.module.declare_intrinsic(f"llvm.fma.v{a.type.count}f64", (), kind)
     return builder.call(function, [a, b, c])
