@@ -53,13 +53,13 @@ class FeatureExtractor:
 
     def __init__(self, camera: Camera, options: Options) -> None:
         self._camera = camera
-        factors = options.scale_factor ** np.arange(options.levels)
+        factors = np.asarray(options.scale_factor ** np.arange(options.levels), dtype=np.float64)
         self.scale_factors: NDArray[np.float64] = factors
         shares = 1.0 / factors
         self._quotas = np.floor(options.features * shares / shares.sum() + 0.5).astype(np.int64)
         self._quotas[0] += options.features - self._quotas.sum()
-        self._fast = cv2.FastFeatureDetector_create(thresholds.FAST_THRESHOLD, True)
-        self._fast_low = cv2.FastFeatureDetector_create(thresholds.FAST_THRESHOLD_LOW, True)
+        self._fast = cv2.FastFeatureDetector.create(thresholds.FAST_THRESHOLD, True)
+        self._fast_low = cv2.FastFeatureDetector.create(thresholds.FAST_THRESHOLD_LOW, True)
         low, high = camera.bounds[:2], camera.bounds[2:]
         columns, rows = np.ceil((high - low + 1.0) / CELL_PX)
         self._grid = np.array([low[0], low[1], max(columns, 1.0), max(rows, 1.0)])
@@ -93,7 +93,8 @@ class FeatureExtractor:
         self, level: NDArray[np.uint8], octave: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
         corners, responses = self._corners(level, int(self._quotas[octave]))
-        kept = select_evenly(corners, responses, self._quotas[octave], *level.shape, thresholds.BORDER_PX)
+        height, width = level.shape
+        kept = select_evenly(corners, responses, self._quotas[octave], height, width, thresholds.BORDER_PX)
         corners = corners[kept]
         if len(corners) == 0:
             return np.empty((0, 2)), np.empty(0), np.empty((0, 32), np.uint8)
@@ -112,4 +113,4 @@ class FeatureExtractor:
         if len(keypoints) == 0:
             return np.empty((0, 2), np.int64), np.empty(0, np.float32)
         responses = np.array([keypoint.response for keypoint in keypoints], dtype=np.float32)
-        return cv2.KeyPoint_convert(keypoints).astype(np.int64), responses
+        return np.asarray(cv2.KeyPoint.convert(keypoints)).astype(np.int64), responses

@@ -1,7 +1,7 @@
 """Two-view geometry: homography, fundamental matrix, what motion they mean, and triangulation.
 
-Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 9, 11, 12. Pixels are
-undistorted; `b_from_a` maps image or camera a to b.
+Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 9, 11, 12.
+Pixels are undistorted; `b_from_a` maps image or camera a to b.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 @njit(cache=True)
 def normalize_pixels(pixels: Any) -> Any:
-    """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the matrix (3, 3) doing it."""
+    """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the (3, 3) that does it."""
     x, y = pixels[:, 0].mean(), pixels[:, 1].mean()
     distance = np.sqrt((pixels[:, 0] - x) ** 2 + (pixels[:, 1] - y) ** 2).mean()
     scale = math.sqrt(2.0) / max(distance, 1e-12)
@@ -123,7 +123,8 @@ def _line_distance2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
 def decompose_homography(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
     """The motions `b_from_a` (4, 4), unit or zero translation, that a homography of pixels allows (Malis 2007)."""
     _, rotations, translations, _ = cv2.decomposeHomographyMat(b_from_a, camera_matrix)
-    return [_motion(r, t.ravel()) for r, t in zip(rotations, translations, strict=True)]
+    pairs = zip(rotations, translations, strict=True)
+    return [_motion(np.asarray(r, np.float64), np.asarray(t, np.float64).ravel()) for r, t in pairs]
 
 
 def decompose_fundamental(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:

@@ -8,14 +8,16 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def _count_bits(typing_context: Any, word: Any) -> Any:
+def _bits_of_word(typing_context: Any, word: Any) -> Any:
     """The processor's own instruction where there is one: four times as fast as shifts and masks."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
 
     return types.uint64(types.uint64), build
+
+
+_count_bits: Any = intrinsic(_bits_of_word)
 
 
 @njit(cache=True, inline="always")

@@ -88,9 +88,7 @@ def _new_edges(slam_map: Map, group: Indices, known: set[tuple[int, int]]) -> In
     return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
 
-def _spread(
-    slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int
-) -> Array:
+def _spread(slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int) -> Array:
     """Poses as similarities (K, 4, 4) after optimising the essential graph; dead keyframes keep their pose."""
     alive = slam_map.alive_keyframes
     slots = np.full(slam_map.keyframes.count, -1, np.int64)

@@ -107,9 +107,7 @@ class LoopDetector:
         return found, matches[found]
 
     def _in_camera(self, points: Indices, camera_from_world: Array) -> Array:
-        return np.asarray(
-            self._map.points.positions[points] @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-        )
+        return np.asarray(self._map.points.positions[points] @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])
 
     def _project_loop_side(self, keyframe: int, candidate: int, keyframe_from_world: Array) -> Indices:
         """Points of the loop side by the feature of `keyframe` that shows them (N,), by projection."""

@@ -285,7 +285,7 @@ class Map:
             step = link.camera_from_anchor.copy()
             step[:3, 3] *= self.keyframes.scales[link.anchor] / link.anchor_scale
             pose, keyframe = pose @ step, link.anchor
-        return pose @ self.keyframes.camera_from_world[keyframe]
+        return np.asarray(pose @ self.keyframes.camera_from_world[keyframe])
 
     def scale_of(self, keyframe: int) -> float:
         """By how much loop corrections have stretched the neighbourhood of a keyframe, be it alive or culled."""

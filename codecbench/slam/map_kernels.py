@@ -99,7 +99,7 @@ def refresh_points(
     centers_world: Any, keyframe_octaves: Any, keyframe_descriptors: Any, scale_factors: Any,
     normals: Any, min_distances: Any, max_distances: Any, descriptors: Any, with_descriptors: bool,
 ) -> None:  # fmt: skip
-    """Recompute mean viewing direction, range of distances and, if wanted, representative descriptor (ORB-SLAM III-C)."""
+    """Recompute mean viewing direction, range of distances and, if wanted, best descriptor (ORB-SLAM III-C)."""
     links = np.empty(_DESCRIPTORS_COMPARED, np.int64)
     for p in points:
         nx, ny, nz = 0.0, 0.0, 0.0
@@ -165,7 +165,7 @@ def count_redundant(
     keyframe: int, needed: int, keyframe_points: Any, keyframe_octaves: Any,
     heads: Any, following: Any, link_keyframes: Any, link_features: Any,
 ) -> Any:  # fmt: skip
-    """Points of `keyframe`, and how many of them `needed` others see at the same scale, one coarser at most, or finer."""
+    """Points of `keyframe`, and how many of them `needed` others see at the same, a finer or the next scale."""
     total, redundant = 0, 0
     for f in range(keyframe_points.shape[1]):
         p = keyframe_points[keyframe, f]

@@ -60,14 +60,14 @@ def orient_patches(level: Any, corners: Any) -> Any:
         m10 = 0
         m01 = 0
         for u in range(-_RADIUS, _RADIUS + 1):
-            m10 += u * np.int64(level[y, x + u])
+            m10 += u * np.int64(level[y, x + u])  # type: ignore[assignment]
         for v in range(1, _RADIUS + 1):
             width = _HALF_WIDTHS[v]
             row = 0
             for u in range(-width, width + 1):
                 above, below = np.int64(level[y - v, x + u]), np.int64(level[y + v, x + u])
-                row += below - above
-                m10 += u * (below + above)
+                row += below - above  # type: ignore[assignment]
+                m10 += u * (below + above)  # type: ignore[assignment]
             m01 += v * row
         angles[i] = math.atan2(float(m01), float(m10))
     return angles
@@ -92,7 +92,7 @@ def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
             for bit in range(8):
                 k = 2 * (8 * byte + bit)
                 darker = flat[np.uint64(offsets[k])] < flat[np.uint64(offsets[k + 1])]
-                value |= np.int64(darker) << bit
+                value |= np.int64(darker) << bit  # type: ignore[assignment]
             descriptors[i, byte] = value
     return descriptors
 

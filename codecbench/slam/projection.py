@@ -75,7 +75,7 @@ def _project(
         cosine = (rx * normals[p, 0] + ry * normals[p, 1] + rz * normals[p, 2]) / distance
         if cosine < min_cosine:
             continue
-        octave = int(math.ceil(math.log(max_distances[p] / distance) / log_step - 1e-9))
+        octave = math.ceil(math.log(max_distances[p] / distance) / log_step - 1e-9)
         kept[count] = i
         pixels[count, 0], pixels[count, 1] = u, v
         octaves[count] = min(max(octave, 0), top)

@@ -82,10 +82,13 @@ class Session:
         world_from_camera[:3, :3] /= sim3_scale(world_from_camera)
         self.poses.append(
             TrackedPose(
-                frame.index, frame.timestamp_s, frame.reference,
+                frame.index,
+                frame.timestamp_s,
+                frame.reference,
                 frame.camera_from_world @ se3_inverse(reference_from_world),
-                self.map.scale_of(frame.reference), world_from_camera,
-            )  # fmt: skip
+                self.map.scale_of(frame.reference),
+                world_from_camera,
+            )
         )
 
     def finish(self, adjust: bool) -> None:

@@ -46,9 +46,7 @@ class System:
         self._lost_since_s = math.inf
         self._last_s = -math.inf
 
-    def process(
-        self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None = None
-    ) -> FrameState:
+    def process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None = None) -> FrameState:
         """Look at one frame and say what became of it.
 
         `image` (height, width) gray or (height, width, 3) blue-green-red, uint8; `timestamp_s` above the last one's.

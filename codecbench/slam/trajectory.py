@@ -116,9 +116,7 @@ def summarize_map(slam_map: Map, poses: list[TrackedPose]) -> MapResult:
     )
 
 
-def summarize(
-    frames: list[FrameState], loops: list[LoopEvent], maps: list[tuple[Map, list[TrackedPose]]]
-) -> Result:
+def summarize(frames: list[FrameState], loops: list[LoopEvent], maps: list[tuple[Map, list[TrackedPose]]]) -> Result:
     """The result of a run over `maps`, each with the frames tracked in it."""
     results = sorted((summarize_map(*entry) for entry in maps), key=lambda m: (-len(m.trajectory), m.index))
     if results:

@@ -8,8 +8,8 @@ import pytest
 
 from codecbench.core.conformance.failure import NotClaimed
 from codecbench.core.conformance.images import conformance_images
-from codecbench.core.conformance.suite import CHECKS, Check
 from codecbench.core.conformance.settings import setting_label
+from codecbench.core.conformance.suite import CHECKS, Check
 from codecbench.core.engine.registry import installed
 
 NAMES = [plugin.offer.name for plugin in installed().plugins("codec")]

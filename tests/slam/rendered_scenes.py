@@ -98,7 +98,10 @@ class Room:
                 hit = origin + rays * distance[..., None] - corners[0]
             u, v = hit @ side / (side @ side), hit @ down / (down @ down)
             seen = (distance > 1e-6) & (distance < nearest) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
-            maps = [np.where(seen, s * (n - 1), -1.0).astype(np.float32) for s, n in ((u, texture.shape[1]), (v, texture.shape[0]))]
+            maps = [
+                np.where(seen, s * (n - 1), -1.0).astype(np.float32)
+                for s, n in ((u, texture.shape[1]), (v, texture.shape[0]))
+            ]
             painted = cv2.remap(texture, maps[0], maps[1], cv2.INTER_LINEAR)
             image[seen] = painted[seen]
             nearest[seen] = distance[seen]

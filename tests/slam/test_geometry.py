@@ -20,7 +20,9 @@ def test_normalized_pixels_have_their_centroid_at_zero(rng: np.random.Generator)
     normalized, normalizer = geometry.normalize_pixels(pixels)
     assert np.abs(normalized.mean(axis=0)).max() < 1e-12
     assert np.linalg.norm(normalized, axis=1).mean() == pytest.approx(np.sqrt(2.0))
-    assert np.allclose(np.column_stack([pixels, np.ones(50)]) @ normalizer.T, np.column_stack([normalized, np.ones(50)]))
+    assert np.allclose(
+        np.column_stack([pixels, np.ones(50)]) @ normalizer.T, np.column_stack([normalized, np.ones(50)])
+    )
 
 
 def test_fundamental_matrix_is_exact_without_noise(rng: np.random.Generator) -> None:

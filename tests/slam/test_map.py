@@ -101,7 +101,6 @@ def test_rescaling_keeps_every_projection(slam_map: Map) -> None:
     assert np.allclose(ray(), before)
     assert slam_map.points.max_distances[point] == pytest.approx(
         np.linalg.norm(
-            slam_map.points.positions[point]
-            - slam_map.keyframes.centers_world[int(slam_map.points.references[point])]
+            slam_map.points.positions[point] - slam_map.keyframes.centers_world[int(slam_map.points.references[point])]
         )
     )

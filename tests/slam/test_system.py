@@ -41,7 +41,11 @@ def error(result: Result) -> float:
 
 
 def digest(result: Result) -> str:
-    arrays = (result.trajectory.world_from_camera, result.points_world, result.trajectory_before_loops.world_from_camera)
+    arrays = (
+        result.trajectory.world_from_camera,
+        result.points_world,
+        result.trajectory_before_loops.world_from_camera,
+    )
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
 
@@ -99,7 +103,9 @@ def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) ->
 
     def decoded(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         asked.append(len(asked))
-        return np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1], 0), dtype=np.uint8)
+        return np.asarray(
+            cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1], 0), dtype=np.uint8
+        )
 
     result = run(film, keyframe_image=decoded)
     made = sum(frame.keyframe for frame in result.frames)
