@@ -60,8 +60,8 @@ CONTEXT_PROFILE = 1
 MAX_LEVELS = 16
 MIN_GROUP, MAX_GROUP = 2, 16
 MIN_QF, MAX_QF = 1e-3, 1e6
-MAX_SAMPLES = MAX_PIXELS // 2
-"""Samples of all planes with their padding: what a decoder holds within 512 MB with all that it makes of them."""
+MAX_SAMPLES = MAX_PIXELS
+"""Samples of all planes with their padding."""
 MAX_SYMBOLS = 1 << 22
 """Digits of an alphabet, and entries of a table."""
 
