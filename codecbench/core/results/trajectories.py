@@ -41,11 +41,13 @@ class SavedTrajectory:
 
 
 def saved_trajectories(run: RunResult) -> Iterator[SavedTrajectory]:
-    """Every trajectory of the run, in the order of the plan; cells that left none are passed over."""
+    """Every trajectory of the run, in the order of the plan; cells that tracked nothing are passed over."""
     spans = {entry.name: _span(run, entry.name) for entry in run.plan.sequences}
     for result in run.results:
         if result.status == "ok" and (result.folder / _OPTIMISED).exists():
-            yield _saved(result, spans[result.cell.sequence.name])
+            saved = _saved(result, spans[result.cell.sequence.name])
+            if saved.optimised is not None and len(saved.optimised):
+                yield saved
 
 
 def _saved(result: CellResult, span_s: tuple[float, float] | None) -> SavedTrajectory:
@@ -87,7 +89,8 @@ def _positions(path: Path) -> NDArray[np.float64] | None:
     """Rows timestamp, x, y, z of a file in TUM's format, or None where there is none."""
     if not path.exists():
         return None
-    return np.loadtxt(path, usecols=(0, 1, 2, 3), ndmin=2).reshape(-1, 4)
+    lines = [line.split()[:4] for line in path.read_text().splitlines() if line and not line.startswith("#")]
+    return np.array(lines, dtype=np.float64).reshape(-1, 4)
 
 
 def _span(run: RunResult, sequence: str) -> tuple[float, float] | None:
