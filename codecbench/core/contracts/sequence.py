@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from codecbench.core.contracts.image import Image, png_bytes
 from codecbench.core.contracts.params import Params
 
 P = TypeVar("P", bound=Params)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,22 @@ class Frame:
     index: int
     timestamp_s: float
     image: Image = field(repr=False)
+    facts: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False, kw_only=True)
 
-    @cached_property
+    def fact(self, key: Hashable, compute: Callable[[Image], T]) -> T:
+        """What `compute` says of the pixels, computed once for all settings of a codec while the frame is kept.
+
+        `key` must name the fact and whatever else it depends on. What is returned belongs to all who ask: do not
+        write into it.
+        """
+        if key not in self.facts:
+            self.facts[key] = compute(self.image)
+        return cast(T, self.facts[key])
+
+    @property
     def png_size_bytes(self) -> int:
-        """Size of this frame as PNG, computed once however many settings ask."""
-        return len(png_bytes(self.image))
+        """Size of this frame as PNG."""
+        return self.fact("png_size_bytes", lambda image: len(png_bytes(image)))
 
 
 class Sequence(ABC):

@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import replace
 
 from codecbench.core.contracts.sequence import Frame, Sequence
 
 MOST_BYTES = 512 << 20
-
-
-@dataclass(frozen=True)
-class _HandedOut(Frame):
-    """A copy of a kept frame, so that whoever writes into it harms nobody; facts are still computed once."""
-
-    kept: Frame = field(kw_only=True, repr=False, compare=False)
-
-    @cached_property
-    def png_size_bytes(self) -> int:
-        return self.kept.png_size_bytes
 
 
 def cache_limit_bytes(memory_mb: int) -> int:
@@ -48,7 +36,8 @@ class FrameCache:
                 return frame
             frames[index] = frame
             self.used_bytes += frame.image.nbytes
-        return _HandedOut(frame.index, frame.timestamp_s, frame.image.copy(), kept=frame)
+        # A copy, so that whoever writes into it harms nobody; its facts are those of the kept frame.
+        return replace(frame, image=frame.image.copy())
 
     def _make_room(self, size_bytes: int, keep: str) -> bool:
         for other in [name for name in self._frames if name != keep]:

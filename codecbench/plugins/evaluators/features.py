@@ -82,10 +82,14 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         detector = cv2.ORB.create(self.params.keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=BORDER_PX)
+
+        def detect(image: Image) -> Keypoints:
+            return _keypoints(detector, gray_from_image(image))
+
         previous: FrameKeypoints | None = None
         for position, frame in enumerate(coded):
-            original = _keypoints(detector, gray_from_image(frame.original.image))
-            decoded = _keypoints(detector, gray_from_image(frame.decoded))
+            original = frame.original.fact(("orb_keypoints", self.params.keypoints), detect)
+            decoded = detect(frame.decoded)
             found_at = _nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
             current = FrameKeypoints(original, decoded, found_at)
             yield from _survival(current, position)
