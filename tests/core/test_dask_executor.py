@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import shutil
@@ -89,9 +90,13 @@ def started(params: DaskParams) -> Iterator[DaskExecutor]:
 def outcomes(executor: DaskExecutor, *tasks: Task, within_s: float = 120.0) -> dict[str, Finished]:
     for task in tasks:
         executor.submit(task)
+    return awaited(executor, len(tasks), within_s)
+
+
+def awaited(executor: DaskExecutor, count: int, within_s: float = 120.0) -> dict[str, Finished]:
     found: dict[str, Finished] = {}
     deadline = time.monotonic() + within_s
-    while len(found) < len(tasks):
+    while len(found) < count:
         assert time.monotonic() < deadline, f"only {sorted(found)} ended"
         finished = executor.next_finished(1.0)
         if finished is not None:
@@ -121,15 +126,50 @@ def test_a_large_task_survives_the_worker_that_held_it() -> None:
     assert {(one.status, one.value[0]) for one in found.values()} == {("ok", 3 << 20)}
 
 
-def test_stop_ends_hanging_tasks_and_leaves_no_process() -> None:
+def hang_in_c(path: str) -> None:
+    """Say who this is and wait in C without letting Python run, so that nothing but the system can end it."""
+    Path(path).write_text(str(os.getpid()))
+    ctypes.PyDLL(None).sleep(300)
+
+
+def hanging(executor: DaskExecutor, path: Path) -> psutil.Process:
+    """The isolated process of a task that hangs, once it does."""
+    executor.submit(Task("hang", hang_in_c, str(path)))
+    deadline = time.monotonic() + 60
+    while not (path.exists() and path.read_text()):
+        assert time.monotonic() < deadline, "the task did not begin"
+        time.sleep(0.05)
+    return psutil.Process(int(path.read_text()))
+
+
+def spawned(earlier: list[psutil.Process]) -> list[psutil.Process]:
+    """The processes below this one that are not among the earlier ones, without Python's own resource tracker."""
+    new = [one for one in psutil.Process().children(recursive=True) if one not in earlier]
+    return [one for one in new if "spawn_main" in " ".join(_command(one))]
+
+
+def gone(*processes: psutil.Process) -> bool:
+    return not psutil.wait_procs(processes, timeout=20)[1]
+
+
+def test_stop_ends_hanging_tasks_and_leaves_no_process(tmp_path: Path) -> None:
+    earlier = psutil.Process().children(recursive=True)
     with started(DaskParams()) as executor:
-        executor.submit(Task("hang", slow_pid, 300.0))
-        time.sleep(3)
-        children = psutil.Process().children(recursive=True)
+        victim = hanging(executor, tmp_path / "pid")
+        children = spawned(earlier)
+        assert victim in children
         begun = time.monotonic()
-    assert time.monotonic() - begun < 20
-    _, alive = psutil.wait_procs([one for one in children if "spawn_main" in " ".join(_command(one))], timeout=10)
-    assert not alive
+    assert time.monotonic() - begun < 30
+    assert gone(*children)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_isolated_processes_end_with_their_dask_worker(tmp_path: Path, number: signal.Signals) -> None:
+    with started(DaskParams(retries=0)) as executor:
+        victim = hanging(executor, tmp_path / "pid")
+        os.kill(victim.ppid(), number)
+        assert gone(victim)
+        assert awaited(executor, 1)["hang"].status == "crashed"
 
 
 def _command(process: psutil.Process) -> list[str]:
@@ -185,6 +225,16 @@ def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
     assert summary.statuses == {"ok": 6}
     assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
     assert not list((bench.folder / "cluster").rglob("*.bits"))
+
+
+def test_stop_ends_what_it_started_on_workers_that_live_on(bench: Bench) -> None:
+    with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as address:
+        for name in ("one", "two"):
+            with started(DaskParams(address=address)) as executor:
+                victim = hanging(executor, bench.folder / name)
+                worker = psutil.Process(victim.ppid())
+            assert gone(victim)
+            assert worker.is_running()
 
 
 def test_a_killed_coordinator_resumes(bench: Bench) -> None:

@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -224,26 +225,47 @@ def _allow_failures(dask_scheduler: Any, count: int) -> None:
 
 _local = threading.local()
 _pools: list[WorkerPool] = []
+_stops = itertools.count()
+_last_stop = next(_stops)
 
 
 def perform_isolated(content: bytes) -> Finished:
     """Run a task in this dask worker's isolated process and wait for it."""
     task, prepare, paths = pickle.loads(content)
-    pool: WorkerPool | None = getattr(_local, "pool", None)
-    if pool is None:
+    begun_after = _last_stop
+    pool = _pool(partial(_prepare_with, paths, prepare))
+    pool.start(task)
+    while (finished := pool.next_finished(1.0)) is None:
+        if _last_stop != begun_after:  # also if its process was only starting when all were told to end
+            pool.kill()
+    return finished
+
+
+def _pool(prepare: partial[None]) -> WorkerPool:
+    """The pool of this thread; another one where an earlier coordinator prepared its processes otherwise."""
+    wanted = pickle.dumps(prepare)
+    if getattr(_local, "prepared", None) != wanted:
+        if hasattr(_local, "pool"):
+            _pools.remove(_local.pool)
+            _local.pool.stop()
         # A dask worker may be a daemon, which Python does not allow processes of its own; ours end with it anyway.
         multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
         os.environ.update(SINGLE_THREADED)
-        os.environ[PATHS_VARIABLE] = os.pathsep.join(f"{here}={there}" for here, there in paths.items())
-        pool = _local.pool = WorkerPool(1, prepare)
-        _pools.append(pool)
-    pool.start(task)
-    while (finished := pool.next_finished(1.0)) is None:
-        continue
-    return finished
+        _local.pool, _local.prepared = WorkerPool(1, prepare), wanted
+        _pools.append(_local.pool)
+    pool: WorkerPool = _local.pool
+    return pool
+
+
+def _prepare_with(paths: dict[str, str], prepare: Callable[[], None]) -> None:
+    """Prepare an isolated process, which is to find folders where `paths` says."""
+    os.environ[PATHS_VARIABLE] = os.pathsep.join(f"{here}={there}" for here, there in paths.items())
+    prepare()
 
 
 async def stop_pools() -> None:
     """End the isolated processes of this dask worker, whatever they are doing; the next task starts new ones."""
+    global _last_stop
+    _last_stop = next(_stops)
     for pool in _pools:
         pool.kill()
