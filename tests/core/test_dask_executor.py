@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import shutil
 import signal
@@ -12,11 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
 import pytest
+from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
 from pydantic import ValidationError
 
@@ -179,35 +179,6 @@ def _command(process: psutil.Process) -> list[str]:
         return []
 
 
-@contextmanager
-def cluster_elsewhere(folder: Path, site: Path, workers: int = 2) -> Iterator[str]:
-    """A scheduler and workers in processes of their own, each with a scratch folder of its own."""
-    folder.mkdir()
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(HERE)])}
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    scheduler_file = folder / "scheduler.json"
-    with ExitStack() as stack:
-
-        def start(command: list[str], name: str) -> None:
-            scratch = folder / name
-            scratch.mkdir()
-            log = stack.enter_context(open(folder / f"{name}.log", "wb"))
-            process = subprocess.Popen(command, cwd=scratch, env=environment, stdout=log, stderr=log)
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-
-        where = ["--no-dashboard", "--scheduler-file", str(scheduler_file)]
-        start([*dask, "--host", "127.0.0.1", "--port", "0", *where], "s")
-        worker = [sys.executable, "-m", "distributed.cli.dask_worker", *where]
-        for number in range(workers):
-            start([*worker, "--nthreads", "1", "--no-nanny", "--memory-limit", "0"], f"w{number}")
-        deadline = time.monotonic() + 60
-        while not scheduler_file.exists():
-            assert time.monotonic() < deadline, (folder / "s.log").read_text()
-            time.sleep(0.1)
-        yield json.loads(scheduler_file.read_text())["address"]
-
-
 def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
     local = bench.plan(matrix(CODECS, "wandering, whole"))
     bench.run(local, "local")
@@ -215,9 +186,9 @@ def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
         (bench.folder / name).mkdir()
     shutil.copy(bench.folder / "stack.npy", bench.folder / "there" / "stack.npy")
     shutil.move(bench.folder / "stack.npy", bench.folder / "here" / "stack.npy")
-    with cluster_elsewhere(bench.folder / "cluster", bench.site) as address:
+    with cluster_elsewhere(bench.folder / "cluster", bench.site) as cluster:
         paths = f"{{{bench.folder}/here: {bench.folder}/there}}"
-        run = on_dask(f'address: "{address}", paths: {paths}')
+        run = on_dask(f'address: "{cluster.address}", paths: {paths}')
         text = matrix(CODECS, "wandering, whole", run).replace("stack.npy", "here/stack.npy")
         plan = bench.plan(text)
         (bench.folder / "here").rename(bench.folder / "gone")
@@ -228,9 +199,9 @@ def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
 
 
 def test_stop_ends_what_it_started_on_workers_that_live_on(bench: Bench) -> None:
-    with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as address:
+    with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as cluster:
         for name in ("one", "two"):
-            with started(DaskParams(address=address)) as executor:
+            with started(DaskParams(address=cluster.address)) as executor:
                 victim = hanging(executor, bench.folder / name)
                 worker = psutil.Process(victim.ppid())
             assert gone(victim)

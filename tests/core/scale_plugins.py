@@ -1,0 +1,86 @@
+"""Plugins that do nothing, many times over: what is left is what the engine costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import Field
+
+from codecbench import (
+    NULL_TRACE,
+    Capabilities,
+    Codec,
+    CodecEvaluator,
+    CodedFrame,
+    Context,
+    FrameEvaluator,
+    Image,
+    Measurement,
+    Metric,
+    Offer,
+    Params,
+    Sequence,
+    Trace,
+    hookimpl,
+)
+
+
+class Number(Params):
+    number: int = Field(0, ge=0)
+
+
+class Idle(Codec[Number]):
+    """Never called."""
+
+    name = "idle"
+    version = "1"
+    params_type = Number
+    capabilities = Capabilities(channels=(1,))
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        raise NotImplementedError
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        raise NotImplementedError
+
+
+class Noop(CodecEvaluator[Number]):
+    """Measures its own number."""
+
+    name = "noop"
+    version = "1"
+    params_type = Number
+    metrics = (Metric("number", "1", "neither", "its own number"),)
+
+    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        yield Measurement("number", float(self.params.number))
+
+
+class Sampled(FrameEvaluator[Number]):
+    """Declares five metrics a frame; what a run would have kept of it is written by the test."""
+
+    name = "sampled"
+    version = "1"
+    params_type = Number
+    metrics = tuple(Metric(f"m{n}", "1", "lower", "a sample", aggregates=("mean", "median", "p95")) for n in range(5))
+
+    def evaluate(self, coded: CodedFrame) -> Iterator[Measurement]:
+        for metric in self.metrics:
+            yield Measurement(metric.name, float(coded.original.index))
+
+
+_HERE = "scale_plugins:"
+
+
+@hookimpl
+def codecbench_codecs() -> list[Offer]:
+    return [Offer("idle", _HERE + "Idle", "does nothing")]
+
+
+@hookimpl
+def codecbench_evaluators() -> list[Offer]:
+    return [
+        Offer("noop", _HERE + "Noop", "measures nothing"),
+        Offer("sampled", _HERE + "Sampled", "many samples"),
+    ]

@@ -1,0 +1,202 @@
+"""Many cells and many samples. The short forms check that all is there; the long forms (--slow) hold times and memory.
+
+To see the figures: pytest tests/core/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO -p no:xdist
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import distributions
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+from dask_cluster import cluster_elsewhere
+from engine_bench import Bench, bench_in, write_stack
+
+from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.engine.aggregate import summarise
+from codecbench.core.engine.progress import Progress
+from codecbench.core.engine.record import Record, cell_description
+from codecbench.core.engine.registry import installed
+from codecbench.core.engine.samples import parquet_from_samples
+from codecbench.core.results.collect import open_run
+
+log = logging.getLogger("scale")
+LONG = [pytest.mark.slow, pytest.mark.timeout(3 * 3600)]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with bench_in(tmp_path) as made:
+        distributions.register(made.site, "scale", "1.0", "scale_plugins")
+        installed.cache_clear()
+        yield made
+
+
+def many(bench: Bench, sequences: int, codecs: int, evaluators: int, evaluator: str = "noop", run: str = "") -> str:
+    """A matrix with that many of each."""
+    for number in range(sequences):
+        write_stack(bench.folder / f"s{number}.npy", frames=1, seed=number)
+    entries = ", ".join(f"{{use: stack, params: {{path: s{number}.npy}}}}" for number in range(sequences))
+
+    def numbered(use: str, count: int) -> str:
+        return f"{{use: {use}, params: {{number: {{range: [0, {count - 1}]}}}}}}"
+
+    return f"""
+version: 1
+name: scale
+sequences: [{entries}]
+codecs: [{numbered("idle", codecs)}]
+evaluators: [{numbered(evaluator, evaluators)}]
+run: {{workers: 2{run}}}
+"""
+
+
+@dataclass
+class Load:
+    """What a run costs, by process: CPU seconds, and memory as it grew."""
+
+    scheduler: psutil.Process
+    every: int
+    memory_mb: list[int] = field(default_factory=list)
+    begun_s: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.begun_s = self.cpu_s()
+
+    def cpu_s(self) -> dict[str, float]:
+        both = {"coordinator": psutil.Process(), "scheduler": self.scheduler}
+        return {name: sum(process.cpu_times()[:2]) for name, process in both.items()}
+
+    def heard(self, progress: Progress) -> None:
+        if progress.cells_done % self.every == 1:
+            self.memory_mb.append(self.scheduler.memory_info().rss >> 20)
+
+    def per_cell_ms(self, cells: int) -> dict[str, float]:
+        return {name: round(1e3 * (end - self.begun_s[name]) / cells, 2) for name, end in self.cpu_s().items()}
+
+
+def whole_process(*words: str | Path, site: Path) -> tuple[float, float, bytes]:
+    """Seconds, peak memory in MB and output of `codecbench WORDS` in a process of its own."""
+    path = os.pathsep.join([str(site), str(Path(__file__).parent)])
+    command = [sys.executable, "-m", "codecbench", *map(str, words)]
+    begun = time.monotonic()
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
+    assert process.stdout is not None
+    output = process.stdout.read()
+    process.stdout.close()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, output[-2000:]
+    return time.monotonic() - begun, usage.ru_maxrss / 1024, output
+
+
+@pytest.mark.parametrize(
+    ("sequences", "codecs", "evaluators"),
+    [pytest.param(2, 5, 20, id="short"), pytest.param(10, 100, 100, id="long", marks=LONG)],
+)
+def test_no_op_cells_are_planned_scheduled_and_tabulated(
+    bench: Bench, sequences: int, codecs: int, evaluators: int
+) -> None:
+    count = sequences * codecs * evaluators
+    with cluster_elsewhere(bench.folder / "cluster", bench.site) as cluster:
+        where = f'{{use: dask, params: {{address: "{cluster.address}", shared_files: true}}}}'
+        text = many(bench, sequences, codecs, evaluators, run=f", executor: {where}")
+        begun = time.monotonic()
+        plan = bench.plan(text)
+        planned = time.monotonic()
+        assert len(plan.cells) == count
+        load = Load(psutil.Process(cluster.scheduler), every=max(1, count // 10))
+        summary = bench.run(plan, listener=load.heard)
+        ran = time.monotonic()
+        per_cell_ms = load.per_cell_ms(count)
+    assert summary.statuses == {"ok": count}
+    assert load.memory_mb[-1] - load.memory_mb[0] < 200, "the scheduler forgets cells that are done"
+    log.info("%d cells planned in %.1f s, run in %.0f s: %.2f ms each", count, planned - begun, ran - planned,
+             1e3 * (ran - planned) / count)  # fmt: skip
+    log.info("CPU a cell in ms: %s; scheduler's memory in MB, by tenths: %s", per_cell_ms, load.memory_mb)
+    check_tables(bench, sequences * codecs, evaluators)
+    check_resume(bench, count)
+
+
+def check_tables(bench: Bench, rows: int, evaluators: int) -> None:
+    took_s, memory_mb, output = whole_process(
+        "table", "--wide", "--format", "csv", bench.folder / "run", site=bench.site
+    )
+    lines = output.decode().splitlines()
+    assert len(lines) == 1 + rows
+    values = lines[-1].split(",")
+    assert [float(value) for value in values[3 : 3 + evaluators]] == list(range(evaluators))
+    log.info("table of %d rows and %d columns: %.1f s, %.0f MB", rows, len(values), took_s, memory_mb)
+
+
+def check_resume(bench: Bench, count: int) -> None:
+    status_s, _, said = whole_process("status", bench.folder / "run", site=bench.site)
+    assert f"{count} cells: {count} ok".encode() in said
+    resume_s, memory_mb, _ = whole_process(
+        "run", bench.folder / "matrix.yaml", "--out", bench.folder / "run", site=bench.site
+    )
+    log.info("listing %.1f s; resuming %.1f s, %.0f MB", status_s, resume_s, memory_mb)
+
+
+def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> int:
+    """A run folder whose cells have 5 samples a frame, without computing any; how many samples there are."""
+    plan = bench.plan(many(bench, sequences, codecs, evaluators, "sampled"))
+    metrics = tuple(Metric(f"m{n}", "1", "lower", "", ("mean", "median", "p95")) for n in range(5))
+    rng = np.random.default_rng(0)
+    stock: list[tuple[bytes, Any]] = []
+    for _ in range(20):
+        values = rng.normal(size=(frames, 5))
+        samples = [Measurement(f"m{n}", float(values[at, n]), at) for at in range(frames) for n in range(5)]
+        stock.append((parquet_from_samples(samples), summarise(samples, metrics)))
+    store = bench.store()
+    with store.locked():
+        store.write_plan(plan)
+        for number, cell in enumerate(plan.cells):
+            content, summaries = stock[number % len(stock)]
+            record = Record(cell.id, "ok", summaries=summaries, cell=cell_description(cell), duration_s=0.1)
+            store.write_record(record, {"frames.parquet": content})
+    return len(plan.cells) * frames * 5
+
+
+@pytest.mark.parametrize(
+    ("sequences", "codecs", "evaluators", "frames"),
+    [pytest.param(2, 5, 4, 10, id="short"), pytest.param(10, 500, 4, 100, id="long", marks=LONG)],
+)
+def test_a_wide_table_of_many_samples(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> None:
+    samples = fill(bench, sequences, codecs, evaluators, frames)
+    rows = sequences * codecs
+    took_s, memory_mb, _ = whole_process("table", "--wide", bench.folder / "run", site=bench.site)
+    log.info("%d cells, %d samples: table --wide in %.1f s, %.0f MB", rows * evaluators, samples, took_s, memory_mb)
+    assert took_s < 10
+    assert memory_mb < 2000
+    parquet = bench.folder / "wide.parquet"
+    took_s, memory_mb, _ = whole_process(
+        "table", "--wide", "--format", "parquet", "--out", parquet, bench.folder / "run", site=bench.site
+    )
+    log.info("the same as Parquet in %.1f s, %.0f MB", took_s, memory_mb)
+    assert took_s < 10
+    assert memory_mb < 2000
+    wide = open_run(bench.folder / "run").wide
+    assert (len(wide), len(wide.columns)) == (rows, 5 + evaluators * 15)
+    assert wide.equals(pd.read_parquet(parquet))
+    tidy = bench.folder / "tidy.parquet"
+    took_s, memory_mb, _ = whole_process(
+        "table", "--tidy", "--format", "parquet", "--out", tidy, bench.folder / "run", site=bench.site
+    )
+    log.info(
+        "all samples as one tidy Parquet table of %d MB in %.1f s, %.0f MB",
+        tidy.stat().st_size >> 20,
+        took_s,
+        memory_mb,
+    )
