@@ -138,10 +138,9 @@ def operations_figure(run: RunResult) -> Figure | None:
     sequence = run.plan.sequences[0].name
     totals: dict[tuple[str, str], dict[str, float]] = {}
     for bar in bars:
-        if bar["bar"].endswith(f"· {sequence}"):
-            name = bar["bar"].rpartition(" · ")[0]
+        if bar["sequence"] == sequence:
             found = totals.setdefault((bar["family"], bar["direction"]), {})
-            found[name] = found.get(name, 0.0) + bar["value"]
+            found[bar["bar"]] = found.get(bar["bar"], 0.0) + bar["value"]
     height = 0.17 * max(map(len, totals.values())) + 1.2
     figure, grid = plt.subplots(1, len(totals), figsize=(3.4 * len(totals), height), squeeze=False)
     for axes, ((family, direction), values) in zip(grid.flat, sorted(totals.items()), strict=True):

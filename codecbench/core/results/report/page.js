@@ -1,5 +1,6 @@
 "use strict";
 const DATA = JSON.parse(document.getElementById("data").textContent);
+DATA.rows = DATA.table.sequence.map((_, i) => Object.fromEntries(Object.entries(DATA.table).map(([name, values]) => [name, values[i]])));
 const dark = matchMedia("(prefers-color-scheme: dark)");
 // Okabe and Ito's palette, which colour-blind readers can tell apart, with marker shapes beside it.
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#999999"];
@@ -58,6 +59,16 @@ function curves() {
     $("logx").checked = preset.logx; $("logy").checked = preset.logy;
     plot();
   };
+  /* Points that no other beats in both of the chosen columns; none where a column has no better direction. */
+  const frontOf = (traces, x, y) => {
+    const sign = (column) => ({ lower: 1, higher: -1 })[(DATA.columns[column] || {}).better];
+    const [sx, sy] = [sign(x), sign(y)];
+    if (!sx || !sy) return [];
+    const points = traces.flatMap((trace) => trace.x.map((value, i) => [value, trace.y[i]]));
+    const beats = (a, b) => sx * a[0] <= sx * b[0] && sy * a[1] <= sy * b[1] && (a[0] !== b[0] || a[1] !== b[1]);
+    return points.filter((p) => !points.some((other) => beats(other, p))).sort((a, b) => a[0] - b[0]);
+  };
+  const scale = (log) => log ? { type: "log", dtick: Math.log10(2), tick0: 0, tickformat: ".3~g" } : { type: "linear" };
   const plot = () => {
     const [x, y, sequence] = [$("x").value, $("y").value, $("sequence").value];
     const traces = codecs.map((codec) => {
@@ -75,16 +86,19 @@ function curves() {
         line: { color: style[codec].color, width: 1.6 }, marker: { symbol: style[codec].symbol, size: 9, color: style[codec].color },
         hovertemplate: `<b>${codec}</b> %{text}<br>${x} %{x:.5g}<br>${y} %{y:.5g}<extra></extra>` };
     }).filter((trace) => trace.x.length);
+    const front = $("front").checked ? frontOf(traces, x, y) : [];
+    if (front.length) traces.push({ name: "Pareto front", x: front.map((p) => p[0]), y: front.map((p) => p[1]), mode: "lines",
+      type: "scatter", line: { color: "#8a8f98", width: 8 }, opacity: 0.35, hoverinfo: "skip" });
     const left = DATA.rows.filter((row) => row.sequence === sequence && !(Number.isFinite(number(row[x])) && Number.isFinite(number(row[y]))));
     $("left-out").textContent = left.length
       ? `Without a finite value here: ${left.map((r) => `${r.codec} ${r.setting}`.trim()).join("; ")}.` : "";
     draw("curve", traces, {
       showlegend: true,
-      xaxis: { title: { text: columnName(x) }, type: $("logx").checked ? "log" : "linear" },
-      yaxis: { title: { text: columnName(y) }, type: $("logy").checked ? "log" : "linear" },
+      xaxis: { title: { text: columnName(x) }, ...scale($("logx").checked) },
+      yaxis: { title: { text: columnName(y) }, ...scale($("logy").checked) },
     });
   };
-  for (const id of ["x", "y", "sequence", "logx", "logy"]) $(id).addEventListener("change", plot);
+  for (const id of ["x", "y", "sequence", "logx", "logy", "front"]) $(id).addEventListener("change", plot);
   $("preset").addEventListener("change", apply);
   if (DATA.presets.length) apply(); else plot();
 }
@@ -94,14 +108,16 @@ function trajectories() {
   if (!DATA.trajectories.length) return;
   const sequences = [...new Set(DATA.trajectories.map((one) => one.sequence))];
   fill($("trajectory-sequence"), sequences, sequences[0]);
-  fill($("trajectory-codec"), ["all codecs", ...new Set(DATA.trajectories.map((one) => one.codec))], "all codecs");
+  const names = [...new Set(DATA.trajectories.map((one) => one.codec))];
+  const few = DATA.trajectories.filter((one) => one.sequence === sequences[0]).length <= 12;
+  fill($("trajectory-codec"), ["all codecs", ...names], few ? "all codecs" : names.find((name) => name !== "raw"));
   const plot = () => {
     const host = $("multiples");
     for (const old of host.querySelectorAll(".plot")) Plotly.purge(old);
     host.replaceChildren();
     const codec = $("trajectory-codec").value;
     const chosen = DATA.trajectories.filter((one) => one.sequence === $("trajectory-sequence").value
-      && (codec === "all codecs" || one.codec === codec));
+      && (codec === "all codecs" || one.codec === codec || one.codec === "raw"));
     chosen.forEach((one, i) => {
       const box = document.createElement("div");
       const caption = document.createElement("figcaption");
@@ -151,9 +167,12 @@ function frames() {
 function operations() {
   if (!DATA.operations.length) return;
   const kinds = [...new Set(DATA.operations.map((one) => one.family))];
+  const sequences = [...new Set(DATA.operations.map((one) => one.sequence))];
   fill($("operation-family"), kinds, kinds[0]);
+  fill($("operation-sequence"), sequences, sequences[0]);
   const plot = () => {
-    const chosen = DATA.operations.filter((one) => one.family === $("operation-family").value && one.direction === $("operation-direction").value);
+    const chosen = DATA.operations.filter((one) => one.family === $("operation-family").value && one.direction === $("operation-direction").value
+      && one.sequence === $("operation-sequence").value);
     const bars = [...new Set(chosen.map((one) => one.bar))];
     const stages = [...new Set(chosen.map((one) => one.stage))];
     draw("operation-bars", stages.map((stage, i) => ({
@@ -163,7 +182,7 @@ function operations() {
     })), { barmode: "stack", xaxis: { title: { text: "operations a frame" } }, yaxis: { automargin: true, autorange: "reversed" },
       height: Math.max(320, 90 + 26 * bars.length) });
   };
-  for (const id of ["operation-family", "operation-direction"]) $(id).addEventListener("change", plot);
+  for (const id of ["operation-family", "operation-direction", "operation-sequence"]) $(id).addEventListener("change", plot);
   plot();
 }
 

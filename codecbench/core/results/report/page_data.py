@@ -39,14 +39,11 @@ _BRIEF: Final = (
 _IDENTITY: Final = ("sequence", "codec", "setting", "status", "reason")
 
 
-def rows(wide: pd.DataFrame, points: dict[tuple[str, str], CurvePoint]) -> list[dict[str, Any]]:
-    """The wide table as records that JSON can hold: infinities as text, missing values as null."""
-    records = []
-    for record in wide.to_dict("records"):
-        row: dict[str, Any] = {str(key): json_value(value) for key, value in record.items()}
-        row["curve"] = points[row["codec"], row["setting"]].curve
-        records.append(row)
-    return records
+def table(wide: pd.DataFrame, points: dict[tuple[str, str], CurvePoint]) -> dict[str, list[Any]]:
+    """The wide table by column, as JSON can hold it: infinities as text, missing values as null."""
+    found = {str(name): [json_value(value) for value in wide[name].tolist()] for name in wide.columns}
+    found["curve"] = [points[key].curve for key in zip(wide["codec"], wide["setting"], strict=True)]
+    return found
 
 
 def columns(wide: pd.DataFrame, results: Iterable[CellResult]) -> dict[str, dict[str, str]]:
@@ -125,7 +122,8 @@ def operations(wide: pd.DataFrame) -> list[dict[str, Any]]:
                     "family": parts[1].removesuffix("_total"),
                     "direction": direction,
                     "stage": stage,
-                    "bar": f"{record['codec']} {record['setting']} · {record['sequence']}".replace("  ", " "),
+                    "sequence": record["sequence"],
+                    "bar": f"{record['codec']} {record['setting']}".strip(),
                     "value": float(value),
                 }
             )

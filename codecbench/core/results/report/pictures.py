@@ -23,30 +23,24 @@ log = logging.getLogger("codecbench.report")
 _SETTINGS_A_SEQUENCE: Final = 36
 """Settings whose pictures the page shows of one sequence, spread over the rates."""
 
-_BUDGET_BYTES: Final = 2_600_000
-"""What all pictures together may weigh, so that the page stays below its limit."""
 
+def frame_pictures(run: RunResult, budget_bytes: int) -> dict[str, Any]:
+    """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly.
 
-def frame_pictures(run: RunResult) -> dict[str, Any]:
-    """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly."""
+    Each sequence has an equal share of the budget; where it does not do for all settings, they are thinned evenly.
+    """
     originals: list[str] = []
     frames: list[dict[str, Any]] = []
-    share = _BUDGET_BYTES // max(1, len(run.plan.sequences))
+    share = budget_bytes // max(1, len(run.plan.sequences))
     for entry in run.plan.sequences:
-        spent = 0
-        where = len(originals)
-        for setting, rate in _chosen(run, entry):
-            view = _view(run, entry, setting)
-            if view is None or spent + len(view.decoded) + len(view.difference) > share:
-                continue
-            if len(originals) == where:
-                originals.append(view.original)
-            spent += len(view.decoded) + len(view.difference)
+        views = [(one, rate, view) for one, rate in _chosen(run, entry) if (view := _view(run, entry, one))]
+        views = _thinned(views, share)
+        for setting, rate, view in views:
             name = f"{setting.name} {setting.label}".strip()
             frames.append(
                 {
                     "sequence": entry.name,
-                    "original": where,
+                    "original": len(originals),
                     "title": f"{rate:.3g} bpp · {name}",
                     "decoded": view.decoded,
                     "difference": view.difference,
@@ -54,6 +48,7 @@ def frame_pictures(run: RunResult) -> dict[str, Any]:
                     "lost": f"difference x4; {view.lost} of {view.features} features lost (red)",
                 }
             )
+        originals += [view.original for *_, view in views[:1]]
     return {"frames": frames, "originals": originals}
 
 
@@ -66,6 +61,22 @@ def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, f
     known = sorted((rate, key) for key, rate in rates.items() if not np.isnan(rate) and key[0] != "raw")
     picks = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SETTINGS_A_SEQUENCE)).round().astype(int))
     return [(settings[known[pick][1]], known[pick][0]) for pick in picks] if known else []
+
+
+_View = tuple[PluginSetting, float, FrameView]
+
+
+def _thinned(views: list[_View], budget_bytes: int) -> list[_View]:
+    """As many views, spread evenly, as the budget allows."""
+    count = len(views)
+    while count:
+        picks = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
+        chosen = [views[pick] for pick in picks]
+        weight = len(chosen[0][2].original) + sum(len(view.decoded) + len(view.difference) for *_, view in chosen)
+        if weight <= budget_bytes:
+            return chosen
+        count -= 1
+    return []
 
 
 def _view(run: RunResult, entry: SequenceEntry, setting: PluginSetting) -> FrameView | None:

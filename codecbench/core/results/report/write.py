@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from codecbench.core.contracts.errors import ParamsError
@@ -20,8 +21,7 @@ def write_report(run: RunResult, path: Path, format_: str = "html") -> int:
     for another format.
     """
     if format_ == "html":
-        pictures = {**frame_pictures(run), "trajectories": trajectory_pictures(run)}
-        content = render(run, pictures).encode()
+        content = render(run, partial(frame_pictures, run), trajectory_pictures(run)).encode()
     elif format_ in ("md", "latex"):
         known = page_data.columns(run.wide, run.results)
         brief = chosen_columns(run.wide, ",".join([*page_data.brief(known), "status"]))

@@ -126,7 +126,8 @@ def _rounding(measured: Measured) -> str:
 
 
 def _real_jpeg(measured: Measured) -> str:
-    rates = bd_rates(measured.run.of("quality"), measured.run.curves, "psnr_gray_db")
+    quality = measured.run.of("quality")
+    rates = bd_rates(quality, quality, measured.run.curves, "psnr_gray_db")
     found = [
         f"{curve} on {sequence}: {rate}" for (sequence, curve), rate in rates.items() if curve.startswith("multilevel")
     ]
