@@ -54,7 +54,7 @@ def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
     for cell in plan.cells:
         if cell.id in present:
             try:
-                found.append((cell, store.read_record(cell.id)))
+                found.append((cell, store.read_record(cell.id, present[cell.id])))
             except StoreError as error:
                 log.warning("%s; its cell is left out of the tables", error)
     return found
@@ -87,11 +87,12 @@ def _result(
     store: Store, cell: Cell, record: Record, evaluator: Evaluator[Any] | None, baseline: list[Outcome]
 ) -> CellResult:
     measurements: tuple[Measurement, ...] = record.measurements
+    outcome = _outcome(store, cell, record)
     metrics: dict[str, Metric] = {}
     if evaluator is not None:
         metrics = {metric.name: metric for metric in evaluator.metrics}
         if record.status == "ok":
-            measurements += tuple(evaluator.compare(_outcome(store, cell, record), baseline))
+            measurements += tuple(evaluator.compare(outcome, baseline))
     frames: Callable[[], pd.DataFrame] = partial(_frames, store, record)
     return CellResult(
         cell,
@@ -101,7 +102,7 @@ def _result(
         record.summaries,
         metrics,
         frames,
-        store.record_folder(cell.id),
+        outcome.artifacts,
     )
 
 

@@ -184,11 +184,16 @@ def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
         for one in repeat.measurements:
             single[one.metric, one.stage or ""].append(one.value)
     for (name, stage, how), values in per_repeat.items():
-        yield _column(name, stage, how), aggregate(_OVER_REPEATS.get(how, "median"), np.array(values))
+        yield _column(name, stage, how), _of_repeats(_OVER_REPEATS.get(how, "median"), values)
     for (name, stage), values in single.items():
         for how in metrics[name].aggregates if name in metrics else ("mean",):
             if len(values) > 1 or how in ("mean", "median"):
-                yield _column(name, stage, how), aggregate(how, np.array(values))
+                yield _column(name, stage, how), _of_repeats(how, values)
+
+
+def _of_repeats(how: str, values: list[float]) -> float:
+    """An aggregate of one value a repeat; of a single repeat, as most are, its mean or median is it."""
+    return values[0] if len(values) == 1 else aggregate(how, np.array(values))
 
 
 def _column(metric: str, stage: str, how: str) -> str:
