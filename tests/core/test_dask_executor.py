@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -240,6 +241,18 @@ def test_a_sequence_that_differs_on_the_workers_is_told(bench: Bench) -> None:
     [(_, record)] = bench.records(plan).values()
     assert record.status == "failed"
     assert "stack has changed since the plan was made" in record.reason
+
+
+@pytest.mark.parametrize(
+    ("params", "told"),
+    [
+        ({"options": {"surprise": 1}}, "cannot make the local cluster with LocalCluster: TypeError"),
+        ({"cluster": "ssh"}, "cannot make the ssh cluster with SSHCluster: ValueError: `hosts` must be"),
+    ],
+)
+def test_a_cluster_that_cannot_be_made_is_told(params: dict[str, Any], told: str) -> None:
+    with pytest.raises(CodecbenchError, match=told), started(DaskParams(**params)):
+        pass
 
 
 def test_contradicting_parameters_and_unreachable_clusters_are_told() -> None:

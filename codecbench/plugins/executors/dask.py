@@ -156,14 +156,21 @@ class DaskExecutor(Executor[DaskParams]):
         except ImportError as error:
             message = f"cluster: {self.params.made} needs {module}, which is not installed"
             raise Unsupported(f"{message}; run: pip install {requirement}") from error
-        options = dict(self.params.options)
+        usual: dict[str, Any] = {}
         if self.params.made == "local":
-            usual = {"threads_per_worker": 1, "processes": True, "memory_limit": 0, "dashboard_address": None}
+            usual = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
+            usual["dashboard_address"] = None
+        try:
             with hidden_main():
-                return make(**{"n_workers": workers, **usual, **options})
-        cluster = make(**options)
-        if self.params.made != "ssh":  # there, each host is a worker
-            cluster.scale(jobs=workers)
+                cluster = make(**{**usual, **self.params.options})
+            if self.params.made in ("slurm", "pbs"):
+                cluster.scale(jobs=workers)
+        except (OSError, RuntimeError, TypeError, ValueError, ImportError) as error:
+            cause: BaseException = error
+            while cause.__cause__ is not None:
+                cause = cause.__cause__
+            reason = f"{type(cause).__name__}: {cause}"
+            raise CodecbenchError(f"cannot make the {self.params.made} cluster with {name}: {reason}") from error
         return cluster
 
     def _fill(self) -> None:
