@@ -14,10 +14,10 @@ from codecbench.slam.bundle_kernels import (
     classify,
     minimize,
     robust_cost,
-    stable_order,
 )
 from codecbench.slam.bundle_schur import Layout
 from codecbench.slam.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbours
+from codecbench.slam.sorting import stable_order
 from codecbench.slam.thresholds import CHI2_95_2DOF
 from codecbench.slam.transforms import Array, orthonormalize
 

@@ -14,6 +14,7 @@ from numba import njit
 
 from codecbench.slam.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
 from codecbench.slam.linear_systems import factorize_envelope, solve_envelope
+from codecbench.slam.sorting import stable_order
 
 MAX_CHI2 = 1e8  # an error beyond it, or a point behind the camera, costs so much and pulls at nothing
 _START_DAMPING = 1e-4
@@ -33,21 +34,6 @@ class Observations(NamedTuple):
     weights: Any
     active: Any
     intrinsics: Any
-
-
-@njit(cache=True)
-def stable_order(keys, key_count):  # type: ignore[no-untyped-def]
-    """Return the stable order (M,) that sorts integer keys in 0..key_count - 1, by counting."""
-    starts = np.zeros(key_count + 1, dtype=np.int64)
-    for i in range(keys.shape[0]):
-        starts[keys[i] + 1] += 1
-    for k in range(key_count):
-        starts[k + 1] += starts[k]
-    out = np.empty(keys.shape[0], dtype=np.int64)
-    for i in range(keys.shape[0]):
-        out[starts[keys[i]]] = i
-        starts[keys[i]] += 1
-    return out
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 from codecbench.slam.camera import Camera
+from codecbench.slam.corner_kernels import list_corners, score_corners
 from codecbench.slam.options import Options
 from codecbench.slam.orb_kernels import (
     describe_patches,
@@ -58,8 +59,6 @@ class FeatureExtractor:
         shares = 1.0 / factors
         self._quotas = np.floor(options.features * shares / shares.sum() + 0.5).astype(np.int64)
         self._quotas[0] += options.features - self._quotas.sum()
-        self._fast = cv2.FastFeatureDetector.create(thresholds.FAST_THRESHOLD, True)
-        self._fast_low = cv2.FastFeatureDetector.create(thresholds.FAST_THRESHOLD_LOW, True)
         low, high = camera.bounds[:2], camera.bounds[2:]
         columns, rows = np.ceil((high - low + 1.0) / CELL_PX)
         self._grid = np.array([low[0], low[1], max(columns, 1.0), max(rows, 1.0)])
@@ -92,9 +91,9 @@ class FeatureExtractor:
     def _extract_level(
         self, level: NDArray[np.uint8], octave: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-        corners, responses = self._corners(level, int(self._quotas[octave]))
-        height, width = level.shape
-        kept = select_evenly(corners, responses, self._quotas[octave], height, width, thresholds.BORDER_PX)
+        quota = int(self._quotas[octave])
+        corners, scores = _corners(level, quota)
+        kept = select_evenly(corners, scores, quota, level.shape[0], level.shape[1], thresholds.BORDER_PX)
         corners = corners[kept]
         if len(corners) == 0:
             return np.empty((0, 2)), np.empty(0), np.empty((0, 32), np.uint8)
@@ -105,12 +104,12 @@ class FeatureExtractor:
         ratio = np.array([self._camera.width / level.shape[1], self._camera.height / level.shape[0]])
         return (corners + 0.5) * ratio - 0.5, angles, descriptors
 
-    def _corners(self, level: NDArray[np.uint8], quota: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Corners x, y (N, 2) and their responses (N,): at the low threshold where the first try finds too few."""
-        keypoints = self._fast.detect(level)
-        if len(keypoints) < thresholds.FAST_CANDIDATES_PER_FEATURE * quota:
-            keypoints = self._fast_low.detect(level)
-        if len(keypoints) == 0:
-            return np.empty((0, 2), np.int64), np.empty(0, np.float32)
-        responses = np.array([keypoint.response for keypoint in keypoints], dtype=np.float32)
-        return np.asarray(cv2.KeyPoint.convert(keypoints)).astype(np.int64), responses
+
+def _corners(level: NDArray[np.uint8], quota: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Corners x, y (N, 2) and their scores (N,): at the low threshold where the first try finds too few."""
+    image = np.empty_like(level)
+    score_corners(level, image)
+    corners, scores = list_corners(image, thresholds.FAST_THRESHOLD)
+    if len(corners) < thresholds.FAST_CANDIDATES_PER_FEATURE * quota:
+        corners, scores = list_corners(image, thresholds.FAST_THRESHOLD_LOW)
+    return corners, scores

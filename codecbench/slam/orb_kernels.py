@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from codecbench.slam.orb_pattern import ORB_PATTERN
+from codecbench.slam.sorting import stable_order
 from codecbench.slam.thresholds import PATCH_RADIUS_PX
 
 _RADIUS = PATCH_RADIUS_PX
@@ -18,11 +19,11 @@ _HALF_WIDTHS = np.array([int(math.sqrt(_RADIUS * _RADIUS - v * v) + 0.5) for v i
 
 
 @njit(cache=True)
-def select_evenly(corners: Any, responses: Any, quota: int, height: int, width: int, border: int) -> Any:
-    """Indices of at most `quota` corners (N, 2), spread over the level, in reading order.
+def select_evenly(corners: Any, scores: Any, quota: int, height: int, width: int, border: int) -> Any:
+    """Indices of at most `quota` corners (N, 2) with `scores` (N,) uint8, spread over the level, in reading order.
 
     The level is divided into about `quota` square cells. Corners are taken by their rank within their cell, the
-    strongest of every cell first; the rank that does not fit whole is taken by response. Ties go to reading order.
+    strongest of every cell first; the rank that does not fit whole is taken by score. Ties go to reading order.
     """
     inner_width, inner_height = width - 2 * border, height - 2 * border
     if inner_width < 1 or inner_height < 1 or quota < 1:
@@ -31,23 +32,24 @@ def select_evenly(corners: Any, responses: Any, quota: int, height: int, width: 
     columns = int(inner_width / side) + 1
     inside = np.empty(len(corners), np.int64)
     cells = np.empty(len(corners), np.int64)
+    weakness = np.empty(len(corners), np.int64)
     count = 0
     for i in range(len(corners)):
         x, y = corners[i, 0] - border, corners[i, 1] - border
         if 0 <= x < inner_width and 0 <= y < inner_height:
-            inside[count] = i
+            inside[count], weakness[count] = i, 255 - np.int64(scores[i])
             cells[count] = int(y / side) * columns + int(x / side)
             count += 1
-    inside, cells = inside[:count], cells[:count]
     if count <= quota:
-        return inside
-    order = np.argsort(-responses[inside], kind="mergesort")
+        return inside[:count]
+    order = stable_order(weakness[:count], 256)
     filled = np.zeros((int(inner_height / side) + 1) * columns, np.int64)
     ranks = np.empty(count, np.int64)
-    for k in order:
-        ranks[k] = filled[cells[k]]
-        filled[cells[k]] += 1
-    by_rank = order[np.argsort(ranks[order], kind="mergesort")]
+    for i in range(count):
+        cell = cells[order[i]]
+        ranks[i] = filled[cell]
+        filled[cell] += 1
+    by_rank = order[stable_order(ranks, ranks.max() + 1)]
     return inside[np.sort(by_rank[:quota])]
 
 
@@ -110,4 +112,4 @@ def index_cells(pixels: Any, grid: Any, cell_px: float) -> Any:
         starts[cells[i] + 1] += 1
     for k in range(columns * rows):
         starts[k + 1] += starts[k]
-    return starts, np.argsort(cells, kind="mergesort")
+    return starts, stable_order(cells, columns * rows)

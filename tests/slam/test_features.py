@@ -2,14 +2,29 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 from rendered_scenes import CAMERA, Room, looking
 
 from codecbench.slam.camera import Camera
+from codecbench.slam.corner_kernels import list_corners, score_corners
 from codecbench.slam.features import FeatureExtractor
 from codecbench.slam.options import Options
 from codecbench.slam.orb_kernels import describe_patches, orient_patches, select_evenly
 
 IMAGE = Room().image(looking((0.0, 0.0, -1.0), 0.2, 0.1))
+
+
+@pytest.mark.parametrize("threshold", [7, 20])
+def test_corners_and_scores_are_those_of_opencv(threshold: int, rng: np.random.Generator) -> None:
+    noisy = np.clip(IMAGE + rng.normal(0.0, 8.0, IMAGE.shape), 0, 255).astype(np.uint8)
+    for image in (noisy, noisy[:37, :53].copy(), noisy[:6, :9].copy(), noisy[:9, :2].copy()):
+        scores = np.empty_like(image)
+        score_corners(image, scores)
+        corners, found = list_corners(scores, threshold)
+        keypoints = cv2.FastFeatureDetector.create(threshold, True).detect(image)
+        assert [tuple(corner) for corner in corners.tolist()] == [k.pt for k in keypoints]
+        assert (found - 1.0).tolist() == [k.response for k in keypoints]
+        assert len(keypoints) > 0 or image.size < 100
 
 
 def test_descriptors_and_angles_agree_with_opencv(rng: np.random.Generator) -> None:
@@ -39,8 +54,8 @@ def test_orientation_follows_a_turned_image() -> None:
 def test_selection_is_even_bounded_and_in_order() -> None:
     x, y = np.meshgrid(np.arange(30, 290), np.arange(30, 210))
     corners = np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
-    responses = np.where(corners[:, 0] < 160, 100.0, 10.0).astype(np.float32)
-    kept = select_evenly(corners, responses, 300, 240, 320, 19)
+    scores = np.where(corners[:, 0] < 160, 100, 10).astype(np.uint8)
+    kept = select_evenly(corners, scores, 300, 240, 320, 19)
     assert len(kept) == 300
     assert (np.diff(kept) > 0).all()
     left = int((corners[kept, 0] < 160).sum())

@@ -1,0 +1,117 @@
+"""FAST corners and their scores, for whole images without a branch: the compiler makes vector instructions of it.
+
+Source: Rosten, Porter, Drummond, "Faster and Better", IEEE T-PAMI 32(1), 2010, doi:10.1109/TPAMI.2008.275. A pixel is
+a corner at threshold t when nine pixels in a row, of the sixteen on the circle of radius three, are all brighter than
+it by more than t, or all darker. Its score is the greatest such t, plus one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_RADIUS = 3
+
+
+@njit(cache=True)
+def _least(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
+    """The greater minimum of the two runs of nine that share the eight pixels a..h."""
+    return min(min(min(min(a, b), min(c, d)), min(min(e, f), min(g, h))), max(before, after))
+
+
+@njit(cache=True)
+def _greatest(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
+    """The smaller maximum of the two runs of nine that share the eight pixels a..h."""
+    return max(max(max(max(a, b), max(c, d)), max(max(e, f), max(g, h))), min(before, after))
+
+
+@njit(cache=True)
+def score_corners(level: Any, scores: Any) -> None:
+    """Fill `scores` (height, width) uint8 with the FAST score of each pixel of `level`; 0 within three of the border.
+
+    Indices are unsigned: they cannot mean the end of a row, and so the loop becomes vector code.
+    """
+    height, width = level.shape
+    scores[:] = 0
+    if width <= 2 * _RADIUS:
+        return
+    for y in range(_RADIUS, height - _RADIUS):
+        u3, u2, u1, row = level[y - 3], level[y - 2], level[y - 1], level[y]
+        d1, d2, d3, out = level[y + 1], level[y + 2], level[y + 3], scores[y]
+        for x in range(np.uint64(_RADIUS), np.uint64(width - _RADIUS)):
+            l1, l2, l3 = x - np.uint64(1), x - np.uint64(2), x - np.uint64(3)
+            r1, r2, r3 = x + np.uint64(1), x + np.uint64(2), x + np.uint64(3)
+            c = row[x]
+            p0, p1, p2, p3, p4, p5, p6, p7 = u3[x], u3[r1], u2[r2], u1[r3], row[r3], d1[r3], d2[r2], d3[r1]
+            p8, p9, pa, pb, pc, pd, pe, pf = d3[x], d3[l1], d2[l2], d1[l3], row[l3], u1[l3], u2[l2], u3[l1]
+            bright = max(
+                max(
+                    max(_least(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9), _least(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb)),
+                    max(_least(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd), _least(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf)),
+                ),
+                max(
+                    max(_least(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1), _least(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3)),
+                    max(_least(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5), _least(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7)),
+                ),
+            )
+            dark = min(
+                min(
+                    min(
+                        _greatest(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
+                        _greatest(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
+                    ),
+                    min(
+                        _greatest(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
+                        _greatest(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
+                    ),
+                ),
+                min(
+                    min(
+                        _greatest(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
+                        _greatest(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
+                    ),
+                    min(
+                        _greatest(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
+                        _greatest(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
+                    ),
+                ),
+            )
+            out[x] = max(max(bright, c) - c, c - min(dark, c))
+
+
+@njit(cache=True)
+def list_corners(scores: Any, threshold: int) -> Any:
+    """Corners x, y (N, 2) at a threshold, and their scores (N,): those that beat their eight neighbours, by row."""
+    height, width = scores.shape
+    if width <= 2 * _RADIUS:
+        return np.empty((0, 2), np.int64), np.empty(0, np.uint8)
+    corners = np.empty((height * width // 4 + 1, 2), np.int64)
+    found = np.empty(len(corners), np.uint8)
+    peaks = np.zeros((width + 7) // 8 * 8, np.uint8)
+    words = peaks.view(np.uint64)
+    count = 0
+    for y in range(_RADIUS, height - _RADIUS):
+        _keep_peaks(scores[y - 1], scores[y], scores[y + 1], threshold, peaks)
+        for w in range(len(words)):
+            if words[w] == 0:
+                continue
+            for x in range(8 * w, 8 * w + 8):
+                if peaks[x] > 0:
+                    corners[count, 0], corners[count, 1], found[count] = x, y, peaks[x]
+                    count += 1
+    return corners[:count].copy(), found[:count].copy()
+
+
+@njit(cache=True)
+def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any) -> None:
+    """Fill `peaks` (width,) with the scores of `row` above the threshold and all eight neighbours, 0 elsewhere."""
+    limit = np.uint8(threshold)
+    for x in range(np.uint64(1), np.uint64(len(row) - 1)):
+        before, after = x - np.uint64(1), x + np.uint64(1)
+        rival = max(
+            max(max(above[before], above[x]), max(above[after], row[before])),
+            max(max(row[after], below[before]), max(below[x], below[after])),
+        )
+        peaks[x] = row[x] if row[x] > max(rival, limit) else np.uint8(0)
