@@ -27,6 +27,8 @@ from codecbench.slam.orb_kernels import (
 CELL_PX = 10.0
 """Side of the cells by which features are looked up, pixels."""
 
+_BLUR = cv2.getGaussianKernel(7, thresholds.BLUR_SIGMA_PX)  # twice as fast as GaussianBlur; they round differently
+
 
 @dataclass
 class Features:
@@ -98,7 +100,7 @@ class FeatureExtractor:
         if len(corners) == 0:
             return np.empty((0, 2)), np.empty(0), np.empty((0, 32), np.uint8)
         angles = orient_patches(level, corners)
-        blurred = cv2.GaussianBlur(level, (7, 7), thresholds.BLUR_SIGMA_PX)
+        blurred = cv2.sepFilter2D(level, -1, _BLUR, _BLUR)
         descriptors = describe_patches(blurred, corners, angles)
         # The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
         ratio = np.array([self._camera.width / level.shape[1], self._camera.height / level.shape[0]])
