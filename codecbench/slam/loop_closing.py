@@ -54,7 +54,7 @@ def _merge_sides(slam_map: Map, camera: Camera, loop: Loop, group: Indices, corr
         if new < 0 or new == shown:
             continue
         if shown >= 0:
-            slam_map.replace_point(shown, new)
+            slam_map.replace_points(np.array([shown]), np.array([new]))
         elif not (slam_map.keyframes.points[loop.keyframe] == new).any():
             slam_map.observe(loop.keyframe, np.array([feature]), np.array([new]))
     for k in group:

@@ -156,21 +156,17 @@ class Map:
         self._links = rows
         self.keyframes.points[keyframe, features] = points
 
-    def unobserve(self, keyframe: int, feature: int) -> None:
-        """Forget what `keyframe` sees at `feature`; a point that fewer than two keyframes see dies."""
-        point = int(self.keyframes.points[keyframe, feature])
-        if point < 0:
-            return
-        self._unlink(point, keyframe)
-        self.keyframes.points[keyframe, feature] = NONE
-        if self.points.observation_counts[point] < 2:
-            self.remove_point(point)
-
-    def _unlink(self, point: int, keyframe: int) -> None:
+    @property
+    def _lists(self) -> map_kernels.Links:
         table = self.points
-        map_kernels.remove_link(
-            point, keyframe, table.heads, table.observation_counts, self._following, self._link_keyframes
-        )
+        return map_kernels.Links(
+            table.heads, table.observation_counts, self._following, self._link_keyframes, self._link_features,
+            self.keyframes.points, table.alive,
+        )  # fmt: skip
+
+    def unobserve(self, keyframes: Indices, features: Indices) -> None:
+        """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
+        map_kernels.forget_observations(keyframes, features, self._lists)
 
     def observations(self, points: Indices) -> tuple[Indices, Indices, Indices]:
         """Index into `points`, keyframe and feature of each observation, (M,) each."""
@@ -180,27 +176,21 @@ class Map:
         )  # fmt: skip
         return which, keyframes, features
 
-    def remove_point(self, point: int) -> None:
-        """Let a point die and forget who saw it."""
-        _, keyframes, features = self.observations(np.array([point]))
-        self.keyframes.points[keyframes, features] = NONE
-        self.points.heads[point] = NONE
-        self.points.observation_counts[point] = 0
-        self.points.alive[point] = False
+    def remove_points(self, points: Indices) -> None:
+        """Let points die and forget who saw them."""
+        map_kernels.kill_points(points, self._lists)
 
-    def replace_point(self, old: int, new: int) -> None:
-        """Let `new` be seen wherever `old` was, where it is not seen already; `old` dies."""
-        if old == new:
-            return
-        _, keyframes, features = self.observations(np.array([old]))
-        _, already, _ = self.observations(np.array([new]))
-        self.remove_point(old)
-        for keyframe, feature in zip(keyframes, features, strict=True):
-            if keyframe not in already:
-                self.observe(int(keyframe), np.array([feature]), np.array([new]))
-        self.points.replaced_by[old] = new
-        self.points.found[new] += self.points.found[old]
-        self.points.visible[new] += self.points.visible[old]
+    def replace_points(self, old: Indices, new: Indices) -> None:
+        """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies. No point is in both."""
+        table = self.points
+        map_kernels.hand_over(old, new, self._lists)
+        table.replaced_by[old] = new
+        np.add.at(table.found, new, table.found[old])
+        np.add.at(table.visible, new, table.visible[old])
+
+    def unseen_points(self, keyframe: int, points: Indices) -> Indices:
+        """Those of `points` that are alive and that `keyframe` does not see, in order."""
+        return np.asarray(map_kernels.list_unseen(keyframe, points, self._lists))
 
     def resolve_points(self, points: Indices) -> Indices:
         """`points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
@@ -271,8 +261,8 @@ class Map:
         parent = int(table.parents[keyframe])
         camera_from_anchor = table.camera_from_world[keyframe] @ np.linalg.inv(table.camera_from_world[parent])
         self.culled[keyframe] = CulledKeyframe(parent, camera_from_anchor, float(table.scales[parent]))
-        for feature in np.nonzero(table.points[keyframe] >= 0)[0]:
-            self.unobserve(keyframe, int(feature))
+        seen = np.nonzero(table.points[keyframe] >= 0)[0]
+        self.unobserve(np.full(len(seen), keyframe), seen)
         table.alive[keyframe] = False
         for child in np.nonzero((table.parents[: table.count] == keyframe) & table.alive[: table.count])[0]:
             self.attach(int(child))

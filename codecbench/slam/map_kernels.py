@@ -7,7 +7,7 @@ The observations of a point form a linked list: `heads[p]` is its first link, `f
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,6 +16,19 @@ from codecbench.slam.hamming import hamming
 
 _DESCRIPTORS_COMPARED = 24
 """Most descriptors compared for a point's representative one; the newest count, and the work stays bounded."""
+
+
+class Links(NamedTuple):
+    """Who sees which point: `heads` and `counts` of the points' lists (P,); `following`, `keyframes` and `features`
+    of their links (L,); `keyframe_points` (K, F), which says the same by keyframe; `alive` (P,)."""
+
+    heads: Any
+    counts: Any
+    following: Any
+    keyframes: Any
+    features: Any
+    keyframe_points: Any
+    alive: Any
 
 
 @njit(cache=True)
@@ -34,19 +47,80 @@ def add_links(
 
 
 @njit(cache=True)
-def remove_link(point: int, keyframe: int, heads: Any, counts: Any, following: Any, link_keyframes: Any) -> int:
-    """Take the link from `point` to `keyframe` out of its list; returns it, or -1 where there is none."""
-    before, link = -1, heads[point]
-    while link >= 0 and link_keyframes[link] != keyframe:
-        before, link = link, following[link]
-    if link < 0:
-        return -1
-    if before < 0:
-        heads[point] = following[link]
-    else:
-        following[before] = following[link]
-    counts[point] -= 1
-    return int(link)
+def forget_observations(keyframes: Any, features: Any, links: Links) -> None:
+    """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
+    for i in range(len(keyframes)):
+        point = links.keyframe_points[keyframes[i], features[i]]
+        if point < 0:
+            continue
+        before, link = -1, links.heads[point]
+        while links.keyframes[link] != keyframes[i]:
+            before, link = link, links.following[link]
+        if before < 0:
+            links.heads[point] = links.following[link]
+        else:
+            links.following[before] = links.following[link]
+        links.counts[point] -= 1
+        links.keyframe_points[keyframes[i], features[i]] = -1
+        if links.counts[point] < 2:
+            _kill(point, links)
+
+
+@njit(cache=True)
+def kill_points(points: Any, links: Links) -> None:
+    """Let points die and forget who saw them."""
+    for point in points:
+        _kill(point, links)
+
+
+@njit(cache=True)
+def _kill(point: int, links: Links) -> None:
+    link = links.heads[point]
+    while link >= 0:
+        links.keyframe_points[links.keyframes[link], links.features[link]] = -1
+        link = links.following[link]
+    links.heads[point] = -1
+    links.counts[point] = 0
+    links.alive[point] = False
+
+
+@njit(cache=True)
+def hand_over(old: Any, new: Any, links: Links) -> None:
+    """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies."""
+    for i in range(len(old)):
+        link = links.heads[old[i]]
+        links.heads[old[i]] = -1
+        while link >= 0:
+            after, keyframe = links.following[link], links.keyframes[link]
+            taken = sees(keyframe, new[i], links)
+            links.keyframe_points[keyframe, links.features[link]] = -1 if taken else new[i]
+            if not taken:
+                links.following[link] = links.heads[new[i]]
+                links.heads[new[i]] = link
+                links.counts[new[i]] += 1
+            link = after
+        _kill(old[i], links)
+
+
+@njit(cache=True)
+def sees(keyframe: int, point: int, links: Links) -> bool:
+    """Whether a keyframe sees a point."""
+    link = links.heads[point]
+    while link >= 0 and links.keyframes[link] != keyframe:
+        link = links.following[link]
+    return bool(link >= 0)
+
+
+@njit(cache=True)
+def list_unseen(keyframe: int, points: Any, links: Links) -> Any:
+    """Those of `points` that are alive and that a keyframe does not see, in order."""
+    unseen = np.empty(len(points), np.int64)
+    count = 0
+    for point in points:
+        if links.alive[point] and not sees(keyframe, point, links):
+            unseen[count] = point
+            count += 1
+    return unseen[:count]
 
 
 @njit(cache=True)
@@ -101,6 +175,7 @@ def refresh_points(
 ) -> None:  # fmt: skip
     """Recompute mean viewing direction, range of distances and, if wanted, best descriptor (ORB-SLAM III-C)."""
     links = np.empty(_DESCRIPTORS_COMPARED, np.int64)
+    distances = np.zeros((_DESCRIPTORS_COMPARED, _DESCRIPTORS_COMPARED), np.int64)
     for p in points:
         nx, ny, nz = 0.0, 0.0, 0.0
         count = 0
@@ -133,19 +208,21 @@ def refresh_points(
         min_distances[p] = max_distances[p] / scale_factors[-1]
         if not with_descriptors:
             continue
-        best = _most_central(links[:count], link_keyframes, link_features, keyframe_descriptors)
+        best = _most_central(links[:count], link_keyframes, link_features, keyframe_descriptors, distances)
         for w in range(4):
             descriptors[p, w] = keyframe_descriptors[link_keyframes[best], link_features[best], w]
 
 
 @njit(cache=True)
-def _most_central(links: Any, link_keyframes: Any, link_features: Any, keyframe_descriptors: Any) -> int:
-    """The link whose descriptor has the least median distance to the others."""
+def _most_central(
+    links: Any, link_keyframes: Any, link_features: Any, keyframe_descriptors: Any, distances: Any
+) -> int:
+    """The link whose descriptor has the least median distance to the others; `distances` is overwritten."""
     count = len(links)
     if count <= 2:
         return int(links[0])
-    distances = np.zeros((count, count), np.int64)
     for i in range(count):
+        distances[i, i] = 0
         own = keyframe_descriptors[link_keyframes[links[i]]]
         for j in range(i):
             other = keyframe_descriptors[link_keyframes[links[j]]]
@@ -154,10 +231,26 @@ def _most_central(links: Any, link_keyframes: Any, link_features: Any, keyframe_
             distances[j, i] = distance
     best, best_median = 0, 1000
     for i in range(count):
-        row = np.sort(distances[i])
-        if row[(count - 1) // 2] < best_median:
-            best, best_median = i, row[(count - 1) // 2]
+        median = _lower_median(distances[i, :count])
+        if median < best_median:
+            best, best_median = i, median
     return int(links[best])
+
+
+@njit(cache=True)
+def _lower_median(values: Any) -> int:
+    """The middle of a few values, the lower one of two, by insertion; sorts the lower half in place."""
+    half = (len(values) - 1) // 2
+    for i in range(1, len(values)):
+        value = values[i]
+        if i > half and value >= values[half]:
+            continue
+        k = min(i, half)
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return int(values[half])
 
 
 @njit(cache=True)
@@ -182,3 +275,16 @@ def count_redundant(
         if others >= needed:
             redundant += 1
     return total, redundant
+
+
+@njit(cache=True)
+def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
+    """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
+    depths = np.empty(len(points))
+    count = 0
+    x, y, z, offset = camera_from_world[2]
+    for p in points:
+        if p >= 0:
+            depths[count] = x * positions[p, 0] + y * positions[p, 1] + z * positions[p, 2] + offset
+            count += 1
+    return float(np.median(depths[:count])) if count else 1.0

@@ -10,6 +10,7 @@ from codecbench.slam.camera import Camera
 from codecbench.slam.frame import Frame
 from codecbench.slam.geometry import TwoViewPoints, fundamental_between
 from codecbench.slam.map import NONE, Indices, Map
+from codecbench.slam.map_kernels import median_depth
 from codecbench.slam.matching import match_in_windows, match_on_epipolar_lines
 from codecbench.slam.places import Places
 from codecbench.slam.projection import project_map_points
@@ -76,8 +77,7 @@ class Mapper:
         seldom = table.found[young] < thresholds.POINT_MIN_FOUND_SHARE * table.visible[young]
         unseen = table.observation_counts[young] < thresholds.POINT_MIN_OBSERVATIONS
         dying = seldom | ((ages >= thresholds.POINT_TRIAL_KEYFRAMES) & unseen)
-        for point in young[dying]:
-            self.map.remove_point(int(point))
+        self.map.remove_points(young[dying])
         self._probation = young[~dying & (ages < thresholds.POINT_PROBATION_KEYFRAMES)]
 
     def _triangulate(self, keyframe: int, neighbor: int) -> None:
@@ -113,12 +113,9 @@ class Mapper:
 
     def median_depth(self, keyframe: int) -> float:
         """Median depth of the points that `keyframe` sees; 1 where it sees none."""
-        points = self.map.keyframes.points[keyframe]
-        points = points[points >= 0]
-        if len(points) == 0:
-            return 1.0
-        pose = self.map.keyframes.camera_from_world[keyframe]
-        return float(np.median(self.map.points.positions[points] @ pose[2, :3] + pose[2, 3]))
+        slam_map = self.map
+        pose = slam_map.keyframes.camera_from_world[keyframe]
+        return float(median_depth(slam_map.keyframes.points[keyframe], slam_map.points.positions, pose))
 
     # Duplicates -----------------------------------------------------------------------------------------------
 
@@ -178,9 +175,9 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     """
     table, keyframes = slam_map.points, slam_map.keyframes
     features = keyframes.features[keyframe]
-    shown = keyframes.points[keyframe, : len(features)]
-    points = np.setdiff1d(points[table.alive[points]], shown, assume_unique=True)
-    projections = project_map_points(slam_map, points, camera_from_world, camera, thresholds.VIEWING_COSINE)
+    projections = project_map_points(
+        slam_map, slam_map.unseen_points(keyframe, points), camera_from_world, camera, thresholds.VIEWING_COSINE
+    )
     radii = thresholds.FUSE_WINDOW_PX * slam_map.scale_factors[projections.octaves]
     matches = match_in_windows(
         projections.pixels, radii, projections.octaves - 1, projections.octaves,
@@ -192,15 +189,13 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     errors = (offsets**2).sum(axis=1) / slam_map.scale_factors[features.octaves[found]] ** 2
     close = errors < thresholds.CHI2_95_2DOF
     candidates, found = projections.points[queries[close]], found[close]
-    others = keyframes.points[keyframe, found].copy()
+    others = keyframes.points[keyframe, found]
     free = others < 0
     slam_map.observe(keyframe, found[free], candidates[free])
-    for point, other in zip(candidates[~free], others[~free], strict=True):
-        if table.observation_counts[point] > table.observation_counts[other]:
-            slam_map.replace_point(int(other), int(point))
-        else:
-            slam_map.replace_point(int(point), int(other))
-    return len(candidates)
+    candidates, others = candidates[~free], others[~free]
+    stronger = table.observation_counts[candidates] > table.observation_counts[others]
+    slam_map.replace_points(np.where(stronger, others, candidates), np.where(stronger, candidates, others))
+    return len(free)
 
 
 def adjust_keyframes(
@@ -222,6 +217,5 @@ def adjust_keyframes(
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])
     table.positions[points] = result.points_world
-    for keyframe, feature in zip(seen_by[~result.inliers], features[~result.inliers], strict=True):
-        slam_map.unobserve(int(keyframe), int(feature))
+    slam_map.unobserve(seen_by[~result.inliers], features[~result.inliers])
     slam_map.refresh_points(points[table.alive[points]], False)

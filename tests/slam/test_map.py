@@ -38,7 +38,7 @@ def test_a_point_that_one_keyframe_sees_dies(slam_map: Map) -> None:
     point = int(slam_map.keyframes.points[0][0])
     for _ in range(int(slam_map.points.observation_counts[point]) - 1):
         _, keyframes, features = slam_map.observations(np.array([point]))
-        slam_map.unobserve(int(keyframes[0]), int(features[0]))
+        slam_map.unobserve(keyframes[:1], features[:1])
     assert not slam_map.points.alive[point]
     assert_consistent(slam_map)
 
@@ -47,7 +47,7 @@ def test_a_replaced_point_hands_its_observations_over(slam_map: Map) -> None:
     a, b = (int(p) for p in slam_map.keyframes.points[3][:2])
     only_a = set(slam_map.observations(np.array([a]))[1].tolist())
     only_b = set(slam_map.observations(np.array([b]))[1].tolist())
-    slam_map.replace_point(a, b)
+    slam_map.replace_points(np.array([a]), np.array([b]))
     assert set(slam_map.observations(np.array([b]))[1].tolist()) == only_a | only_b
     assert slam_map.resolve_points(np.array([a, b, NONE])).tolist() == [b, b, NONE]
     assert_consistent(slam_map)
