@@ -137,6 +137,10 @@ class Faulty(Codec[FaultParams]):
         _leaked.append(np.ones(200 << 20, np.uint8))
         return self.coded(image)
 
+    def encode_drip(self, image: Image) -> bytes:
+        while True:
+            _leaked.append(np.ones(10 << 20, np.uint8))
+
     def encode_fork(self, image: Image) -> bytes:
         subprocess.Popen(["sleep", "300"])
         return self.coded(image)
@@ -165,6 +169,9 @@ class Faulty(Codec[FaultParams]):
 
     def decode_dtype(self, image: Image) -> Any:
         return image.astype(float)
+
+    def decode_nan(self, image: Image) -> Any:
+        return np.full(image.shape, np.nan, np.float32)
 
     def decode_nothing(self, image: Image) -> Any:
         return None

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 from dask_cluster import cluster_elsewhere
@@ -24,6 +25,7 @@ from pydantic import ValidationError
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.engine.model import Cell
+from codecbench.core.engine.progress import Progress
 from codecbench.plugins.executors.dask import DaskExecutor, DaskParams
 
 pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
@@ -207,6 +209,42 @@ def test_stop_ends_what_it_started_on_workers_that_live_on(bench: Bench) -> None
                 worker = psutil.Process(victim.ppid())
             assert gone(victim)
             assert worker.is_running()
+
+
+def kill_at_random(bench: Bench, kills: int, seed: int) -> None:
+    """Kill dask workers at random while a matrix runs on three of them; the table is that of a quiet run."""
+    evaluators = ", ".join(f"{{use: slow, params: {{fault: '{n}'}}}}" for n in range(kills))
+    local = bench.plan(matrix(f"{CODECS}, {grid('faulty', 'abcd')}", evaluators))
+    bench.run(local, "local")
+    rng = np.random.default_rng(seed)
+    killed: list[int] = []
+    earlier = psutil.Process().children(recursive=True)
+
+    def strike(progress: Progress) -> None:
+        if progress.cells_done < 7 * (len(killed) + 1) - 6 or len(killed) == kills:
+            return
+        workers = [one for one in spawned(earlier) if one.ppid() == os.getpid()]
+        if workers:
+            victim = workers[int(rng.integers(len(workers)))]
+            victim.kill()
+            killed.append(victim.pid)
+
+    executor = "workers: 3, executor: {use: dask, params: {retries: 100}}"
+    plan = bench.plan(matrix(f"{CODECS}, {grid('faulty', 'abcd')}", evaluators, executor))
+    summary = bench.run(plan, "dask", workers=3, listener=strike)
+    assert summary.statuses == {"ok": len(plan.cells)}
+    assert len(killed) == kills
+    assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
+
+
+def test_workers_killed_at_random_change_nothing(bench: Bench) -> None:
+    kill_at_random(bench, kills=4, seed=0)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_many_workers_killed_at_random_change_nothing(bench: Bench) -> None:
+    kill_at_random(bench, kills=40, seed=1)
 
 
 def test_a_killed_coordinator_resumes(bench: Bench) -> None:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +29,7 @@ CODEC_FAULTS = {
     "abort": ("crashed", "coding failed: its worker died of SIGABRT"),
     "hang": ("timed_out", "coding failed: no result within 2 s"),
     "hog": ("failed", "coding failed: encode, frame 2: "),
+    "drip": ("failed", "coding failed: encode, frame 2: "),
     "text": ("failed", "coding failed: encode, frame 2: encode returned str; a bitstream is bytes"),
     "empty": ("failed", "coding failed: encode, frame 2: encode returned no bytes"),
     "leak": ("ok", ""),
@@ -36,6 +41,7 @@ DECODE_FAULTS = {
     "misread": ("failed", "decode, frame 2: no such marker"),
     "shape": ("failed", "decode, frame 2: decode returned shape (15, 24); the frame has (16, 24)"),
     "dtype": ("failed", "decode, frame 2: decode returned dtype float64; a decoded frame is uint8"),
+    "nan": ("failed", "decode, frame 2: decode returned dtype float32; a decoded frame is uint8"),
     "nothing": ("failed", "decode, frame 2: decode returned NoneType; a decoded frame is a numpy array"),
     "memory": ("failed", "decode, frame 2: AttributeError: 'Faulty' object has no attribute 'last_shape'"),
 }
@@ -238,3 +244,49 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: p
     assert (again.kept, again.statuses) == (3, {"ok": 6})
     bench.run(plan, "undisturbed")
     assert contents(bench.store(), plan) == contents(bench.store("undisturbed"), plan)
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[None]:
+    """A file system of 96 kB at `folder`, where this machine lets this user make one."""
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=96k", "codecbench-test", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(words, check=False, capture_output=True).returncode:
+        pytest.skip("a disk to fill is mounted by root only")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}", "wandering, whole, slow"))
+    with small_disk(bench.folder / "disk"):
+        with pytest.raises(StoreError, match="No space left on device"):
+            bench.run(plan, "disk/run")
+        finished = [one.cell_id for one in bench.store("disk/run").entries().values() if one.status == "ok"]
+        sound, damaged = bench.store("disk/run").sound_entries(cell.id for cell in plan.cells)
+        assert finished
+        assert len(finished) < len(plan.cells)
+        assert not damaged
+        subprocess.run(["mount", "-o", "remount,size=16m", bench.folder / "disk"], check=True)
+        again = bench.run(plan, "disk/run")
+        assert (again.kept, again.statuses) == (len(finished), {"ok": 12})
+        assert set(finished) <= set(sound)
+        bench.run(plan, "undisturbed")
+        assert contents(bench.store("disk/run"), plan) == contents(bench.store("undisturbed"), plan)
+
+
+def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: Bench) -> None:
+    plan = bench.plan(matrix(grid("faulty", "abcdefgh"), "slow"))
+    command = [sys.executable, Path(__file__).parent / "run_driver.py", bench.folder / "matrix.yaml"]
+    first = subprocess.Popen([*map(str, command), str(bench.folder / "run"), str(bench.site)])
+    deadline = time.monotonic() + 60
+    while not bench.store().entries():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    with pytest.raises(StoreError, match=rf"is in use by process {first.pid} on .*; wait for it to end or choose"):
+        bench.run(plan)
+    assert first.wait(60) == 0
+    assert {entry.status for entry in bench.store().entries().values()} == {"ok"}
+    assert bench.run(plan).kept == 8

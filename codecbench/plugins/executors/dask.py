@@ -159,7 +159,7 @@ class DaskExecutor(Executor[DaskParams]):
         usual: dict[str, Any] = {}
         if self.params.made == "local":
             usual = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
-            usual["dashboard_address"] = None
+            usual["dashboard_address"] = ":0"  # any free port: the usual one may be taken
         try:
             with hidden_main():
                 cluster = make(**{**usual, **self.params.options})
