@@ -44,7 +44,7 @@ def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
         system[2 * i, 6], system[2 * i, 7], system[2 * i, 8] = v * x, v * y, v
         system[2 * i + 1, 0], system[2 * i + 1, 1], system[2 * i + 1, 2] = x, y, 1.0
         system[2 * i + 1, 6], system[2 * i + 1, 7], system[2 * i + 1, 8] = -u * x, -u * y, -u
-    _, _, vt = np.linalg.svd(system)
+    _, _, vt = np.linalg.svd(system, False)
     return vt[8].copy().reshape((3, 3))
 
 
@@ -56,7 +56,7 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
     for i in range(n):
         x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
         system[i] = np.array([u * x, u * y, u, v * x, v * y, v, x, y, 1.0])
-    _, _, vt = np.linalg.svd(system)
+    _, _, vt = np.linalg.svd(system, False)
     u3, s3, vt3 = np.linalg.svd(vt[8].copy().reshape((3, 3)))
     s3[2] = 0.0
     return u3 @ np.diag(s3) @ vt3
