@@ -8,8 +8,10 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,6 +78,11 @@ def fork_and_hang(path: str) -> None:
 
 def fork_and_return(_: object) -> int:
     return subprocess.Popen(["sleep", "60"]).pid
+
+
+def leave_files_and_hang(_: object) -> None:
+    Path(tempfile.mkdtemp(prefix="left-by-a-codec-"), "large").write_bytes(b"x")
+    ctypes.PyDLL(None).sleep(60)
 
 
 def print_noise(count: int) -> str:
@@ -252,3 +259,44 @@ def test_stop_ends_a_hanging_worker_at_once() -> None:
     executor.stop()
     _expect_gone(worker)
     assert time.monotonic() - begun < 5
+
+
+def rests(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.name.startswith(("codecbench-", "left-by"))]
+
+
+def test_temporary_files_go_with_the_process_that_left_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    executor = LocalExecutor()
+    executor.start(1, prepare)
+    found = outcomes(executor, Task("hang", leave_files_and_hang, None, timeout_s=1.0))
+    assert found["hang"].status == "timed_out"
+    assert [path.name.rsplit("-", 1)[0] for path in rests(tmp_path)] == ["codecbench-workers"]
+    executor.stop()
+    assert not rests(tmp_path)
+
+
+def test_what_a_killed_coordinator_left_is_swept_and_what_is_in_use_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    program = (
+        "import time; from codecbench.plugins.executors.pool import WorkerPool; "
+        "pool = WorkerPool(1, print); print('there', flush=True); time.sleep(60)"
+    )
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"there\n"
+        (theirs,) = rests(tmp_path)
+        first = LocalExecutor()
+        first.start(1, prepare)
+        assert theirs.exists()
+        other.kill()
+    second = LocalExecutor()
+    second.start(1, prepare)
+    assert not theirs.exists()
+    assert outcomes(first, Task("a", double, 2))["a"].value == 4
+    first.stop()
+    second.stop()
+    assert not rests(tmp_path)

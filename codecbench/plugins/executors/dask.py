@@ -258,10 +258,17 @@ def _pool(prepare: partial[None]) -> WorkerPool:
         # A dask worker may be a daemon, which Python does not allow processes of its own; ours end with it anyway.
         multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
         os.environ.update(SINGLE_THREADED)
-        _local.pool, _local.prepared = WorkerPool(1, prepare), wanted
+        _local.pool, _local.prepared = WorkerPool(1, prepare, _own_folder()), wanted
         _pools.append(_local.pool)
     pool: WorkerPool = _local.pool
     return pool
+
+
+def _own_folder() -> str:
+    """The folder of this dask worker: dask removes it when the worker ends or, was it killed, when another begins."""
+    from distributed import get_worker
+
+    return str(get_worker().local_directory)  # type: ignore[no-untyped-call]
 
 
 def _prepare_with(paths: dict[str, str], prepare: Callable[[], None]) -> None:

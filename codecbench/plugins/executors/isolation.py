@@ -16,6 +16,7 @@ import os
 import resource
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -49,10 +50,11 @@ _PR_SET_PDEATHSIG: Final = 1
 
 @dataclass(frozen=True)
 class WorkerFiles:
-    """Where a worker says who it is, and where whatever it prints goes."""
+    """Where a worker says who it is, where whatever it prints goes, and where its temporary files are."""
 
     identity: Path
     output: Path
+    scratch: Path
 
 
 @dataclass
@@ -65,12 +67,14 @@ _state = _State()
 
 
 def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -> None:
-    """Make this process a worker: own process group, output to a file, gone when the parent is gone.
+    """Make this process a worker: own process group, output and temporary files apart, gone when the parent is gone.
 
     Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
     """
     os.setpgid(0, 0)
     _redirect_output(files.output)
+    files.scratch.mkdir(exist_ok=True)
+    tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
     _die_with(parent)
     prepare()

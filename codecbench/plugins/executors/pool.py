@@ -7,6 +7,7 @@ here, on the monotonic clock, and a worker that exceeds either is killed with al
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import queue
@@ -23,7 +24,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 import psutil
 from pebble import ProcessExpired, ProcessPool
@@ -39,6 +40,7 @@ _GRACE_S: Final = 0.5
 _LAUNCHES: Final = 3
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
+_FOLDER_PREFIX: Final = "codecbench-workers-"
 
 _main_lock = threading.Lock()
 
@@ -82,13 +84,17 @@ class _Slot:
 
 
 class WorkerPool:
-    """Up to `workers` processes, each with one task at a time. To be used from one thread."""
+    """Up to `workers` processes, each with one task at a time. To be used from one thread.
 
-    def __init__(self, workers: int, prepare: Callable[[], None]) -> None:
+    Their files are in a folder of their own in `folder`, by default the system's for temporary files.
+    """
+
+    def __init__(self, workers: int, prepare: Callable[[], None], folder: str | None = None) -> None:
         self._prepare = prepare
-        self._folder = Path(tempfile.mkdtemp(prefix="codecbench-workers-"))
-        files = [WorkerFiles(self._folder / f"{n}.json", self._folder / f"{n}.out") for n in range(workers)]
-        self._slots = [_Slot(one) for one in files]
+        parent = folder or tempfile.gettempdir()
+        _sweep(parent)
+        self._folder, self._lock = _locked_folder(parent)
+        self._slots = [_Slot(_files(self._folder, n)) for n in range(workers)]
         self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
 
     @property
@@ -125,6 +131,7 @@ class WorkerPool:
             slot.task = slot.future = None
             self._discard(slot)
         shutil.rmtree(self._folder, ignore_errors=True)
+        self._lock.close()
 
     def kill(self) -> None:
         """Kill what the workers are doing; each task that this hits ends as crashed. For use from another thread."""
@@ -234,8 +241,39 @@ class WorkerPool:
         with suppress(OSError, ValueError):
             _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
         slot.files.identity.unlink(missing_ok=True)
+        shutil.rmtree(slot.files.scratch, ignore_errors=True)
         # Joining can wait forever for the rest of a message from a worker that died while sending it.
         threading.Thread(target=pool.join, name="pool end", daemon=True).start()
+
+
+def _files(folder: Path, number: int) -> WorkerFiles:
+    return WorkerFiles(folder / f"{number}.json", folder / f"{number}.out", folder / f"{number}.tmp")
+
+
+def _locked_folder(parent: str) -> tuple[Path, TextIO]:
+    """A new folder for a pool's files, and the file whose lock says that the pool lives."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=_FOLDER_PREFIX, dir=parent))
+        with suppress(FileNotFoundError):  # another pool swept it before it was locked
+            lock = open(folder / "lock", "w", encoding="ascii")  # noqa: SIM115 - held as long as the pool
+            if _locked(lock) and (folder / "lock").exists():
+                return folder, lock
+            lock.close()
+
+
+def _sweep(parent: str) -> None:
+    """Remove the folders of pools whose process was killed: nobody holds their locks."""
+    for path in Path(parent).glob(f"{_FOLDER_PREFIX}*/lock"):
+        with suppress(OSError), open(path, "r+", encoding="ascii") as lock:
+            if _locked(lock):
+                shutil.rmtree(path.parent, ignore_errors=True)
+
+
+def _locked(lock: TextIO) -> bool:
+    with suppress(BlockingIOError):
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False
 
 
 def _kill_tree(pid: int) -> None:
