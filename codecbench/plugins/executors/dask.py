@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import logging
 import multiprocessing
 import os
 import pickle
@@ -29,6 +30,8 @@ from codecbench.core.contracts.params import Params
 from codecbench.plugins.executors.isolation import SINGLE_THREADED
 from codecbench.plugins.executors.pool import WorkerPool, hidden_main
 
+log = logging.getLogger("codecbench.dask")
+
 _CLUSTERS: Final = {
     "local": ("distributed", "LocalCluster", "codecbench[dask]"),
     "ssh": ("distributed", "SSHCluster", "codecbench[dask] asyncssh"),
@@ -37,6 +40,8 @@ _CLUSTERS: Final = {
 }
 _SEND_DIRECTLY_BYTES: Final = 1 << 20
 """Larger tasks go to a worker past the scheduler, which would otherwise hold them all."""
+
+_CLOSE_S: Final = 20.0
 
 PATHS_VARIABLE: Final = "CODECBENCH_PATHS"
 
@@ -144,9 +149,9 @@ class DaskExecutor(Executor[DaskParams]):
             with suppress(OSError, RuntimeError):
                 client.cancel([sent.future for sent in self._running.values()], force=True)
                 client.run(stop_pools, wait=False, on_error="ignore")
-            client.close(timeout=5)
-        if cluster is not None:
-            cluster.close(timeout=5)
+        for one in (client, cluster):
+            if one is not None:
+                _close(one)
         self._running.clear()
 
     def _make_cluster(self, workers: int) -> Any:
@@ -221,6 +226,14 @@ def _outcome(task_id: str, future: Any) -> Finished | None:
     if type(error).__name__ == "KilledWorker":
         text = f"every worker that tried it died ({text})"
     return Finished(task_id, "crashed", reason=text)
+
+
+def _close(one: Any) -> None:
+    """Close a client or a cluster; on a busy machine that can take longer than a run should wait for it."""
+    try:
+        one.close(timeout=_CLOSE_S)
+    except (OSError, RuntimeError) as error:
+        log.warning("dask's %s did not close and ends with this process: %s", type(one).__name__, error)
 
 
 def _allow_failures(dask_scheduler: Any, count: int) -> None:
