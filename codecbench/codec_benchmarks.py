@@ -4,17 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+from codecbench.codec_baseline import Baseline
 from codecbench.pytest_plugin import CodecCase
 
 
-def test_encode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Any) -> None:
-    facts = codec_under_test.facts()
+def test_encode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Baseline) -> None:
+    case = codec_under_test
+    facts = case.facts()
     benchmark.extra_info.update(facts)
-    benchmark(codec_under_test.codec.encode, codec_under_test.image)
-    codec_baseline(facts)
+    benchmark(case.codec.encode, case.image)
+    complaint = codec_baseline.complaint(facts)
+    if not complaint and benchmark.enabled:
+        complaint = codec_baseline.time_complaint(case.name, "encode", lambda: case.codec.encode(case.image))
+    if complaint:
+        pytest.fail(complaint)
 
 
-def test_decode(codec_under_test: CodecCase, benchmark: Any) -> None:
-    bitstream = codec_under_test.codec.encode(codec_under_test.image)
-    benchmark.extra_info.update(codec_under_test.facts())
-    benchmark(codec_under_test.codec.decode, bitstream)
+def test_decode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Baseline) -> None:
+    case = codec_under_test
+    bitstream = case.codec.encode(case.image)
+    benchmark.extra_info.update(case.facts())
+    benchmark(case.codec.decode, bitstream)
+    if benchmark.enabled:
+        complaint = codec_baseline.time_complaint(case.name, "decode", lambda: case.codec.decode(bitstream))
+        if complaint:
+            pytest.fail(complaint)

@@ -4,15 +4,16 @@
 
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
 installed codec at its example settings). Size, PSNR, operation counts and the codec's version go into `extra_info` of
-pytest-benchmark, and with `--codecbench-baseline FILE` size and PSNR are compared as well: a larger file or a loss of
-quality fails the test whatever the clock says. Settings that the file does not have yet are added to it.
+pytest-benchmark, and with `--codecbench-baseline FILE` all are compared as well: a larger file, a loss of quality or
+one operation more fails the test whatever the clock says, and so does a time, in units of a yardstick timed in
+between, that is more than `--codecbench-slower` per cent longer. Settings that the file lacks are added to it.
 
 A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
 """
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from codecbench.codec_baseline import Baseline
     from codecbench.core.contracts.codec import Codec
     from codecbench.core.contracts.image import Image
 
@@ -72,7 +74,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--codecbench-baseline",
         metavar="FILE",
-        help="a JSON file of sizes and PSNRs: what it has is compared exactly, what it has not is added",
+        help="a JSON file of sizes, PSNRs, operations and relative times: compared with what it has; the rest is added",
+    )
+    group.addoption(
+        "--codecbench-slower",
+        metavar="PERCENT",
+        type=float,
+        default=7.0,
+        help="how much longer than in the baseline encoding or decoding may take (default: 7)",
     )
 
 
@@ -90,26 +99,16 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="session")
-def codec_baseline(request: pytest.FixtureRequest) -> Any:
-    """A function that compares the facts of a case with the baseline file, or adds them to it."""
+def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
+    """The file of `--codecbench-baseline`, with what it lacks added at the end of the session."""
+    from codecbench.codec_baseline import Baseline
+    from codecbench.core.engine.environment import describe_machine
+
     option = request.config.getoption("--codecbench-baseline")
-    path = Path(option) if option else None
-    known: dict[str, Any] = json.loads(path.read_text()) if path is not None and path.exists() else {}
-    added: dict[str, Any] = {}
-
-    def check(facts: dict[str, Any]) -> None:
-        before = known.get(facts["codec"])
-        if before is None:
-            added[facts["codec"]] = {key: facts[key] for key in ("version", "size_bytes", "psnr_db")}
-            return
-        if facts["size_bytes"] > before["size_bytes"]:
-            pytest.fail(f"{facts['codec']}: {facts['size_bytes']} bytes; the baseline has {before['size_bytes']}")
-        if facts["psnr_db"] < before["psnr_db"]:
-            pytest.fail(f"{facts['codec']}: PSNR {facts['psnr_db']} dB; the baseline has {before['psnr_db']} dB")
-
-    yield check
-    if path is not None and added:
-        path.write_text(json.dumps({**known, **added}, indent=2) + "\n")
+    processor = str(describe_machine()["cpu"])
+    baseline = Baseline(Path(option) if option else None, request.config.getoption("--codecbench-slower"), processor)
+    yield baseline
+    baseline.save()
 
 
 def psnr_db(first: Image, second: Image) -> float:

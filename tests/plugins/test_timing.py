@@ -80,7 +80,7 @@ def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:
         time.sleep(0.001)
 
     taken = duration(call, min_ms=20)
-    assert 10 <= calls <= 21
+    assert 2 <= calls <= 21
     assert 1.0 <= taken.wall_ms < 4.0
     calls = 0
     duration(call, min_ms=0)

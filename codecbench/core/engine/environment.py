@@ -39,7 +39,7 @@ def environment_id(environment: dict[str, Any]) -> str:
 def describe_environment(registry: Registry) -> dict[str, Any]:
     """The environment of this process as JSON types; what cannot be read is None."""
     return {
-        "machine": _machine(),
+        "machine": describe_machine(),
         "system": {"name": platform.system(), "release": platform.release(), "libc": " ".join(platform.libc_ver())},
         "python": {"version": platform.python_version(), "implementation": platform.python_implementation()},
         "distributions": _versions(),
@@ -51,7 +51,8 @@ def describe_environment(registry: Registry) -> dict[str, Any]:
     }
 
 
-def _machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
+    """Processor, cores and memory as JSON types; what cannot be read is None."""
     cpu = _text(Path("/proc/cpuinfo")) or ""
     flags = re.search(r"^flags\s*:(.*)$", cpu, re.MULTILINE)
     model = re.search(r"^model name\s*:\s*(.*)$", cpu, re.MULTILINE)

@@ -1,0 +1,135 @@
+"""What a codec did before: sizes, PSNRs, operation counts and relative times, kept in a file under version control.
+
+Sizes, PSNRs and counts are exact on any machine. Times are in units of a yardstick, a fixed piece of work whose turns
+alternate with the codec's, so that a machine that is busier, or clocked lower, slows both; they hold for one model of
+processor.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, overload
+
+import numpy as np
+
+_EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
+_LEAST_PAIRS: Final = 40
+_MOST_S: Final = 8.0
+_SAME_SPEED: Final = 0.1
+"""How far the yardstick may be from its speed in the baseline for a pair to count: beyond it other processes share the
+core's caches and units in another way, and that slows different work differently."""
+_ATTEMPTS: Final = 3
+"""Series of pairs: a slowdown must show in each of them."""
+
+
+class Baseline:
+    """The file at `path`; what it does not have yet is added by `save`. Without a path nothing is compared."""
+
+    def __init__(self, path: Path | None, slower_percent: float, processor: str) -> None:
+        self._path = path
+        self._slower_percent = slower_percent
+        self._processor = processor
+        self._known: dict[str, dict[str, Any]] = {}
+        self._added: dict[str, dict[str, Any]] = {}
+        if path is not None and path.exists():
+            self._known = json.loads(path.read_text())
+
+    def complaint(self, facts: dict[str, Any]) -> str:
+        """How the facts of a setting are worse than before: larger, of less PSNR, more operations; or nothing."""
+        name, before = facts["codec"], self._known.get(facts["codec"])
+        if before is None:
+            self._added.setdefault(name, {}).update({key: facts[key] for key in _EXACT if key in facts})
+            return ""
+        if facts["size_bytes"] > before["size_bytes"]:
+            return f"{name}: {facts['size_bytes']} bytes; the baseline has {before['size_bytes']}"
+        if facts["psnr_db"] < before["psnr_db"]:
+            return f"{name}: PSNR {facts['psnr_db']} dB; the baseline has {before['psnr_db']} dB"
+        for key in ("encode_operations", "decode_operations"):
+            if facts.get(key, 0) > before.get(key, np.inf):
+                more = 100.0 * (facts[key] / before[key] - 1.0)
+                return (
+                    f"{name}: {facts[key]:,} {key.replace('_', ' ')}, {more:+.1f} % of the baseline's {before[key]:,}"
+                )
+        return ""
+
+    def time_complaint(self, name: str, direction: str, call: Callable[[], object]) -> str:
+        """How much slower a call is than before, where every attempt shows it; or nothing.
+
+        Warns where nothing can be said: the baseline is of another model of processor, or the machine is busier, or
+        less busy, than it was then.
+        """
+        key = f"{direction}_time"
+        before = self._known.get(name)
+        if self._path is None or (before is not None and key not in before):
+            return ""
+        if before is None:
+            trials = sorted((relative_time(call) for _ in range(_ATTEMPTS)), key=lambda trial: trial.yardsticks)
+            self._added.setdefault(name, {})[key] = {"processor": self._processor, **vars(trials[_ATTEMPTS // 2])}
+            return ""
+        then = before[key]
+        if then["processor"] != self._processor:
+            warnings.warn(f"{name}: times of the baseline are of {then['processor']}", stacklevel=2)
+            return ""
+        least = np.inf
+        for _ in range(_ATTEMPTS):
+            now = relative_time(call, then["yardstick_ms"])
+            if now is None:
+                warnings.warn(f"{name}: cannot tell whether {direction} is slower, the machine is not as "
+                              "busy as when the baseline was made", stacklevel=2)  # fmt: skip
+                return ""
+            least = min(least, now.yardsticks / then["yardsticks"])
+            if least <= 1.0 + self._slower_percent / 100.0:
+                return ""
+        slower = 100.0 * (least - 1.0)
+        return (
+            f"{name}: {direction} takes {slower:+.1f} % of the baseline's time; {self._slower_percent:g} % is allowed"
+        )
+
+    def save(self) -> None:
+        """Write what was added."""
+        if self._path is not None and self._added:
+            self._path.write_text(json.dumps({**self._known, **self._added}, indent=2) + "\n")
+
+
+@dataclass(frozen=True)
+class RelativeTime:
+    """Processor time of a call in yardsticks, and of a yardstick in milliseconds: medians."""
+
+    yardsticks: float
+    yardstick_ms: float
+
+
+@overload
+def relative_time(call: Callable[[], object]) -> RelativeTime: ...
+@overload
+def relative_time(call: Callable[[], object], yardstick_ms: float) -> RelativeTime | None: ...
+
+
+def relative_time(call: Callable[[], object], yardstick_ms: float | None = None) -> RelativeTime | None:
+    """Time a call and the yardstick in turn.
+
+    With `yardstick_ms` only pairs count whose yardstick takes about that long; None where there are too few of them.
+    """
+    from codecbench.plugins.evaluators.timing import duration, yardstick
+
+    call()
+    ratios: list[float] = []
+    beside: list[float] = []
+    end_s = time.monotonic() + _MOST_S
+    before = yardstick().cpu_ms
+    while len(ratios) < _LEAST_PAIRS:
+        if yardstick_ms is not None and time.monotonic() > end_s:
+            return None
+        taken = duration(call, before).cpu_ms
+        after = yardstick().cpu_ms
+        mean = (before + after) / 2.0
+        if yardstick_ms is None or abs(mean - yardstick_ms) <= _SAME_SPEED * yardstick_ms:
+            ratios.append(taken / mean)
+            beside.append(mean)
+        before = after
+    return RelativeTime(float(np.median(ratios)), float(np.median(beside)))
