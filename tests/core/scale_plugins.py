@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -57,6 +58,26 @@ class Noop(CodecEvaluator[Number]):
         yield Measurement("number", float(self.params.number))
 
 
+class Burn(CodecEvaluator[Number]):
+    """Uses up half a second of a core."""
+
+    name = "burn"
+    version = "1"
+    params_type = Number
+    metrics = (Metric("number", "1", "neither", "its own number"),)
+
+    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        burn(0.5)
+        yield Measurement("number", float(self.params.number))
+
+
+def burn(cpu_s: float) -> None:
+    """Compute until this process has had that much of a core."""
+    until = time.process_time() + cpu_s
+    while time.process_time() < until:
+        sum(range(10000))
+
+
 class Sampled(FrameEvaluator[Number]):
     """Declares five metrics a frame; what a run would have kept of it is written by the test."""
 
@@ -82,5 +103,6 @@ def codecbench_codecs() -> list[Offer]:
 def codecbench_evaluators() -> list[Offer]:
     return [
         Offer("noop", _HERE + "Noop", "measures nothing"),
+        Offer("burn", _HERE + "Burn", "computes for half a second"),
         Offer("sampled", _HERE + "Sampled", "many samples"),
     ]

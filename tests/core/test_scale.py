@@ -1,15 +1,17 @@
 """Many cells and many samples. The short forms check that all is there; the long forms (--slow) hold times and memory.
 
-To see the figures: pytest tests/core/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO -p no:xdist
+To see the figures: pytest tests/core/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import statistics
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +21,7 @@ import distributions
 import numpy as np
 import pandas as pd
 import psutil
+import pyarrow.parquet as pq
 import pytest
 from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, write_stack
@@ -86,8 +89,21 @@ class Load:
         return {name: round(1e3 * (end - self.begun_s[name]) / cells, 2) for name, end in self.cpu_s().items()}
 
 
-def whole_process(*words: str | Path, site: Path) -> tuple[float, float, bytes]:
-    """Seconds, peak memory in MB and output of `codecbench WORDS` in a process of its own."""
+@dataclass(frozen=True)
+class Process:
+    """What a process took. cpu_s: what wall_s would be on an idle machine, for these processes compute all the time."""
+
+    wall_s: float
+    cpu_s: float
+    memory_mb: float
+    output: bytes
+
+    def __str__(self) -> str:
+        return f"{self.wall_s:.1f} s ({self.cpu_s:.1f} s CPU), {self.memory_mb:.0f} MB"
+
+
+def whole_process(*words: str | Path, site: Path) -> Process:
+    """`codecbench WORDS` in a process of its own."""
     path = os.pathsep.join([str(site), str(Path(__file__).parent)])
     command = [sys.executable, "-m", "codecbench", *map(str, words)]
     begun = time.monotonic()
@@ -98,7 +114,7 @@ def whole_process(*words: str | Path, site: Path) -> tuple[float, float, bytes]:
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0, output[-2000:]
-    return time.monotonic() - begun, usage.ru_maxrss / 1024, output
+    return Process(time.monotonic() - begun, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, output)
 
 
 @pytest.mark.parametrize(
@@ -130,23 +146,19 @@ def test_no_op_cells_are_planned_scheduled_and_tabulated(
 
 
 def check_tables(bench: Bench, rows: int, evaluators: int) -> None:
-    took_s, memory_mb, output = whole_process(
-        "table", "--wide", "--format", "csv", bench.folder / "run", site=bench.site
-    )
-    lines = output.decode().splitlines()
+    took = whole_process("table", "--wide", "--format", "csv", bench.folder / "run", site=bench.site)
+    lines = took.output.decode().splitlines()
     assert len(lines) == 1 + rows
     values = lines[-1].split(",")
     assert [float(value) for value in values[3 : 3 + evaluators]] == list(range(evaluators))
-    log.info("table of %d rows and %d columns: %.1f s, %.0f MB", rows, len(values), took_s, memory_mb)
+    log.info("table of %d rows and %d columns: %s", rows, len(values), took)
 
 
 def check_resume(bench: Bench, count: int) -> None:
-    status_s, _, said = whole_process("status", bench.folder / "run", site=bench.site)
-    assert f"{count} cells: {count} ok".encode() in said
-    resume_s, memory_mb, _ = whole_process(
-        "run", bench.folder / "matrix.yaml", "--out", bench.folder / "run", site=bench.site
-    )
-    log.info("listing %.1f s; resuming %.1f s, %.0f MB", status_s, resume_s, memory_mb)
+    listing = whole_process("status", bench.folder / "run", site=bench.site)
+    assert f"{count} cells: {count} ok".encode() in listing.output
+    resume = whole_process("run", bench.folder / "matrix.yaml", "--out", bench.folder / "run", site=bench.site)
+    log.info("listing: %s; resuming: %s", listing, resume)
 
 
 def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> int:
@@ -176,27 +188,51 @@ def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int
 def test_a_wide_table_of_many_samples(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> None:
     samples = fill(bench, sequences, codecs, evaluators, frames)
     rows = sequences * codecs
-    took_s, memory_mb, _ = whole_process("table", "--wide", bench.folder / "run", site=bench.site)
-    log.info("%d cells, %d samples: table --wide in %.1f s, %.0f MB", rows * evaluators, samples, took_s, memory_mb)
-    assert took_s < 10
-    assert memory_mb < 2000
-    parquet = bench.folder / "wide.parquet"
-    took_s, memory_mb, _ = whole_process(
-        "table", "--wide", "--format", "parquet", "--out", parquet, bench.folder / "run", site=bench.site
-    )
-    log.info("the same as Parquet in %.1f s, %.0f MB", took_s, memory_mb)
-    assert took_s < 10
-    assert memory_mb < 2000
-    wide = open_run(bench.folder / "run").wide
-    assert (len(wide), len(wide.columns)) == (rows, 5 + evaluators * 15)
-    assert wide.equals(pd.read_parquet(parquet))
-    tidy = bench.folder / "tidy.parquet"
-    took_s, memory_mb, _ = whole_process(
-        "table", "--tidy", "--format", "parquet", "--out", tidy, bench.folder / "run", site=bench.site
-    )
-    log.info(
-        "all samples as one tidy Parquet table of %d MB in %.1f s, %.0f MB",
-        tidy.stat().st_size >> 20,
-        took_s,
-        memory_mb,
-    )
+    log.info("%d cells, %d samples", rows * evaluators, samples)
+    wide, tidy = bench.folder / "wide.parquet", bench.folder / "tidy.parquet"
+    for words in (
+        ("table", "--wide"),
+        ("table", "--wide", "--format", "parquet", "--out", wide),
+        ("table", "--tidy", "--format", "parquet", "--out", tidy),
+    ):
+        took = whole_process(*words, bench.folder / "run", site=bench.site)
+        log.info("%s: %s", " ".join(map(str, words[:4])), took)
+        assert took.memory_mb < 2000
+        assert took.cpu_s < 10 or "--tidy" in words
+    table = open_run(bench.folder / "run").wide
+    assert table.shape == (rows, 5 + evaluators * 15)
+    assert table.equals(pd.read_parquet(wide))
+    assert pq.ParquetFile(tidy).metadata.num_rows == samples
+
+
+def bare_s(processes: int, cpu_s: float) -> float:
+    """How long so many processes without codecbench take to use so much of the cores together."""
+    program = f"from scale_plugins import burn; burn({cpu_s / processes})"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    begun = time.monotonic()
+    started = [subprocess.Popen([sys.executable, "-c", program], env=environment) for _ in range(processes)]
+    assert [process.wait() for process in started] == [0] * processes
+    return time.monotonic() - begun
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_two_workers_gain_what_the_machine_has_to_give(bench: Bench) -> None:
+    """Whole processes, interleaved; the machine's gain is that of bare processes between them."""
+    bench.plan(many(bench, 1, 1, 40, "burn"))
+    text = (bench.folder / "matrix.yaml").read_text()
+    took_s: dict[tuple[str, int], list[float]] = defaultdict(list)
+    for round_ in range(3):
+        for workers in (1, 2):
+            took_s["bare", workers].append(bare_s(workers, 20.0))
+            for executor in ("local", "dask"):
+                path = bench.folder / "matrix.yaml"
+                path.write_text(text.replace("workers: 2", f"workers: {workers}, executor: {executor}"))
+                out = bench.folder / f"{executor}-{workers}-{round_}"
+                took_s[executor, workers].append(whole_process("run", path, "--out", out, site=bench.site).wall_s)
+    median_s = {what: statistics.median(times) for what, times in took_s.items()}
+    gain = {what: median_s[what, 1] / median_s[what, 2] for what in ("bare", "local", "dask")}
+    log.info("40 cells of 0.5 s: %s", {f"{what} {workers}": round(s, 1) for (what, workers), s in median_s.items()})
+    log.info("gain from 1 to 2 workers: %s", {what: round(value, 2) for what, value in gain.items()})
+    assert gain["local"] > 0.75 * gain["bare"]
+    assert gain["dask"] > 0.7 * gain["bare"]
