@@ -12,6 +12,7 @@ import pytest
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval, summarise
 from codecbench.core.engine.model import Cell, PluginSetting, SequenceEntry
+from codecbench.core.engine.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.results.table import TIDY_COLUMNS, CellResult, tidy, wide
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "synthetic", "1"), "f00d", 3, 3, True, True)
@@ -40,13 +41,9 @@ def result(
         job_id=None,
     )
     samples = [Measurement("psnr_db", value, frame=index) for index, value in enumerate(psnr)]
-    columns = {
-        name: [getattr(one, name) for one in samples] for name in ("metric", "frame", "stage", "value", "reason")
-    }
+    kept = table_from_parquet(parquet_from_samples(samples))
     metrics = {"psnr_db": PSNR, "ate_m": ATE}
-    return CellResult(
-        cell, status, reason, own, summarise(samples, [PSNR]), metrics, lambda: pd.DataFrame(columns), Path()
-    )
+    return CellResult(cell, status, reason, own, summarise(samples, [PSNR]), metrics, lambda: kept, Path())
 
 
 def test_tidy_has_one_row_a_measurement_and_the_columns_in_order() -> None:

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Metric, Outcome
 from codecbench.core.engine.model import Cell, Plan
 from codecbench.core.engine.record import Record
 from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.samples import table_from_parquet
+from codecbench.core.engine.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.engine.store import Store
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.table import CellResult
+
+if TYPE_CHECKING:
+    import pyarrow
 
 BASELINE: Final = "raw"
 """The codec that others are compared with where an evaluator compares."""
@@ -93,7 +93,6 @@ def _result(
         metrics = {metric.name: metric for metric in evaluator.metrics}
         if record.status == "ok":
             measurements += tuple(evaluator.compare(outcome, baseline))
-    frames: Callable[[], pd.DataFrame] = partial(_frames, store, record)
     return CellResult(
         cell,
         record.status,
@@ -101,19 +100,16 @@ def _result(
         measurements,
         record.summaries,
         metrics,
-        frames,
+        partial(_samples, store, record),
         outcome.artifacts,
     )
 
 
-def _frames(store: Store, record: Record) -> pd.DataFrame:
+def _samples(store: Store, record: Record) -> pyarrow.Table:
     """The per-frame samples of a record; empty where it has none or they are damaged, which is reported."""
     try:
         content = store.samples(record)
     except StoreError as error:
         log.warning("%s", error)
         content = None
-    if content is None:
-        return pd.DataFrame({name: [] for name in ("metric", "frame", "stage", "value", "reason")})
-    table: pd.DataFrame = table_from_parquet(content).to_pandas()
-    return table
+    return table_from_parquet(parquet_from_samples([]) if content is None else content)

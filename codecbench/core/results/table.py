@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,9 @@ import pandas as pd
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import aggregate
 from codecbench.core.engine.model import Cell, PluginSetting
+
+if TYPE_CHECKING:
+    import pyarrow
 
 TIDY_COLUMNS: Final = (
     "sequence", "codec", "setting", "evaluator", "metric", "unit",
@@ -30,8 +33,8 @@ class CellResult:
     """A cell beside what became of it, as tables need it.
 
     measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
-    aggregates over the frames of this repeat, by (metric, stage, aggregate). frames: reads the samples of
-    single frames, a DataFrame of metric, frame, stage, value, reason. metrics: what the evaluator declares.
+    aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
+    declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
     folder: where the record and its artifacts lie.
     """
 
@@ -41,8 +44,13 @@ class CellResult:
     measurements: tuple[Measurement, ...]
     summaries: dict[tuple[str, str, str], float]
     metrics: dict[str, Metric]
-    frames: Callable[[], pd.DataFrame]
+    samples: Callable[[], pyarrow.Table]
     folder: Path
+
+    def frames(self) -> pd.DataFrame:
+        """The samples of single frames: metric, frame, stage, value, reason."""
+        frames: pd.DataFrame = self.samples().to_pandas()
+        return frames
 
 
 def shown(setting: PluginSetting) -> str:
@@ -90,9 +98,11 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
 
 def _rows(result: CellResult) -> dict[str, Any]:
     """The tidy rows of one cell as columns; constant text is given once and repeated when columns are joined."""
-    frames = result.frames() if result.status == "ok" else pd.DataFrame()
+    samples = result.samples() if result.status == "ok" else None
+    if samples is not None and not len(samples):
+        samples = None
     own = result.measurements
-    count = len(own) + len(frames)
+    count = len(own) + (0 if samples is None else len(samples))
     cell = result.cell
     once = {
         "sequence": cell.sequence.name,
@@ -101,24 +111,24 @@ def _rows(result: CellResult) -> dict[str, Any]:
         "evaluator": shown(cell.evaluator),
         "status": result.status,
     }
-    count = max(count, 1)
+    nothing, count = count == 0, max(count, 1)
     columns: dict[str, Any] = {name: (np.zeros(count, np.int32), [text]) for name, text in once.items()}
     columns["repeat"] = np.full(count, cell.repeat, np.int32)
-    if not (own or len(frames)):
+    if nothing:
         blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
         columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
         return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
-    metric = _chained(_codes([one.metric for one in own]), frames, "metric")
+    metric = _chained(_codes([one.metric for one in own]), samples, "metric")
     codes, names = metric
     columns["metric"] = metric
     columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
-    columns["stage"] = _chained(_codes([one.stage for one in own]), frames, "stage")
-    columns["reason"] = _chained(_codes([one.reason for one in own]), frames, "reason")
-    own_frames = np.full(len(own), np.nan)
-    own_values = np.array([one.value for one in own], dtype=np.float64)
-    has_frames = len(frames) > 0
-    columns["frame"] = np.concatenate([own_frames, frames["frame"].to_numpy(np.float64)]) if has_frames else own_frames
-    columns["value"] = np.concatenate([own_values, frames["value"].to_numpy(np.float64)]) if has_frames else own_values
+    columns["stage"] = _chained(_codes([one.stage for one in own]), samples, "stage")
+    columns["reason"] = _chained(_codes([one.reason for one in own]), samples, "reason")
+    columns["frame"] = np.full(len(own), np.nan)
+    columns["value"] = np.array([one.value for one in own], dtype=np.float64)
+    if samples is not None:
+        for name in ("frame", "value"):
+            columns[name] = np.concatenate([columns[name], samples[name].to_numpy()])
     return columns
 
 
@@ -129,15 +139,17 @@ def _codes(texts: list[str | None]) -> tuple[np.ndarray, list[str]]:
     return np.array(codes, np.int32), list(names)
 
 
-def _chained(own: tuple[np.ndarray, list[str]], frames: pd.DataFrame, column: str) -> tuple[np.ndarray, list[str]]:
+def _chained(
+    own: tuple[np.ndarray, list[str]], samples: pyarrow.Table | None, column: str
+) -> tuple[np.ndarray, list[str]]:
     """Own texts followed by a text column of the frames' samples."""
-    if not len(frames):
+    if samples is None:
         return own
     codes, names = own
-    series = frames[column].astype("category")
-    more = series.cat.codes.to_numpy(np.int32)
+    texts = samples[column].combine_chunks().dictionary_encode()
+    more = texts.indices.fill_null(-1).to_numpy()
     shifted = np.where(more < 0, -1, more + len(names)).astype(np.int32)
-    return np.concatenate([codes, shifted]), names + [str(name) for name in series.cat.categories]
+    return np.concatenate([codes, shifted]), names + texts.dictionary.to_pylist()
 
 
 def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
