@@ -136,6 +136,7 @@ class Map:
         self.keyframes = KeyframeTable(features_limit)
         self.culled: dict[int, CulledKeyframe] = {}
         self.loop_edges: list[tuple[int, int]] = []
+        self._neighbors: dict[tuple[int, int | None, int], tuple[Indices, Indices]] = {}  # until observations change
         self._links = 0
         self._following = np.empty(16384, np.int64)
         self._link_keyframes = np.empty(16384, np.int64)
@@ -145,6 +146,7 @@ class Map:
 
     def observe(self, keyframe: int, features: Indices, points: Indices) -> None:
         """Record that `keyframe` sees points[i] at features[i]; neither may have an observation there yet."""
+        self._neighbors.clear()
         rows = self._links + len(points)
         self._following = grown(self._following, rows, NONE)
         self._link_keyframes = grown(self._link_keyframes, rows, NONE)
@@ -166,6 +168,7 @@ class Map:
 
     def unobserve(self, keyframes: Indices, features: Indices) -> None:
         """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
+        self._neighbors.clear()
         map_kernels.forget_observations(keyframes, features, self._lists)
 
     def observations(self, points: Indices) -> tuple[Indices, Indices, Indices]:
@@ -178,11 +181,13 @@ class Map:
 
     def remove_points(self, points: Indices) -> None:
         """Let points die and forget who saw them."""
+        self._neighbors.clear()
         map_kernels.kill_points(points, self._lists)
 
     def replace_points(self, old: Indices, new: Indices) -> None:
         """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies. No point is in both."""
         table = self.points
+        self._neighbors.clear()
         map_kernels.hand_over(old, new, self._lists)
         table.replaced_by[old] = new
         np.add.at(table.found, new, table.found[old])
@@ -227,11 +232,19 @@ class Map:
         self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
     ) -> tuple[Indices, Indices]:
         """Keyframes that share `min_points` points with `keyframe`, most first, and how many they share."""
+        key = int(keyframe), limit, min_points
+        if key not in self._neighbors:
+            self._neighbors[key] = self._find_neighbors(*key)
+        return self._neighbors[key]
+
+    def _find_neighbors(self, keyframe: int, limit: int | None, min_points: int) -> tuple[Indices, Indices]:
         weights = self.covisibility(self.keyframes.points[keyframe])
         weights[keyframe] = 0
         order = np.argsort(-weights, kind="stable")
         order = order[weights[order] >= max(min_points, 1)][:limit]
-        return order, weights[order]
+        weights = weights[order]
+        order.flags.writeable = weights.flags.writeable = False  # they are shared
+        return order, weights
 
     def points_of(self, keyframes: Indices) -> Indices:
         """The points that any of `keyframes` sees, ascending."""

@@ -147,7 +147,7 @@ class Mapper:
         fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
         if len(fixed) == 0:  # the oldest keeps its pose; the scale is free, and damping keeps it where it was
             fixed, free = free[free == free.min()], free[free != free.min()]
-        adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10))
+        adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10), thresholds.LOCAL_BUNDLE_TOLERANCE)
 
     def _cull_keyframes(self, keyframe: int) -> None:
         """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
@@ -199,7 +199,13 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
 
 
 def adjust_keyframes(
-    slam_map: Map, camera: Camera, free: Indices, fixed: Indices, points: Indices, iterations: tuple[int, ...]
+    slam_map: Map,
+    camera: Camera,
+    free: Indices,
+    fixed: Indices,
+    points: Indices,
+    iterations: tuple[int, ...],
+    tolerance: float = 1e-4,
 ) -> None:
     """Bundle adjustment of `free` keyframes and `points`, with `fixed` keyframes; outliers lose their observation."""
     table, keyframes = slam_map.points, slam_map.keyframes
@@ -213,7 +219,7 @@ def adjust_keyframes(
     result = adjust(
         keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
         keyframes.pixels[seen_by, features], slam_map.scale_factors[octaves] ** -2.0, camera.intrinsics,
-        np.arange(len(chosen)) >= len(free), iterations=iterations,
+        np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])
     table.positions[points] = result.points_world
