@@ -8,14 +8,17 @@ import click
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("docs/reproduction.md"), show_default=True
 )
-def reproduce(run: Path, out: Path) -> None:
-    """Write the page that puts the paper beside the RUN folder of examples/paper.yaml, table by table."""
+def reproduce(runs: tuple[Path, ...], out: Path) -> None:
+    """Write the page that puts the paper beside the RUN folder of examples/paper.yaml, table by table.
+
+    The trajectories of further runs, such as that of examples/paper_loops.yaml, are added to its own.
+    """
     from codecbench.core.results.collect import open_run
     from codecbench.core.results.reproduction.page import write_page
 
-    for path in write_page(open_run(run), out):
+    for path in write_page([open_run(run) for run in runs], out):
         click.echo(str(path))

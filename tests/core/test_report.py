@@ -105,7 +105,7 @@ def test_figures_are_drawn_and_repeat_exactly(run: RunResult, tmp_path: Path) ->
 
 
 def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunResult, tmp_path: Path) -> None:
-    written = write_page(run, tmp_path / "reproduction.md")
+    written = write_page([run], tmp_path / "reproduction.md")
     text = written[0].read_text()
     for number in range(1, 7):
         assert f"## Table {number}" in text

@@ -34,21 +34,32 @@ _DEVIATIONS = (
 )
 
 
-def write_page(run: RunResult, path: Path) -> list[Path]:
-    """Write the page of a run to `path` and its figures beside it; gives everything written."""
-    measured = Measured(run)
+def write_page(runs: list[RunResult], path: Path) -> list[Path]:
+    """Write the page of one or more runs to `path` and its figures beside it; gives everything written.
+
+    The tables are of the first run; all runs show their trajectories.
+    """
+    measured = [Measured(run) for run in runs]
     folder = path.parent / f"{path.stem}-figures"
-    figures = list(draw_all(run, folder, "svg"))
-    parts = [*_introduction(measured), *quality_tables(measured), *operation_tables(measured), *_trajectories(measured)]
+    figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
+    parts = [*_introduction(runs), *quality_tables(measured[0]), *operation_tables(measured[0])]
+    parts += _limits_introduction(runs)
+    for one in measured:
+        parts += _trajectories(one)
     parts += [*_figures(figures, path), *_contradictions(measured), *_closing()]
     write_file(path, "\n".join(parts).encode())
     return [path, *figures]
 
 
-def _introduction(measured: Measured) -> Iterator[str]:
-    run = measured.run
+def _drawn(run: RunResult, folder: Path, number: int) -> list[Path]:
+    """The figures of a run; those of later ones in a folder of their own."""
+    return list(draw_all(run, folder / run.plan.name if number else folder, "svg"))
+
+
+def _introduction(runs: list[RunResult]) -> Iterator[str]:
     yield "# The paper, reproduced and judged\n"
-    made = f"Made by `codecbench reproduce` (codecbench {version('codecbench')}) from the run `{run.plan.name}`."
+    names = " and ".join(f"`{run.plan.name}`" for run in runs)
+    made = f"Made by `codecbench reproduce` (codecbench {version('codecbench')}) from {names}."
     yield f"{made} The paper is {facts.CITATION}.\n"
     yield (
         "Nothing is tuned to the paper's figures. Where its numbers cannot be reached or contradict themselves, this "
@@ -57,28 +68,34 @@ def _introduction(measured: Measured) -> Iterator[str]:
     yield "## Frames\n"
     rows = [
         [
+            run.plan.name,
             entry.name,
             entry.dataset.name,
             entry.frames,
             "gray" if entry.channels == 1 else "colour",
             entry.fingerprint[:12],
         ]
+        for run in runs
         for entry in run.plan.sequences
     ]
-    yield table(["sequence", "dataset", "frames", "", "fingerprint"], rows)
+    yield table(["run", "sequence", "dataset", "frames", "", "fingerprint"], rows)
     yield "The paper: TUM freiburg3_long_office_household, 2585 frames; its tables show frames 1132 and 2398.\n"
+    for run in runs:
+        yield _provenance(run)
+
+
+def _provenance(run: RunResult) -> str:
+    """Where a run was computed, how much of it, and what it took."""
     machines = sorted({str(one.get("machine", {}).get("cpu")) for one in run.environments.values()})
     done = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
     machine = ", ".join(machines) or "an unknown machine"
     rest = f"{len(run.failed)} failed, {unsupported} unsupported"
-    yield f"Computed on {machine}: {done} of {len(run.plan.cells)} cells, {rest}.\n"
+    return f"`{run.plan.name}`, computed on {machine}: {done} of {len(run.plan.cells)} cells, {rest}.\n"
 
 
-def _trajectories(measured: Measured) -> Iterator[str]:
-    run = measured.run
-    success = run.tidy[run.tidy["metric"] == "success"]
-    if not len(success):
+def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
+    if not any((run.tidy["metric"] == "success").any() for run in runs):
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
@@ -88,6 +105,11 @@ def _trajectories(measured: Measured) -> Iterator[str]:
         "before the first map count as not tracked: of 200 frames an ordinary start, some 20 frames, takes a tenth, so "
         "that short sequences fail by a frame.\n"
     )
+
+
+def _trajectories(measured: Measured) -> Iterator[str]:
+    run = measured.run
+    success = run.tidy[run.tidy["metric"] == "success"]
     tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
     untracked = [str(name) for name, most in tracked.items() if most == 0.0]
     if untracked:
@@ -96,7 +118,7 @@ def _trajectories(measured: Measured) -> Iterator[str]:
     for evaluator in dict.fromkeys(success["evaluator"]):
         limits = trajectory_limits(run.wide, success[success["evaluator"] == evaluator], run.curves)
         rows = [[sequence, curve, *_limit(limit), _paper(curve)] for (sequence, curve), limit in limits.items()]
-        yield f"### {evaluator}\n"
+        yield f"### {run.plan.name}, {evaluator}\n"
         yield table(["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows)
         yield from _errors(measured, str(evaluator))
 
@@ -151,7 +173,7 @@ def _figures(figures: list[Path], page: Path) -> Iterator[str]:
             yield f"![{path.stem.replace('-', ', ').replace('_', ' ')}]({path.relative_to(page.parent)})\n"
 
 
-def _contradictions(measured: Measured) -> Iterator[str]:
+def _contradictions(measured: list[Measured]) -> Iterator[str]:
     yield "## Where the paper contradicts itself\n"
     for number, (title, statement, measurement) in enumerate(contradictions(measured), start=1):
         yield f"{number}. **{title}.** {statement}\n\n    *Measured:* {measurement}\n"
