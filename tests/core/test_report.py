@@ -20,7 +20,7 @@ from codecbench.core.results.run_result import RunResult
 MATRIX = """
 version: 1
 name: small
-sequences: [{use: synthetic, params: {stop: 40}}]
+sequences: [{use: synthetic, params: {stop: 24}}]
 codecs:
   - raw
   - {use: jpeg, params: {quality: {grid: [10, 30, 60]}}}
