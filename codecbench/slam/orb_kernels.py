@@ -59,18 +59,16 @@ def orient_patches(level: Any, corners: Any) -> Any:
     angles = np.empty(len(corners))
     for i in range(len(corners)):
         x, y = corners[i, 0], corners[i, 1]
-        m10 = 0
-        m01 = 0
-        for u in range(-_RADIUS, _RADIUS + 1):
-            m10 += u * np.int64(level[y, x + u])  # type: ignore[assignment]
-        for v in range(1, _RADIUS + 1):
-            width = _HALF_WIDTHS[v]
-            row = 0
-            for u in range(-width, width + 1):
-                above, below = np.int64(level[y - v, x + u]), np.int64(level[y + v, x + u])
-                row += below - above  # type: ignore[assignment]
-                m10 += u * (below + above)  # type: ignore[assignment]
-            m01 += v * row
+        m10, m01 = np.int32(0), np.int32(0)
+        for v in range(-_RADIUS, _RADIUS + 1):
+            width = _HALF_WIDTHS[abs(v)]
+            row = level[y + v, x - width : x + width + 1]
+            total, moment = np.int32(0), np.int32(0)
+            for k in range(np.uint64(len(row))):  # unsigned, and 32 bits: vector code
+                total += np.int32(row[k])
+                moment += np.int32(k) * np.int32(row[k])
+            m10 += moment - np.int32(width) * total
+            m01 += np.int32(v) * total
         angles[i] = math.atan2(float(m01), float(m10))
     return angles
 
@@ -79,16 +77,16 @@ def orient_patches(level: Any, corners: Any) -> Any:
 def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
     """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
     descriptors = np.empty((len(corners), 32), np.uint8)
-    stride = blurred.shape[1]
+    stride = np.int32(blurred.shape[1])
     flat = blurred.reshape(-1)
-    offsets = np.empty(512, np.int64)
+    offsets = np.empty(512, np.int32)
     for i in range(len(corners)):
-        center = corners[i, 1] * stride + corners[i, 0]
+        corner = np.int32((corners[i, 1] - 64) * stride + corners[i, 0] - 64)
         c, s = math.cos(angles[i]), math.sin(angles[i])
-        for k in range(512):  # floor by truncation: 64 keeps the argument above zero
-            row = np.int64(_PATTERN_X[k] * s + _PATTERN_Y[k] * c + 64.5) - 64
-            column = np.int64(_PATTERN_X[k] * c - _PATTERN_Y[k] * s + 64.5) - 64
-            offsets[k] = center + row * stride + column
+        for k in range(512):  # floor by truncation: 64 keeps the argument above zero; 32 bits: vector code
+            row = np.int32(_PATTERN_X[k] * s + _PATTERN_Y[k] * c + 64.5)
+            column = np.int32(_PATTERN_X[k] * c - _PATTERN_Y[k] * s + 64.5)
+            offsets[k] = np.int32(corner + np.int32(np.int32(row * stride) + column))
         for byte in range(32):
             value = 0
             for bit in range(8):
