@@ -155,7 +155,7 @@ LOCAL_BUNDLE_KEYFRAMES: Final = 20
 """Keyframes: free ones in a local bundle adjustment (own; keeps a step bounded)."""
 LOCAL_BUNDLE_FIXED: Final = 30
 """Keyframes: fixed ones in a local bundle adjustment, those that see most of its points (own)."""
-LOCAL_BUNDLE_TOLERANCE: Final = 1e-3
+LOCAL_BUNDLE_TOLERANCE: Final = 1e-4
 """Of the cost: a round of a local adjustment ends with a step that gains less; the next one goes on (own)."""
 
 # Relocalisation and loops ---------------------------------------------------------------------------------------------
