@@ -28,6 +28,7 @@ from codecbench.core.engine.model import Cell
 from codecbench.core.engine.progress import Progress
 from codecbench.plugins.executors.dask import DaskExecutor, DaskParams
 
+dask = pytest.importorskip("dask")
 pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
 
 HERE = Path(__file__).parent
@@ -118,6 +119,32 @@ def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up
         assert deadly.status == "crashed"
         assert "every worker that tried it died" in deadly.reason
         assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
+
+
+def test_workers_that_are_all_lost_are_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those that are killed while they start, which dask's nannies do not start again."""
+    monkeypatch.setattr("codecbench.plugins.executors.dask._LOOK_EVERY_S", 1.0)
+    earlier = psutil.Process().children(recursive=True)
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1s"}), started(DaskParams()) as executor:
+        before = {one.value for one in outcomes(executor, Task("a", slow_pid, 0.5), Task("b", slow_pid, 0.5)).values()}
+        until = time.monotonic() + 4
+        while time.monotonic() < until:
+            for one in spawned(earlier):
+                if one.ppid() == os.getpid():
+                    one.kill()
+            time.sleep(0.05)
+        after = {one.value for one in outcomes(executor, Task("c", slow_pid, 0.5), Task("d", slow_pid, 0.5)).values()}
+    assert not before & after
+
+
+def test_a_cluster_without_workers_is_told_in_time(bench: Bench) -> None:
+    with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as cluster:
+        params = DaskParams(address=cluster.address, start_timeout_s=8.0)
+        with started(params) as executor:
+            assert outcomes(executor, Task("a", slow_pid, 0.0))["a"].status == "ok"
+            os.kill(cluster.workers[0], signal.SIGKILL)
+            with pytest.raises(CodecbenchError, match=r"no dask worker at tcp://.* for 8 s; what is finished is kept"):
+                outcomes(executor, Task("b", slow_pid, 0.0))
 
 
 def test_a_large_task_survives_the_worker_that_held_it() -> None:

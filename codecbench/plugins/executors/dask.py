@@ -10,16 +10,13 @@ from __future__ import annotations
 import importlib
 import itertools
 import logging
-import multiprocessing
-import os
 import pickle
 import queue
-import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -27,8 +24,8 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.params import Params
-from codecbench.plugins.executors.isolation import SINGLE_THREADED
-from codecbench.plugins.executors.pool import WorkerPool, hidden_main
+from codecbench.plugins.executors.dask_worker import perform_isolated, stop_pools
+from codecbench.plugins.executors.pool import hidden_main
 
 log = logging.getLogger("codecbench.dask")
 
@@ -43,7 +40,8 @@ _SEND_DIRECTLY_BYTES: Final = 1 << 20
 
 _CLOSE_S: Final = 20.0
 
-PATHS_VARIABLE: Final = "CODECBENCH_PATHS"
+_LOOK_EVERY_S: Final = 5.0
+"""How often the number of workers is asked for."""
 
 
 class DaskParams(Params):
@@ -103,6 +101,8 @@ class DaskExecutor(Executor[DaskParams]):
         self._done: queue.Queue[tuple[str, Any]] = queue.Queue()
         self._numbers = itertools.count()
         self._stopping = False
+        self._wanted = 0
+        self._looked = self._last_seen = 0.0
 
     def start(self, workers: int, prepare: Callable[[], None]) -> None:
         import dask
@@ -120,6 +120,8 @@ class DaskExecutor(Executor[DaskParams]):
             except OSError as error:  # TimeoutError is one
                 place = self.params.address or f"the {self.params.made} cluster"
                 raise CodecbenchError(f"no dask worker at {place}: {error}") from error
+        self._wanted = len(self._cluster.worker_spec) if self._cluster is not None else 0
+        self._looked = self._last_seen = time.monotonic()
         self._client.run_on_scheduler(_allow_failures, count=self.params.retries)
 
     def submit(self, task: Task) -> None:
@@ -127,6 +129,7 @@ class DaskExecutor(Executor[DaskParams]):
         self._fill()
 
     def next_finished(self, timeout_s: float) -> Finished | None:
+        self._look_after_workers()
         try:
             task_id, future = self._done.get(timeout=timeout_s) if timeout_s > 0 else self._done.get_nowait()
         except queue.Empty:
@@ -192,16 +195,36 @@ class DaskExecutor(Executor[DaskParams]):
         content: Any = pickle.dumps((task, self._prepare, self.params.paths))
         if len(content) > _SEND_DIRECTLY_BYTES:
             content = self._client.scatter(content, hash=False)
-        where = {"workers": [self._timing_worker()], "allow_other_workers": True} if task.exclusive else {}
+        first = self._timing_worker() if task.exclusive else None
+        where = {"workers": [first], "allow_other_workers": True} if first else {}
         key = f"codecbench-{task.id}-{next(self._numbers)}"
         future = self._client.submit(perform_isolated, content, key=key, pure=False, **where)
         self._running[task.id] = _Sent(task, future, content, attempt)
         future.add_done_callback(lambda done: None if self._stopping else self._done.put((task.id, done)))
 
-    def _timing_worker(self) -> str:
-        """The worker for exclusive tasks: always the first by name."""
+    def _look_after_workers(self) -> None:
+        """Start workers of our own cluster again that died for good; raise CodecbenchError where none comes back.
+
+        A dask nanny does so itself, unless its worker is killed while it starts.
+        """
+        now = time.monotonic()
+        if now - self._looked < _LOOK_EVERY_S:
+            return
+        self._looked = now
+        present = len(self._client.nthreads())
+        if present:
+            self._last_seen = now
+        elif now - self._last_seen > self.params.start_timeout_s:
+            place = self.params.address or f"the {self.params.made} cluster"
+            message = f"no dask worker at {place} for {self.params.start_timeout_s:g} s"
+            raise CodecbenchError(f"{message}; what is finished is kept: mend this and run again")
+        if self._cluster is not None and present < self._wanted:
+            self._cluster.scale(self._wanted)
+
+    def _timing_worker(self) -> str | None:
+        """The worker for exclusive tasks: always the first by name; None while there is none."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"]
-        return str(min(workers, key=lambda address: (str(workers[address]["name"]), address)))
+        return min(workers, key=lambda address: (str(workers[address]["name"]), address), default=None)
 
 
 @dataclass(frozen=True)
@@ -239,60 +262,3 @@ def _close(one: Any) -> None:
 def _allow_failures(dask_scheduler: Any, count: int) -> None:
     """Run on the scheduler: how many workers may die of a task before it is given up."""
     dask_scheduler.allowed_failures = count
-
-
-# What follows runs in dask workers.
-
-_local = threading.local()
-_pools: list[WorkerPool] = []
-_stops = itertools.count()
-_last_stop = next(_stops)
-
-
-def perform_isolated(content: bytes) -> Finished:
-    """Run a task in this dask worker's isolated process and wait for it."""
-    task, prepare, paths = pickle.loads(content)
-    begun_after = _last_stop
-    pool = _pool(partial(_prepare_with, paths, prepare))
-    pool.start(task)
-    while (finished := pool.next_finished(1.0)) is None:
-        if _last_stop != begun_after:  # also if its process was only starting when all were told to end
-            pool.kill()
-    return finished
-
-
-def _pool(prepare: partial[None]) -> WorkerPool:
-    """The pool of this thread; another one where an earlier coordinator prepared its processes otherwise."""
-    wanted = pickle.dumps(prepare)
-    if getattr(_local, "prepared", None) != wanted:
-        if hasattr(_local, "pool"):
-            _pools.remove(_local.pool)
-            _local.pool.stop()
-        # A dask worker may be a daemon, which Python does not allow processes of its own; ours end with it anyway.
-        multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-        os.environ.update(SINGLE_THREADED)
-        _local.pool, _local.prepared = WorkerPool(1, prepare, _own_folder()), wanted
-        _pools.append(_local.pool)
-    pool: WorkerPool = _local.pool
-    return pool
-
-
-def _own_folder() -> str:
-    """The folder of this dask worker: dask removes it when the worker ends or, was it killed, when another begins."""
-    from distributed import get_worker
-
-    return str(get_worker().local_directory)  # type: ignore[no-untyped-call]
-
-
-def _prepare_with(paths: dict[str, str], prepare: Callable[[], None]) -> None:
-    """Prepare an isolated process, which is to find folders where `paths` says."""
-    os.environ[PATHS_VARIABLE] = os.pathsep.join(f"{here}={there}" for here, there in paths.items())
-    prepare()
-
-
-async def stop_pools() -> None:
-    """End the isolated processes of this dask worker, whatever they are doing; the next task starts new ones."""
-    global _last_stop
-    _last_stop = next(_stops)
-    for pool in _pools:
-        pool.kill()
