@@ -48,9 +48,9 @@ def on_dask(params: str = "", more: str = "") -> str:
 def test_local_and_dask_runs_find_the_same(bench: Bench) -> None:
     codecs = f"{CODECS}, {grid('faulty', ['raise', 'segfault', 'hang', 'noise'])}"
     evaluators = "wandering, whole, alone"
-    local = bench.plan(matrix(codecs, evaluators, "workers: 2, timeout_s: 3"))
+    local = bench.plan(matrix(codecs, evaluators, "workers: 2, timeout_s: 6"))
     bench.run(local, "local")
-    plan = bench.plan(matrix(codecs, evaluators, on_dask(more=", timeout_s: 3")))
+    plan = bench.plan(matrix(codecs, evaluators, on_dask(more=", timeout_s: 6")))
     order: list[Cell] = []
     summary = bench.run(plan, "dask", listener=lambda one: order.append(one.cell) if one.cell else None)
     assert [cell.id for cell in plan.cells] == [cell.id for cell in local.cells]

@@ -27,7 +27,7 @@ CODEC_FAULTS = {
     "leave": ("crashed", "coding failed: its worker exited with status 0"),
     "segfault": ("crashed", "coding failed: its worker died of SIGSEGV"),
     "abort": ("crashed", "coding failed: its worker died of SIGABRT"),
-    "hang": ("timed_out", "coding failed: no result within 2 s"),
+    "hang": ("timed_out", "coding failed: no result within 5 s"),
     "hog": ("failed", "coding failed: encode, frame 2: "),
     "drip": ("failed", "coding failed: encode, frame 2: "),
     "text": ("failed", "coding failed: encode, frame 2: encode returned str; a bitstream is bytes"),
@@ -56,7 +56,7 @@ EVALUATOR_FAULTS = {
     "tuple": ("failed", "evaluate, frame 2: yielded tuple; evaluators yield Measurement"),
     "frame": ("failed", "evaluate, frame 2: error: measured on frame 2 but yielded for frame 7"),
     "raise": ("failed", "evaluate, frame 2: KeyError: 'gone'"),
-    "sleep": ("timed_out", "no result within 2 s"),
+    "sleep": ("timed_out", "no result within 5 s"),
 }
 WHOLE_FAULTS = {
     "none": ("ok", ""),
@@ -66,7 +66,7 @@ WHOLE_FAULTS = {
 }
 
 
-LIMITS = "workers: 2, timeout_s: 2, memory_mb: 300"
+LIMITS = "workers: 2, timeout_s: 5, memory_mb: 300"
 
 
 @pytest.fixture
@@ -84,6 +84,9 @@ def test_every_codec_fault_costs_its_own_cells_alone(bench: Bench, capfd: pytest
     summary = bench.run(plan)
     for cell, record in bench.records(plan).values():
         status, reason = CODEC_FAULTS.get(cell.codec.params["fault"], ("ok", ""))
+        if cell.codec.params["fault"] == "drip" and record.status == "crashed":  # seen from outside before its limit
+            assert "memory_mb allows 300" in record.reason
+            continue
         assert (record.status, record.reason[: len(reason)]) == (status, reason), cell.codec.label
         assert record.reason or status == "ok"
         if status == "ok":
