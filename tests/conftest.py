@@ -13,6 +13,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="also run the tests marked slow")
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Whole folders are tested in several processes; single files, and benchmarks, in this one."""
+    paths = [Path(str(argument).split("::")[0]) for argument in config.args]
+    alone = any(not path.is_dir() or "benchmarks" in path.parts for path in paths)
+    return 0 if alone else max(2, min(4, os.cpu_count() or 1))
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--slow"):
         return
