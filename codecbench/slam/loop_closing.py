@@ -24,9 +24,9 @@ def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
     for k in group:
         k_from_keyframe = old[k] @ np.linalg.inv(old[loop.keyframe])
         corrected[k] = sim3_compose(k_from_keyframe, loop.keyframe_from_world)
-    known = {(int(i), int(j)) for i, j in edges}
+    known = _pairs_with(slam_map, group)
     _merge_sides(slam_map, camera, loop, group, corrected)
-    loop_edges = _new_edges(slam_map, group, known)
+    loop_edges = np.array(sorted(_pairs_with(slam_map, group) - known), dtype=np.int64).reshape(-1, 2)
     slam_map.loop_edges.append((loop.matched, loop.keyframe))
     new = _spread(slam_map, old, corrected, edges, loop_edges, loop.matched)
     _apply(slam_map, old, new)
@@ -75,17 +75,14 @@ def _essential_edges(slam_map: Map) -> Indices:
     return np.array(sorted(e for e in edges if alive[e[0]] and alive[e[1]]), dtype=np.int64).reshape(-1, 2)
 
 
-def _new_edges(slam_map: Map, group: Indices, known: set[tuple[int, int]]) -> Indices:
-    """Pairs that share points only since the two sides were merged (E, 2)."""
+def _pairs_with(slam_map: Map, group: Indices) -> set[tuple[int, int]]:
+    """Pairs (k, j) of a keyframe k of `group` and a covisible one j outside it.
+
+    Those that appear when the two sides of a loop are merged measure the loop. Pairs from before must not: of such a
+    pair only k has been corrected, and as measurements they would hold the map torn at the border of the group.
+    """
     inside = {int(k) for k in group}
-    near = set(inside)
-    edges = []
-    for k in group:
-        for j in slam_map.neighbors(int(k))[0]:
-            pair = (max(int(k), int(j)), min(int(k), int(j)))
-            if int(j) not in near and pair not in known:
-                edges.append((int(k), int(j)))
-    return np.array(edges, dtype=np.int64).reshape(-1, 2)
+    return {(k, int(j)) for k in inside for j in slam_map.neighbors(k)[0] if int(j) not in inside}
 
 
 def _spread(slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int) -> Array:
