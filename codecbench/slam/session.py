@@ -77,21 +77,12 @@ class Session:
 
     def record(self, frame: Frame) -> None:
         """Keep the pose of a tracked frame."""
-        reference_from_world = self.map.pose(frame.reference)
         world_from_camera = np.asarray(sim3_compose(self._old_from_new, se3_inverse(frame.camera_from_world)))
         world_from_camera[:3, :3] /= sim3_scale(world_from_camera)
-        self.poses.append(
-            TrackedPose(
-                frame.index,
-                frame.timestamp_s,
-                frame.reference,
-                frame.camera_from_world @ se3_inverse(reference_from_world),
-                self.map.scale_of(frame.reference),
-                world_from_camera,
-            )
-        )
+        self.poses.append(TrackedPose.of(frame, self.map, world_from_camera))
 
     def finish(self, adjust: bool) -> None:
-        """Adjust the whole map a last time, if so wanted."""
+        """Adjust the whole map a last time, if so wanted, and then the frames to it."""
         if adjust:
             adjust_map(self.map, self._camera)
+            self.poses = [pose.refined(self.map, self._camera) for pose in self.poses]

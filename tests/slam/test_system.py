@@ -59,7 +59,7 @@ def test_a_walk_is_followed(film: list[NDArray[np.uint8]]) -> None:
     assert len(result.maps) == 1
     assert len(result.trajectory) == STEPS - first
     assert np.allclose(np.linalg.det(result.trajectory.world_from_camera[:, :3, :3]), 1.0)
-    assert error(result) < 0.09  # of a path 1.7 long, seen by a coarse camera
+    assert error(result) < 0.04  # of a path 1.7 long, seen by a coarse camera
     assert len(result.keyframe_indices) >= 3
     assert min(frame.inliers for frame in result.frames[first:]) >= 30
 
@@ -113,6 +113,10 @@ def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) ->
     assert len(asked) >= made + 1  # and the first frame of the map
     assert digest(result) != digest(run(film))
     assert error(result) < 0.3  # the start on a wall, from 5 cm apart, is weak
+
+
+def test_a_lossless_codec_for_keyframes_changes_nothing(film: list[NDArray[np.uint8]]) -> None:
+    assert digest(run(film, keyframe_image=lambda image: image)) == digest(run(film))
 
 
 def test_after_a_blackout_the_camera_is_found_again(film: list[NDArray[np.uint8]]) -> None:

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import numpy as np
+from map_scenes import build_map, observe_scene
+from rendered_scenes import CAMERA, looking, random_descriptors
+
+from codecbench.slam.map import Map
+from codecbench.slam.trajectory import TrackedPose
+
+POSES = [looking((0.3 * i, 0.05 * i, 0.0), 0.02 * i) for i in range(4)]
+BETWEEN = looking((0.45, 0.1, 0.05), 0.05)
+
+
+def tracked(count: int) -> tuple[TrackedPose, Map]:
+    """A frame between four keyframes, noted while the map's points were 4 % too near, and the map with exact points."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform([-2.0, -1.5, 3.0], [3.0, 1.5, 8.0], (count, 3))
+    slam_map, _ = build_map(POSES, points, random_descriptors(rng, count))
+    frame, shown = observe_scene(BETWEEN, points, slam_map.points.descriptors[:count])
+    frame.index, frame.reference = 99, 1
+    frame.points = shown.copy()
+    frame.camera_from_world[:3, 3] *= 0.96
+    return TrackedPose.of(frame, slam_map, np.linalg.inv(frame.camera_from_world)), slam_map
+
+
+def test_a_frame_is_fitted_anew_to_the_points_where_they_are_now() -> None:
+    pose, slam_map = tracked(200)
+    before = np.abs(pose.resolve(slam_map) - np.linalg.inv(BETWEEN)).max()
+    refined = pose.refined(slam_map, CAMERA)
+    after = np.abs(refined.resolve(slam_map) - np.linalg.inv(BETWEEN)).max()
+    assert before > 0.01
+    assert after < 1e-6  # pixels are kept as float32
+    assert np.array_equal(refined.world_from_camera, pose.world_from_camera)  # what was tracked stays
+
+
+def test_a_frame_with_too_few_points_left_stays() -> None:
+    pose, slam_map = tracked(200)
+    slam_map.remove_points(pose.points[20:].astype(np.int64))
+    assert pose.refined(slam_map, CAMERA) is pose
