@@ -24,9 +24,11 @@ def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
     for k in group:
         k_from_keyframe = old[k] @ np.linalg.inv(old[loop.keyframe])
         corrected[k] = sim3_compose(k_from_keyframe, loop.keyframe_from_world)
-    known = _pairs_with(slam_map, group)
+    known = _pairs_with(slam_map, group, 1)
     _merge_sides(slam_map, camera, loop, group, corrected)
-    loop_edges = np.array(sorted(_pairs_with(slam_map, group) - known), dtype=np.int64).reshape(-1, 2)
+    loop_edges = np.array(
+        sorted(_pairs_with(slam_map, group, thresholds.COVISIBLE_MIN_POINTS) - known), dtype=np.int64
+    ).reshape(-1, 2)
     slam_map.loop_edges.append((loop.matched, loop.keyframe))
     new = _spread(slam_map, old, corrected, edges, loop_edges, loop.matched)
     _apply(slam_map, old, new)
@@ -75,14 +77,17 @@ def _essential_edges(slam_map: Map) -> Indices:
     return np.array(sorted(e for e in edges if alive[e[0]] and alive[e[1]]), dtype=np.int64).reshape(-1, 2)
 
 
-def _pairs_with(slam_map: Map, group: Indices) -> set[tuple[int, int]]:
-    """Pairs (k, j) of a keyframe k of `group` and a covisible one j outside it.
+def _pairs_with(slam_map: Map, group: Indices, min_points: int) -> set[tuple[int, int]]:
+    """Pairs (k, j) of a keyframe k of `group` and one j outside it that share at least `min_points` points.
 
-    Those that appear when the two sides of a loop are merged measure the loop. Pairs from before must not: of such a
-    pair only k has been corrected, and as measurements they would hold the map torn at the border of the group.
+    Those that appear when the two sides of a loop are merged measure the loop. Pairs that shared even one point before
+    must not: of such a pair only k has been corrected, and as measurements they would hold the map torn at the border
+    of the group.
     """
     inside = {int(k) for k in group}
-    return {(k, int(j)) for k in inside for j in slam_map.neighbors(k)[0] if int(j) not in inside}
+    return {
+        (k, int(j)) for k in inside for j in slam_map.neighbors(k, min_points=min_points)[0] if int(j) not in inside
+    }
 
 
 def _spread(slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int) -> Array:
