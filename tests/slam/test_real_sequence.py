@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rendered_scenes import position_error
+
+from codecbench.slam import Camera, System
+
+CAMERA = Camera(640, 480, 535.4, 539.2, 320.1, 247.6)  # TUM RGB-D, freiburg3
+FRAMES = 150
+
+
+def test_a_desk_filmed_by_hand_is_followed_to_a_centimetre(data_folder: Path) -> None:
+    folder = data_folder / "fr3_office_715"
+    rows = [line.split() for line in (folder / "rgb.txt").read_text().splitlines() if not line.startswith("#")]
+    true = np.loadtxt(folder / "groundtruth.txt")
+    system = System(CAMERA)
+    for seconds, name in rows[:FRAMES]:
+        image = cv2.imread(str(folder / name))
+        assert image is not None
+        system.process(np.asarray(image, dtype=np.uint8), float(seconds))
+    result = system.finish()
+    states = [frame.state for frame in result.frames]
+    first = states.index("tracked")
+    assert first <= 20
+    assert states[first:] == ["tracked"] * (FRAMES - first)
+    times = result.trajectory.timestamps_s
+    nearest = np.abs(true[:, 0] - times[:, None]).argmin(axis=1)
+    assert np.abs(true[nearest, 0] - times).max() < 0.02
+    assert position_error(result.trajectory.world_from_camera[:, :3, 3], true[nearest, 1:4]) < 0.010  # metres
