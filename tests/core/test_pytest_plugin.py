@@ -30,7 +30,9 @@ class Repository:
     folder: Path
 
     def pytest(self, *arguments: str, options: str = QUICK) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(self.folder), "PYTEST_ADDOPTS": options}
+        # Not one of the processes in which these tests themselves may run: pytest-benchmark would not measure there.
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")}
+        environment = {**inherited, "PYTHONPATH": str(self.folder), "PYTEST_ADDOPTS": options}
         command = [sys.executable, "-m", "pytest", *arguments]
         return subprocess.run(
             command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False, timeout=300
