@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import pandas as pd
 from rich.console import Console
@@ -28,6 +28,12 @@ _BRIEF: Final = {
 }
 _MEGA: Final = ("enc Mops", "model Mops")
 _MOST_ROWS: Final = 400
+_LEADING: Final = ("sequence", "codec", "setting")
+"""Columns that say which row is which, in every part of a table too wide for the screen."""
+_FOLDED: Final = 40
+"""Characters: longer texts are folded."""
+_FRAME: Final = 3
+"""Characters that a column takes beside its text."""
 
 
 def show_summary(result: RunResult) -> None:
@@ -42,19 +48,42 @@ def show_summary(result: RunResult) -> None:
 
 
 def show_table(frame: pd.DataFrame, result: RunResult) -> None:
-    """A table in the terminal; long ones end with how many rows were left out."""
+    """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
-    table = Table(title=result.plan.name, title_justify="left", header_style="bold", row_styles=["", "dim"])
-    for name in frame.columns:
-        number = pd.api.types.is_numeric_dtype(frame[name])
-        table.add_column(str(name), justify="right" if number else "left", no_wrap=number, overflow="fold")
-    for row in frame.head(_MOST_ROWS).itertuples(index=False):
-        table.add_row(*(_cell(value) for value in row))
-    console.print(table)
+    texts = [[_cell(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
+    heads = [str(name).replace(".", "\n") for name in frame.columns]
+    numeric = [pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns]
+    for part in _parts(heads, texts, [str(name) in _LEADING for name in frame.columns], console.width):
+        table = Table(title=result.plan.name, title_justify="left", header_style="bold", row_styles=["", "dim"])
+        for column in part:
+            side: Literal["left", "right"] = "right" if numeric[column] else "left"
+            table.add_column(heads[column], justify=side, no_wrap=numeric[column], overflow="fold")
+        for row in texts:
+            table.add_row(*(row[column] for column in part))
+        console.print(table)
     if len(frame) > _MOST_ROWS:
         console.print(f"... and {len(frame) - _MOST_ROWS} more rows; use --format csv for all of them")
+
+
+def _parts(heads: list[str], texts: list[list[str]], leading: list[bool], width: int) -> list[list[int]]:
+    """Columns of each part: the leading ones in every part, the others in order, as many as fit."""
+    widths = [
+        min(_FOLDED, max(len(line) for text in (head, *(row[column] for row in texts)) for line in text.split("\n")))
+        + _FRAME
+        for column, head in enumerate(heads)
+    ]
+    first = [column for column, leads in enumerate(leading) if leads]
+    parts = [list(first)]
+    left = room = width - sum(widths[column] for column in first) - 1
+    for column in (column for column, leads in enumerate(leading) if not leads):
+        if widths[column] > left and len(parts[-1]) > len(first):
+            parts.append(list(first))
+            left = room
+        parts[-1].append(column)
+        left -= widths[column]
+    return parts
 
 
 def _cell(value: object) -> str:

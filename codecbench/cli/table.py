@@ -33,7 +33,10 @@ def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | 
 
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
-        show_table(frame, result)
+        whole = [name for name in frame.columns if columns is not None or "/" not in name]
+        show_table(frame[whole], result)
+        if left_out := len(frame.columns) - len(whole):
+            click.echo(f"{left_out} columns of single stages are left out here; --columns '*/*' shows them")
         return
     content = exported(frame, format_)
     if out is not None:

@@ -1,0 +1,25 @@
+"""Tables in the terminal."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from codecbench.cli.show import show_table
+
+
+def test_a_table_of_many_columns_is_shown_in_parts_that_fit(capsys: pytest.CaptureFixture[str]) -> None:
+    measures = {f"quality.metric_{number}.mean": [number + 0.5, number + 0.25] for number in range(60)}
+    frame = pd.DataFrame({"sequence": ["s", "s"], "codec": ["a", "b"], "setting": ["q=1", "q=2"], **measures})
+    show_table(frame, SimpleNamespace(plan=SimpleNamespace(name="wide")))  # type: ignore[arg-type]
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 160
+    shown = "\n".join(lines)
+    for number in range(60):
+        assert f" metric_{number} " in shown
+        assert f" {number + 0.25:.4g} " in shown
+    parts = shown.count("wide")
+    assert 5 < parts < 12
+    assert shown.count(" q=2 ") == parts  # every part says which row is which
