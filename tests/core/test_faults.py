@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -281,15 +282,18 @@ def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
 
 
 def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: Bench) -> None:
-    plan = bench.plan(matrix(grid("faulty", "abcdefgh"), "slow"))
+    cells = "abcdefghijklmnopqrstuvwx"
+    plan = bench.plan(matrix(grid("faulty", cells), "slow"))
     command = [sys.executable, Path(__file__).parent / "run_driver.py", bench.folder / "matrix.yaml"]
     first = subprocess.Popen([*map(str, command), str(bench.folder / "run"), str(bench.site)])
     deadline = time.monotonic() + 60
     while not bench.store().entries():
         assert time.monotonic() < deadline
         time.sleep(0.02)
+    first.send_signal(signal.SIGSTOP)  # so that it holds the folder for as long as this looks
     with pytest.raises(StoreError, match=rf"is in use by process {first.pid} on .*; wait for it to end or choose"):
         bench.run(plan)
+    first.send_signal(signal.SIGCONT)
     assert first.wait(60) == 0
     assert {entry.status for entry in bench.store().entries().values()} == {"ok"}
-    assert bench.run(plan).kept == 8
+    assert bench.run(plan).kept == len(cells)

@@ -71,10 +71,7 @@ class Store:
             stream.write(f"process {os.getpid()} on {socket.gethostname()}")
             stream.flush()
             self._tidy()
-            try:
-                yield
-            finally:
-                stream.truncate(0)
+            yield
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
