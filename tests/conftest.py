@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+TIERS = ("thorough", "slow")
+"""Marks of tests that take longer, and options that run them: a tier's option runs those of the shorter tiers too."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--slow", action="store_true", help="also run the tests marked slow")
+    for tier in TIERS:
+        parser.addoption(f"--{tier}", action="store_true", help=f"also run the tests marked {tier}")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -21,11 +25,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--slow"):
-        return
-    for item in items:
-        if item.get_closest_marker("slow"):
-            item.add_marker(pytest.mark.skip(reason="slow; run with --slow"))
+    for tier in reversed(TIERS):
+        if config.getoption(f"--{tier}"):
+            return  # and so run those of the shorter tiers
+        for item in items:
+            if item.get_closest_marker(tier):
+                item.add_marker(pytest.mark.skip(reason=f"{tier}; run with --{tier}"))
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.image import Image
 from codecbench.core.instrument.kernel import Kernel
 from codecbench.core.instrument.operations import new_counters
+from codecbench.plugins.codecs.dct.color import luma_from_rgb
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 
@@ -84,3 +85,10 @@ def test_stage(benchmark: Any, calls: list[Call], build: str) -> None:
     work(*prepared()[0])
     benchmark.pedantic(work, setup=prepared, rounds=9)
     assert (counters.sum() > 0) == (build == "counting")
+
+
+@pytest.mark.parametrize("through", ["kernel", "dispatcher"])
+def test_one_call(benchmark: Any, through: str) -> None:
+    """What a kernel costs over the dispatcher of its fast build: under a microsecond a call."""
+    function = luma_from_rgb if through == "kernel" else luma_from_rgb.fast
+    benchmark(function, np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8))

@@ -263,6 +263,7 @@ def small_disk(folder: Path) -> Iterator[None]:
         subprocess.run(["umount", "--lazy", folder], check=True)
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
     plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}", "wandering, whole, slow"))
     with small_disk(bench.folder / "disk"):

@@ -20,6 +20,8 @@ import pytest
 from dask_cluster import Cluster, Host, cluster_elsewhere
 from engine_bench import Bench, bench_in, contents, matrix
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
 
 log = logging.getLogger("hosts")

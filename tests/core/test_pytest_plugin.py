@@ -16,6 +16,8 @@ from distributions import THIRD_PARTY, register
 
 from codecbench.codec_baseline import Baseline
 
+pytestmark = pytest.mark.thorough
+
 DOCS = Path(__file__).parent.parent.parent / "docs"
 # Times are given room here, where other tests may run beside; how small a slowdown is caught is for the benchmarks.
 QUICK = "-p no:cacheprovider --benchmark-min-rounds=12 --benchmark-max-time=0.1 -k 'not TestPosterize'"

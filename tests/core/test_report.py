@@ -17,6 +17,8 @@ from codecbench.core.results.report.write import write_report
 from codecbench.core.results.reproduction.page import write_page
 from codecbench.core.results.run_result import RunResult
 
+pytestmark = pytest.mark.thorough
+
 MATRIX = """
 version: 1
 name: small

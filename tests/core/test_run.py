@@ -178,6 +178,7 @@ def check_interruptions(bench: Bench, trials: int, seed: int) -> None:
     assert midway or trials < 10, "no run was ended midway: the times do not fit this machine"
 
 
+@pytest.mark.thorough
 def test_a_run_killed_at_any_time_resumes_to_the_same_result(bench: Bench) -> None:
     check_interruptions(bench, 3, seed=1)
 

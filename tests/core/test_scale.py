@@ -34,6 +34,8 @@ from codecbench.core.engine.registry import installed
 from codecbench.core.engine.samples import parquet_from_samples
 from codecbench.core.results.collect import open_run
 
+pytestmark = pytest.mark.thorough
+
 log = logging.getLogger("scale")
 LONG = [pytest.mark.slow, pytest.mark.timeout(3 * 3600)]
 

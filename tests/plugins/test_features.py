@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 
 import cv2
@@ -155,19 +154,3 @@ def test_inlier_ratio_of_a_known_geometry(rng: np.random.Generator) -> None:
     pixels_now[300:] = rng.uniform(0, 640, (100, 2))
     assert module._inlier_ratio(pixels, pixels_now, 1.0) == pytest.approx(0.75, abs=0.02)
     assert module._inlier_ratio(pixels[:7], pixels_now[:7], 1.0) == 0.0
-
-
-@pytest.mark.real
-def test_a_real_frame_costs_little(data_folder: Path, tmp_path: Path) -> None:
-    paths = sorted((data_folder / "fr3_office_715" / "rgb").glob("*.jpg"))[100:106]
-    images = [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for path in paths]
-    small = {image.tobytes(): jpeg(image, 20) for image in images}
-    coded = CodedInMemory(MemorySequence(images), FunctionCodec(lambda image: small[image.tobytes()]))
-    list(Features.create().evaluate(coded, context(tmp_path)))
-    fastest = math.inf
-    for _ in range(4):
-        started = time.process_time()
-        found = list(Features.create().evaluate(coded, context(tmp_path)))
-        fastest = min(fastest, (time.process_time() - started) / len(images))
-    assert 0.6 < np.mean(values(found, "keypoint_repeatability")) < 0.95
-    assert fastest <= 0.035

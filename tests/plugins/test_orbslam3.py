@@ -131,8 +131,8 @@ def test_an_exit_is_an_error_with_its_status() -> None:
 @pytest.mark.usefixtures("stand_in")
 def test_a_hang_is_an_error_and_the_child_is_gone() -> None:
     started = time.monotonic()
-    with pytest.raises(SlamError, match=r"no answer within 0.5 s, frame 6"):
-        OrbSlam3.create(answer_timeout_s=0.5).run(frames([5, 201, 5]), CAMERA, seed=0)
+    with pytest.raises(SlamError, match=r"no answer within 3 s, frame 6"):
+        OrbSlam3.create(answer_timeout_s=3.0).run(frames([5, 201, 5]), CAMERA, seed=0)
     assert time.monotonic() - started < 30
 
 

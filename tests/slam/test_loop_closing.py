@@ -74,6 +74,7 @@ def centres(slam_map: Map) -> Floats:
     return np.asarray(slam_map.keyframes.centers_world[:STEPS])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("drift", [1.0, 1.01, 0.985])
 def test_a_loop_takes_the_drift_out_of_the_whole_walk(drift: float) -> None:
     slam_map, loop, true = drifting_map(drift)
