@@ -116,3 +116,22 @@ def test_a_baseline_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -
             read_snapshot(tmp_path / "bad.json")
     with pytest.raises(StoreError, match="neither a run folder nor a baseline"):
         read_snapshot(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(("cpu_factor", "verdict"), [(1.0, "cannot tell"), (1.3, "worse")])
+def test_time_on_the_wall_needs_the_support_of_processor_time(
+    rng: np.random.Generator, cpu_factor: float, verdict: str
+) -> None:
+    """Another program that runs for the whole of one run slows its wall clock alone."""
+    wall = series("decode_wall_ms", tuple(rng.normal(7, 0.02, 7)), better="lower", repeatable=False)
+    rate = series("decode_mpix_per_s", tuple(rng.normal(40, 0.1, 7)), repeatable=False)
+    cpu = series("decode_cpu_ms", tuple(rng.normal(6, 0.02, 7)), better="lower", repeatable=False)
+    after = snapshot(
+        replace(wall, values=tuple(1.3 * value for value in wall.values)),
+        replace(rate, values=tuple(value / 1.3 for value in rate.values)),
+        replace(cpu, values=tuple(cpu_factor * value for value in cpu.values)),
+    )
+    found = {one.key[4]: one for one in compare(snapshot(wall, rate, cpu), after)}
+    assert found["decode_wall_ms"].verdict == found["decode_mpix_per_s"].verdict == verdict
+    assert ("other programs" in found["decode_wall_ms"].note) == (verdict == "cannot tell")
+    assert only(compare(snapshot(wall, cpu), after, metrics=["*.decode_wall_ms"])).verdict == verdict

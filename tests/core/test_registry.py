@@ -107,12 +107,39 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
         installed().find("codec", "jpg2000")
 
 
+INCOMPLETE = """
+from codecbench import Capabilities, Codec, NoParams
+
+
+class Vague(Codec):
+    name, version, params_type = "mine", "1", NoParams
+
+    def encode(self, image, *, trace=None):
+        return image.tobytes()
+
+    def decode(self, bitstream, *, trace=None):
+        return None
+
+
+class Half(Codec):
+    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+
+    def encode(self, image, *, trace=None):
+        return image.tobytes()
+"""
+
+
 @pytest.mark.parametrize(
     ("target", "words"),
-    [("json:JSONEncoder", "not a subclass of codecbench.Codec"), ("no_such_module_here:Thing", "does not import")],
+    [
+        ("json:JSONEncoder", "not a subclass of codecbench.Codec"),
+        ("no_such_module_here:Thing", "does not import"),
+        ("liar:Vague", "liar:Vague has no class attribute 'capabilities'"),
+        ("liar:Half", "liar:Half does not define decode"),
+    ],
 )
 def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path, target: str, words: str) -> None:
-    install_source(tmp_path, "liar", "1", offer(target=target))
+    install_source(tmp_path, "liar", "1", offer(target=target) + INCOMPLETE)
     code = "from codecbench.core.engine.registry import installed; installed().load('codec', 'mine')"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)

@@ -10,6 +10,7 @@ import difflib
 import functools
 import importlib
 import importlib.util
+import inspect
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -181,9 +182,11 @@ def _load(plugin: Plugin) -> Any:
     name = getattr(cls, "name", None)
     if name != plugin.offer.name:
         raise PluginError(f"{where}: {plugin.offer.target} calls itself {name!r}")
-    for attribute in ("version", "params_type"):
+    for attribute in dict.fromkeys(one for ancestor in base.__mro__ for one in inspect.get_annotations(ancestor)):
         if not hasattr(cls, attribute):
             raise PluginError(f"{where}: {plugin.offer.target} has no class attribute {attribute!r}")
+    if left := sorted(getattr(cls, "__abstractmethods__", ())):
+        raise PluginError(f"{where}: {plugin.offer.target} does not define {', '.join(left)}")
     return cls
 
 

@@ -3,7 +3,9 @@
 Values that repeat (sizes, quality, operation counts) are compared exactly. Times are divided by the yardstick that
 was timed between them, which takes the machine's own ups and downs out, and then tested over repeats: a change
 counts where the Mann-Whitney test over repeats finds it beyond chance and the median moved by more than a
-tolerance. Source of the test: Mann and Whitney 1947, doi:10.1214/aoms/1177730491, exact distribution.
+tolerance. Source of the test: Mann and Whitney 1947, doi:10.1214/aoms/1177730491, exact distribution. Time by the
+clock on the wall also holds what other programs took, for a whole run at a time, which no test within that run can see:
+its verdict stands only where processor time moved the same way.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 import fnmatch
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -21,6 +23,9 @@ from codecbench.core.results.comparison.snapshot import Series, Snapshot
 
 Verdict = Literal["better", "worse", "same", "changed", "cannot tell"]
 
+Key = tuple[str, str, str, str, str]
+"""Sequence, codec, setting, evaluator, metric."""
+
 SIGNIFICANCE: Final = 0.01
 """Two-sided; five repeats against five can reach 0.008."""
 
@@ -29,13 +34,15 @@ TIME_TOLERANCE: Final = 0.05
 
 LEAST_REPEATS: Final = 5
 YARDSTICK: Final = "yardstick_ms"
+ON_THE_WALL: Final = ("_wall_ms", "_mpix_per_s")
+"""Endings of metrics that are, or come from, time by the clock on the wall; `_cpu_ms` is beside them."""
 
 
 @dataclass(frozen=True)
 class Comparison:
     """One series before and after. change: relative for times, absolute otherwise. note: why, or how sure."""
 
-    key: tuple[str, str, str, str, str]
+    key: Key
     before: float
     after: float
     change: float
@@ -54,19 +61,39 @@ def compare(
     first, second = ({one.key: one for one in snapshot.series} for snapshot in (before, after))
     yardsticks = (_yardsticks(before), _yardsticks(after))
     same_machine = bool(before.machines) and set(before.machines) == set(after.machines)
+
+    def judged(key: Key) -> Comparison:
+        old, new = first.get(key), second.get(key)
+        if old is None or new is None:
+            missing = "not in the first run" if old is None else "not in the second run"
+            return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
+        scaled = [_scaled(one, known) for one, known in zip((old, new), yardsticks, strict=True)]
+        return _compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
+
     found = []
     for key in dict.fromkeys([*first, *second]):
         name = f"{key[3]}.{key[4]}"
         if key[4] == YARDSTICK or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
             continue
-        old, new = first.get(key), second.get(key)
-        if old is None or new is None:
-            missing = "not in the first run" if old is None else "not in the second run"
-            found.append(Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing))
-        else:
-            scaled = [_scaled(one, known) for one, known in zip((old, new), yardsticks, strict=True)]
-            found.append(_compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance))
+        processor = _processor_time(key)
+        one = judged(key)
+        found.append(_supported(one, judged(processor)) if processor in first and processor in second else one)
     return found
+
+
+def _processor_time(key: Key) -> Key | None:
+    """The processor time beside a time by the clock on the wall, or None for what is no such time."""
+    for ending in ON_THE_WALL:
+        if key[4].endswith(ending):
+            return (*key[:4], key[4].removesuffix(ending) + "_cpu_ms")
+    return None
+
+
+def _supported(wall: Comparison, processor: Comparison) -> Comparison:
+    if wall.verdict not in ("better", "worse") or wall.verdict == processor.verdict:
+        return wall
+    note = f"processor time: {processor.verdict} ({processor.change:+.1%}); other programs may have taken the rest"
+    return replace(wall, verdict="cannot tell", note=note)
 
 
 def _yardsticks(snapshot: Snapshot) -> dict[tuple[str, str, str, str], tuple[float, ...]]:
