@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam import map_kernels
 from codecbench.slam.features import Features
+from codecbench.slam.map_kernels import Views
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
 from codecbench.slam.transforms import Array
 
@@ -84,6 +85,7 @@ class KeyframeTable:
         self.octaves = np.zeros((capacity, features_limit), np.int32)
         self.descriptors = np.zeros((capacity, features_limit, 4), np.uint64)
         self.points = np.full((capacity, features_limit), NONE, np.int64)
+        self.feature_counts = np.zeros(capacity, np.int64)
         self.frame_indices = np.full(capacity, NONE, np.int64)
         self.parents = np.full(capacity, NONE, np.int64)
         self.scales = np.ones(capacity)
@@ -103,12 +105,21 @@ class KeyframeTable:
         self.pixels[k, :n] = features.pixels
         self.octaves[k, :n] = features.octaves
         self.descriptors[k, :n] = features.descriptors
+        self.feature_counts[k] = n
         self.alive[k] = True
         self.frame_indices[k] = frame_index
         self.features.append(features)
         self.timestamps_s.append(timestamp_s)
         self.set_pose(k, camera_from_world)
         return k
+
+    @property
+    def views(self) -> Views:
+        """The table as compiled code reads it."""
+        return Views(
+            self.camera_from_world, self.centers_world, self.pixels, self.octaves, self.descriptors, self.points,
+            self.feature_counts,
+        )  # fmt: skip
 
     def set_pose(self, keyframe: int | Indices, camera_from_world: Array) -> None:
         """Set one pose (4, 4) or several (N, 4, 4)."""
@@ -144,19 +155,20 @@ class Map:
 
     # Observations ---------------------------------------------------------------------------------------------
 
-    def observe(self, keyframe: int, features: Indices, points: Indices) -> None:
-        """Record that `keyframe` sees points[i] at features[i]; neither may have an observation there yet."""
+    def observe(self, keyframes: int | Indices, features: Indices, points: Indices) -> None:
+        """Record that a keyframe, or keyframes[i], sees points[i] at features[i]; neither may be seen there yet."""
         self._neighbors.clear()
+        keyframes = np.broadcast_to(keyframes, len(points)).astype(np.int64)
         rows = self._links + len(points)
         self._following = grown(self._following, rows, NONE)
         self._link_keyframes = grown(self._link_keyframes, rows, NONE)
         self._link_features = grown(self._link_features, rows, NONE)
         map_kernels.add_links(
-            points, keyframe, features, self._links, self.points.heads, self.points.observation_counts,
+            points, keyframes, features, self._links, self.points.heads, self.points.observation_counts,
             self._following, self._link_keyframes, self._link_features,
         )  # fmt: skip
         self._links = rows
-        self.keyframes.points[keyframe, features] = points
+        self.keyframes.points[keyframes, features] = points
 
     @property
     def _lists(self) -> map_kernels.Links:

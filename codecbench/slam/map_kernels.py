@@ -31,15 +31,29 @@ class Links(NamedTuple):
     alive: Any
 
 
+class Views(NamedTuple):
+    """The keyframes, one a row: `poses` (K, 4, 4) camera_from_world, `centers` (K, 3) in the world; by feature `pixels`
+    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4) and map `points` (K, F), -1 for none; `counts` (K,) of
+    features."""
+
+    poses: Any
+    centers: Any
+    pixels: Any
+    octaves: Any
+    descriptors: Any
+    points: Any
+    counts: Any
+
+
 @njit(cache=True)
 def add_links(
-    points: Any, keyframe: int, features: Any, first_link: int,
+    points: Any, keyframes: Any, features: Any, first_link: int,
     heads: Any, counts: Any, following: Any, link_keyframes: Any, link_features: Any,
 ) -> None:  # fmt: skip
-    """Record that `keyframe` sees points[i] at features[i], in links first_link + i."""
+    """Record that keyframes[i] sees points[i] at features[i], in links first_link + i."""
     for i in range(len(points)):
         link = first_link + i
-        link_keyframes[link] = keyframe
+        link_keyframes[link] = keyframes[i]
         link_features[link] = features[i]
         following[link] = heads[points[i]]
         heads[points[i]] = link

@@ -8,13 +8,13 @@ from codecbench.slam import thresholds
 from codecbench.slam.bundle_adjustment import adjust
 from codecbench.slam.camera import Camera
 from codecbench.slam.frame import Frame
-from codecbench.slam.geometry import TwoViewPoints, fundamental_between
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.map_kernels import median_depth
-from codecbench.slam.matching import match_in_windows, match_on_epipolar_lines
+from codecbench.slam.matching import match_in_windows
 from codecbench.slam.places import Places
 from codecbench.slam.projection import project_map_points
 from codecbench.slam.transforms import Array
+from codecbench.slam.triangulation import triangulate_features
 
 
 class Mapper:
@@ -35,8 +35,7 @@ class Mapper:
         keyframe = self.add(frame)
         self._cull_points()
         neighbors, _ = self.map.neighbors(keyframe, thresholds.TRIANGULATION_NEIGHBORS)
-        for neighbor in neighbors:
-            self._triangulate(keyframe, int(neighbor))
+        self._triangulate(keyframe, neighbors)
         self._fuse_neighborhood(keyframe, neighbors)
         self.adjust_locally(keyframe)
         self._cull_keyframes(keyframe)
@@ -58,12 +57,14 @@ class Mapper:
         frame.reference = keyframe
         return keyframe
 
-    def add_points(self, keyframe: int, features: Indices, other: int, other_features: Indices, points: Array) -> None:
-        """New map points (N, 3), seen by two keyframes at the features given."""
+    def add_points(
+        self, keyframe: int, features: Indices, others: int | Indices, other_features: Indices, points: Array
+    ) -> None:
+        """New map points (N, 3), seen at `features` (N,) of a keyframe and at `other_features` (N,) of `others` (N,)."""
         slam_map = self.map
         added = slam_map.points.add(points, keyframe, slam_map.keyframes.count)
         slam_map.observe(keyframe, features, added)
-        slam_map.observe(other, other_features, added)
+        slam_map.observe(others, other_features, added)
         slam_map.refresh_points(added)
         self._probation = np.concatenate([self._probation, added])
 
@@ -80,36 +81,13 @@ class Mapper:
         self.map.remove_points(young[dying])
         self._probation = young[~dying & (ages < thresholds.POINT_PROBATION_KEYFRAMES)]
 
-    def _triangulate(self, keyframe: int, neighbor: int) -> None:
-        """Match free features of two keyframes on epipolar lines and keep the points that pass (ORB-SLAM VI-C)."""
-        table, camera = self.map.keyframes, self.camera
-        pose_a, pose_b = table.camera_from_world[keyframe], table.camera_from_world[neighbor]
-        baseline = float(np.linalg.norm(table.centers_world[keyframe] - table.centers_world[neighbor]))
-        if baseline < thresholds.TRIANGULATION_MIN_BASELINE * self.median_depth(neighbor):
-            return
-        fundamental, epipole = fundamental_between(pose_a, pose_b, camera.matrix)
-        a, b = table.features[keyframe], table.features[neighbor]
-        factors = self.map.scale_factors
-        matches = match_on_epipolar_lines(
-            a.pixels, a.octaves, a.descriptors, table.points[keyframe, : len(a)] < 0,
-            b.pixels, b.octaves, b.descriptors, table.points[neighbor, : len(b)] < 0,
-            fundamental, epipole, factors, thresholds.HAMMING_LOW, thresholds.EPIPOLE_RADIUS_PX,
+    def _triangulate(self, keyframe: int, neighbors: Indices) -> None:
+        """Make points of free features of a keyframe that match free features of its neighbours (ORB-SLAM VI-C)."""
+        found = triangulate_features(
+            keyframe, neighbors, self.map.keyframes.views, self.map.points.positions,
+            self.camera.matrix, self.camera.bounds, self.map.scale_factors,
         )  # fmt: skip
-        features_a = np.nonzero(matches >= 0)[0]
-        features_b = matches[features_a]
-        views = TwoViewPoints(pose_a, pose_b, a.pixels[features_a], b.pixels[features_b], camera.intrinsics)
-        scales_a, scales_b = factors[a.octaves[features_a]], factors[b.octaves[features_b]]
-        good = (views.depths_a > 0.0) & (views.depths_b > 0.0)
-        good &= (views.cosines < thresholds.TRIANGULATION_MAX_COSINE) & (views.cosines > 0.0)
-        good &= views.errors_a < thresholds.CHI2_95_2DOF * scales_a**2
-        good &= views.errors_b < thresholds.CHI2_95_2DOF * scales_b**2
-        distances_a = np.linalg.norm(views.points - table.centers_world[keyframe], axis=1)
-        distances_b = np.linalg.norm(views.points - table.centers_world[neighbor], axis=1)
-        stretch = (distances_b * scales_a) / np.maximum(distances_a * scales_b, 1e-12)
-        limit = thresholds.SCALE_CONSISTENCY * factors[min(1, len(factors) - 1)]
-        good &= (stretch < limit) & (stretch > 1.0 / limit)
-        if good.any():
-            self.add_points(keyframe, features_a[good], neighbor, features_b[good], views.points[good])
+        self.add_points(keyframe, *found)
 
     def median_depth(self, keyframe: int) -> float:
         """Median depth of the points that `keyframe` sees; 1 where it sees none."""
