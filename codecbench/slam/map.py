@@ -85,6 +85,7 @@ class KeyframeTable:
         self.octaves = np.zeros((capacity, features_limit), np.int32)
         self.descriptors = np.zeros((capacity, features_limit, 4), np.uint64)
         self.points = np.full((capacity, features_limit), NONE, np.int64)
+        self.nodes = np.zeros((capacity, features_limit), np.int64)
         self.feature_counts = np.zeros(capacity, np.int64)
         self.frame_indices = np.full(capacity, NONE, np.int64)
         self.parents = np.full(capacity, NONE, np.int64)
@@ -118,7 +119,7 @@ class KeyframeTable:
         """The table as compiled code reads it."""
         return Views(
             self.camera_from_world, self.centers_world, self.pixels, self.octaves, self.descriptors, self.points,
-            self.feature_counts,
+            self.nodes, self.feature_counts,
         )  # fmt: skip
 
     def set_pose(self, keyframe: int | Indices, camera_from_world: Array) -> None:

@@ -33,8 +33,8 @@ class Links(NamedTuple):
 
 class Views(NamedTuple):
     """The keyframes, one a row: `poses` (K, 4, 4) camera_from_world, `centers` (K, 3) in the world; by feature `pixels`
-    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4) and map `points` (K, F), -1 for none; `counts` (K,) of
-    features."""
+    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4), map `points` (K, F), -1 for none, and vocabulary `nodes`
+    (K, F); `counts` (K,) of features."""
 
     poses: Any
     centers: Any
@@ -42,6 +42,7 @@ class Views(NamedTuple):
     octaves: Any
     descriptors: Any
     points: Any
+    nodes: Any
     counts: Any
 
 

@@ -53,7 +53,7 @@ class Mapper:
         slam_map.observe(keyframe, matched, frame.points[matched])
         slam_map.refresh_points(frame.points[matched])
         slam_map.attach(keyframe)
-        self.places.add(keyframe, frame.features)
+        slam_map.keyframes.nodes[keyframe, : len(frame.features)] = self.places.add(keyframe, frame.features)
         frame.reference = keyframe
         return keyframe
 
@@ -85,7 +85,7 @@ class Mapper:
         """Make points of free features of a keyframe that match free features of its neighbours (ORB-SLAM VI-C)."""
         found = triangulate_features(
             keyframe, neighbors, self.map.keyframes.views, self.map.points.positions,
-            self.camera.matrix, self.camera.bounds, self.map.scale_factors,
+            self.camera.matrix, self.map.scale_factors,
         )  # fmt: skip
         self.add_points(keyframe, *found)
 

@@ -16,36 +16,31 @@ from codecbench.slam.bundle_kernels import reprojection
 from codecbench.slam.geometry import fundamental_between, triangulate_pair
 from codecbench.slam.hamming import hamming
 from codecbench.slam.map_kernels import Views, median_depth
-from codecbench.slam.orb_kernels import index_cells
+from codecbench.slam.sorting import stable_order
 
-_CELL_PX = 40.0
-"""Side of the cells that a search along a line visits, pixels: a few features each."""
 _OCTAVES_APART = 2
 """Most levels between two features that match (own)."""
 
 
 @njit(cache=True)
 def triangulate_features(
-    keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, bounds: Any, scale_factors: Any
+    keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any
 ) -> Any:
     """Points that free features of `keyframe` show together with free features of its `neighbors`, first come first
     served.
 
-    `positions` (P, 3) of the map's points; `bounds` (4,) of the undistorted image. Returns for each new point its
+    `positions` (P, 3) of the map's points. Returns for each new point its
     feature in `keyframe` (N,), the neighbour (N,), the feature there (N,), and its place in the world (N, 3).
     """
     count = views.counts[keyframe]
     free = views.points[keyframe, :count] < 0
     features, partners, partner_features = np.empty((3, count), np.int64)
     points, system, made = np.empty((count, 3)), np.empty((4, 4)), 0
-    columns = math.ceil((bounds[2] - bounds[0] + 1.0) / _CELL_PX)
-    rows = math.ceil((bounds[3] - bounds[1] + 1.0) / _CELL_PX)
-    grid = np.array([bounds[0], bounds[1], columns, rows])
     for neighbor in neighbors:
         depth = median_depth(views.points[neighbor], positions, views.poses[neighbor])
         if _distance(views.centers[keyframe], views.centers[neighbor]) < thresholds.TRIANGULATION_MIN_BASELINE * depth:
             continue
-        matches = _match_on_lines(keyframe, neighbor, free, views, camera_matrix, grid, scale_factors)
+        matches = _match_on_lines(keyframe, neighbor, free, views, camera_matrix, scale_factors)
         for f in range(count):
             other = matches[f]
             if other >= 0 and _triangulate_match(
@@ -64,39 +59,60 @@ def _distance(a: Any, b: Any) -> float:
 
 @njit(cache=True)
 def _match_on_lines(
-    keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, grid: Any, scale_factors: Any
+    keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any
 ) -> Any:
     """Match the free features of a keyframe with those of a neighbour near their epipolar lines (F,), -1 for none.
 
-    A feature of the neighbour is given to the one that is nearest in Hamming distance, the first of equals.
+    Only features under one vocabulary node are compared. A feature of the neighbour is given to the one that is nearest
+    in Hamming distance, the first of equals.
     """
     fundamental, epipole = fundamental_between(views.poses[keyframe], views.poses[neighbor], camera_matrix)
-    candidates = _away_from_epipole(neighbor, epipole, views, scale_factors)
-    starts, members = index_cells(views.pixels[neighbor][candidates], grid, _CELL_PX)
-    candidates = candidates[members]
-    pixels_b, octaves_b = views.pixels[neighbor][candidates], views.octaves[neighbor][candidates]
-    descriptors, descriptors_b = views.descriptors[keyframe], views.descriptors[neighbor][candidates]
-    pixels, octaves = views.pixels[keyframe], views.octaves[keyframe]
+    starts, candidates = _away_from_epipole(neighbor, epipole, views, scale_factors)
+    pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
+    pixels_b, octaves_b, descriptors_b = views.pixels[neighbor], views.octaves[neighbor], views.descriptors[neighbor]
+    nodes = views.nodes[keyframe]
     matches = np.full(len(free), -1, np.int64)
-    owners = np.full(len(candidates), -1, np.int64)
-    distances = np.full(len(candidates), thresholds.HAMMING_LOW + 1, np.int64)
+    owners = np.full(views.counts[neighbor], -1, np.int64)
+    distances = np.full(views.counts[neighbor], thresholds.HAMMING_LOW + 1, np.int64)
     for f in range(len(free)):
-        if not free[f]:
+        if not free[f] or nodes[f] + 1 >= len(starts):
             continue
-        best, distance = _nearest_on_line(
-            f, pixels, octaves, descriptors, fundamental, pixels_b, octaves_b, descriptors_b, starts, grid, scale_factors
-        )
-        if best >= 0 and distance < distances[best]:
+        a, b, c = _line(fundamental, pixels[f, 0], pixels[f, 1])
+        best, best_distance = -1, thresholds.HAMMING_LOW + 1
+        for k in range(starts[nodes[f]], starts[nodes[f] + 1]):
+            other = candidates[k]
+            offset, scale = a * pixels_b[other, 0] + b * pixels_b[other, 1] + c, scale_factors[octaves_b[other]]
+            if offset * offset > thresholds.CHI2_95_1DOF * scale * scale * (a * a + b * b):
+                continue
+            if abs(octaves_b[other] - octaves[f]) > _OCTAVES_APART:
+                continue
+            distance = hamming(descriptors, f, descriptors_b, other)
+            if distance < best_distance:
+                best, best_distance = other, distance
+        if best >= 0 and best_distance < distances[best]:
             if owners[best] >= 0:
                 matches[owners[best]] = -1
-            owners[best], distances[best] = f, distance
-            matches[f] = candidates[best]
+            owners[best], distances[best] = f, best_distance
+            matches[f] = best
     return matches
 
 
 @njit(cache=True)
+def _line(b_from_a: Any, x: float, y: float) -> Any:
+    """The epipolar line a x + b y + c = 0 of a pixel."""
+    return (
+        b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2],
+        b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2],
+        b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2],
+    )
+
+
+@njit(cache=True)
 def _away_from_epipole(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
-    """The free features of a keyframe that are not so near to the epipole that their depth is undetermined."""
+    """Free features of a keyframe by vocabulary node: those of node n are `order[starts[n] : starts[n + 1]]`.
+
+    Left out are those so near to the epipole that their depth is undetermined.
+    """
     kept = np.empty(views.counts[neighbor], np.int64)
     count = 0
     for f in range(len(kept)):
@@ -105,54 +121,14 @@ def _away_from_epipole(neighbor: int, epipole: Any, views: Views, scale_factors:
         if views.points[neighbor, f] < 0 and dx * dx + dy * dy >= nearest:
             kept[count] = f
             count += 1
-    return kept[:count]
-
-
-@njit(cache=True)
-def _nearest_on_line(
-    feature: int, pixels: Any, octaves: Any, descriptors: Any, b_from_a: Any,
-    pixels_b: Any, octaves_b: Any, descriptors_b: Any, starts: Any, grid: Any, scale_factors: Any,
-) -> Any:  # fmt: skip
-    """The feature of image b near the epipolar line of a feature that looks most like it, -1 for none; its distance.
-
-    The features of b lie in the order of their cells, which begin at `starts`. The line is followed along the axis that
-    it is more nearly parallel to, cell by cell; across that axis it passes few cells.
-    """
-    u, v = pixels[feature, 0], pixels[feature, 1]
-    a = b_from_a[0, 0] * u + b_from_a[0, 1] * v + b_from_a[0, 2]
-    b = b_from_a[1, 0] * u + b_from_a[1, 1] * v + b_from_a[1, 2]
-    c = b_from_a[2, 0] * u + b_from_a[2, 1] * v + b_from_a[2, 2]
-    best, best_distance = -1, thresholds.HAMMING_LOW + 1
-    norm = math.sqrt(a * a + b * b)
-    if norm == 0.0:
-        return best, best_distance
-    a, b, c = a / norm, b / norm, c / norm
-    columns, rows = int(grid[2]), int(grid[3])
-    steep = abs(a) > abs(b)
-    along, across = (b, a) if steep else (a, b)
-    along_cells, across_cells = (rows, columns) if steep else (columns, rows)
-    along_start, across_start = (grid[1], grid[0]) if steep else (grid[0], grid[1])
-    octave = octaves[feature]
-    widest = scale_factors[min(octave + _OCTAVES_APART, len(scale_factors) - 1)]
-    slope, margin = -along / across * _CELL_PX, math.sqrt(thresholds.CHI2_95_1DOF) * widest / abs(across)
-    place = -(along * along_start + c) / across - across_start
-    for i in range(along_cells):
-        low = max(int((min(place, place + slope) - margin) / _CELL_PX), 0)
-        high = min(int((max(place, place + slope) + margin + _CELL_PX) / _CELL_PX), across_cells)
-        place += slope
-        for j in range(low, high):
-            cell = i * columns + j if steep else j * columns + i
-            for k in range(starts[cell], starts[cell + 1]):
-                offset = a * pixels_b[k, 0] + b * pixels_b[k, 1] + c
-                other = octaves_b[k]
-                if offset * offset > thresholds.CHI2_95_1DOF * scale_factors[other] ** 2:
-                    continue
-                if abs(other - octave) > _OCTAVES_APART:
-                    continue
-                distance = hamming(descriptors, feature, descriptors_b, k)
-                if distance < best_distance:
-                    best, best_distance = k, distance
-    return best, best_distance
+    kept = kept[:count]
+    nodes = views.nodes[neighbor][kept]
+    starts = np.zeros(nodes.max() + 2 if count else 1, np.int64)
+    for node in nodes:
+        starts[node + 1] += 1
+    for n in range(1, len(starts)):
+        starts[n] += starts[n - 1]
+    return starts, kept[stable_order(nodes, len(starts) - 1)]
 
 
 @njit(cache=True)
