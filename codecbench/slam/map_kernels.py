@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from codecbench.slam import thresholds
 from codecbench.slam.hamming import hamming
 
 _DESCRIPTORS_COMPARED = 24
@@ -31,10 +32,18 @@ class Links(NamedTuple):
     alive: Any
 
 
+class Replacements(NamedTuple):
+    """What became of points: `replaced_by`, `found` and `visible` (P,); see PointTable."""
+
+    replaced_by: Any
+    found: Any
+    visible: Any
+
+
 class Views(NamedTuple):
     """The keyframes, one a row: `poses` (K, 4, 4) camera_from_world, `centers` (K, 3) in the world; by feature `pixels`
-    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4), map `points` (K, F), -1 for none, and vocabulary `nodes`
-    (K, F); `counts` (K,) of features."""
+    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4) and map `points` (K, F), -1 for none; `counts` (K,) of
+    features."""
 
     poses: Any
     centers: Any
@@ -42,7 +51,6 @@ class Views(NamedTuple):
     octaves: Any
     descriptors: Any
     points: Any
-    nodes: Any
     counts: Any
 
 
@@ -100,21 +108,29 @@ def _kill(point: int, links: Links) -> None:
 
 
 @njit(cache=True)
-def hand_over(old: Any, new: Any, links: Links) -> None:
+def replace(old: Any, new: Any, links: Links, table: Replacements) -> None:
     """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies."""
     for i in range(len(old)):
-        link = links.heads[old[i]]
-        links.heads[old[i]] = -1
-        while link >= 0:
-            after, keyframe = links.following[link], links.keyframes[link]
-            taken = sees(keyframe, new[i], links)
-            links.keyframe_points[keyframe, links.features[link]] = -1 if taken else new[i]
-            if not taken:
-                links.following[link] = links.heads[new[i]]
-                links.heads[new[i]] = link
-                links.counts[new[i]] += 1
-            link = after
-        _kill(old[i], links)
+        _hand_over(old[i], new[i], links)
+        table.replaced_by[old[i]] = new[i]
+        table.found[new[i]] += table.found[old[i]]
+        table.visible[new[i]] += table.visible[old[i]]
+
+
+@njit(cache=True)
+def _hand_over(old: int, new: int, links: Links) -> None:
+    link = links.heads[old]
+    links.heads[old] = -1
+    while link >= 0:
+        after, keyframe = links.following[link], links.keyframes[link]
+        taken = sees(keyframe, new, links)
+        links.keyframe_points[keyframe, links.features[link]] = -1 if taken else new
+        if not taken:
+            links.following[link] = links.heads[new]
+            links.heads[new] = link
+            links.counts[new] += 1
+        link = after
+    _kill(old, links)
 
 
 @njit(cache=True)
@@ -124,18 +140,6 @@ def sees(keyframe: int, point: int, links: Links) -> bool:
     while link >= 0 and links.keyframes[link] != keyframe:
         link = links.following[link]
     return bool(link >= 0)
-
-
-@njit(cache=True)
-def list_unseen(keyframe: int, points: Any, links: Links) -> Any:
-    """Those of `points` that are alive and that a keyframe does not see, in order."""
-    unseen = np.empty(len(points), np.int64)
-    count = 0
-    for point in points:
-        if links.alive[point] and not sees(keyframe, point, links):
-            unseen[count] = point
-            count += 1
-    return unseen[:count]
 
 
 @njit(cache=True)
@@ -152,9 +156,9 @@ def count_covisible(points: Any, keyframe_count: int, heads: Any, following: Any
 
 @njit(cache=True)
 def list_observations(
-    points: Any, counts: Any, heads: Any, following: Any, link_keyframes: Any, link_features: Any
+    points: Any, wanted: Any, counts: Any, heads: Any, following: Any, link_keyframes: Any, link_features: Any
 ) -> Any:
-    """All observations of `points`: index into `points` (M,), keyframe (M,), feature (M,), point by point."""
+    """Observations of `points` by keyframes `wanted` (K,) bool: index into `points`, keyframe, feature, (M,) each."""
     total = 0
     for p in points:
         total += counts[p]
@@ -165,10 +169,11 @@ def list_observations(
     for i in range(len(points)):
         link = heads[points[i]]
         while link >= 0:
-            which[m], keyframes[m], features[m] = i, link_keyframes[link], link_features[link]
-            m += 1
+            if wanted[link_keyframes[link]]:
+                which[m], keyframes[m], features[m] = i, link_keyframes[link], link_features[link]
+                m += 1
             link = following[link]
-    return which, keyframes, features
+    return which[:m], keyframes[:m], features[:m]
 
 
 @njit(cache=True)
@@ -269,27 +274,25 @@ def _lower_median(values: Any) -> int:
 
 
 @njit(cache=True)
-def count_redundant(
-    keyframe: int, needed: int, keyframe_points: Any, keyframe_octaves: Any,
-    heads: Any, following: Any, link_keyframes: Any, link_features: Any,
-) -> Any:  # fmt: skip
-    """Points of `keyframe`, and how many of them `needed` others see at the same, a finer or the next scale."""
-    total, redundant = 0, 0
-    for f in range(keyframe_points.shape[1]):
-        p = keyframe_points[keyframe, f]
-        if p < 0:
-            continue
-        total += 1
-        octave, others = keyframe_octaves[keyframe, f], 0
-        link = heads[p]
-        while link >= 0:
+def is_redundant(
+    points: Any, keyframe: int, octaves: Any, heads: Any, following: Any, link_keyframes: Any, link_features: Any
+) -> bool:
+    """Whether more than REDUNDANT_SHARE of a keyframe's points (F,) are seen by REDUNDANT_OBSERVATIONS others at the
+    same, a finer or the next scale; so it is without points."""
+    allowed = (1.0 - thresholds.REDUNDANT_SHARE) * np.count_nonzero(points >= 0)
+    needed = 0
+    for f in range(len(points)):
+        others, link = 0, heads[points[f]] if points[f] >= 0 else -1
+        while link >= 0 and others < thresholds.REDUNDANT_OBSERVATIONS:
             k = link_keyframes[link]
-            if k != keyframe and keyframe_octaves[k, link_features[link]] <= octave + 1:
+            if k != keyframe and octaves[k, link_features[link]] <= octaves[keyframe, f] + 1:
                 others += 1
             link = following[link]
-        if others >= needed:
-            redundant += 1
-    return total, redundant
+        if points[f] >= 0 and others < thresholds.REDUNDANT_OBSERVATIONS:
+            needed += 1
+            if needed >= allowed:
+                return False
+    return True
 
 
 @njit(cache=True)

@@ -8,11 +8,10 @@ from codecbench.slam import thresholds
 from codecbench.slam.bundle_adjustment import adjust
 from codecbench.slam.camera import Camera
 from codecbench.slam.frame import Frame
+from codecbench.slam.fusion import fuse
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.map_kernels import median_depth
-from codecbench.slam.matching import match_in_windows
 from codecbench.slam.places import Places
-from codecbench.slam.projection import project_map_points
 from codecbench.slam.transforms import Array
 from codecbench.slam.triangulation import triangulate_features
 
@@ -53,14 +52,14 @@ class Mapper:
         slam_map.observe(keyframe, matched, frame.points[matched])
         slam_map.refresh_points(frame.points[matched])
         slam_map.attach(keyframe)
-        slam_map.keyframes.nodes[keyframe, : len(frame.features)] = self.places.add(keyframe, frame.features)
+        self.places.add(keyframe, frame.features)
         frame.reference = keyframe
         return keyframe
 
     def add_points(
         self, keyframe: int, features: Indices, others: int | Indices, other_features: Indices, points: Array
     ) -> None:
-        """New map points (N, 3), seen at `features` (N,) of a keyframe and at `other_features` (N,) of `others` (N,)."""
+        """New map points (N, 3), seen at `features` (N,) of a keyframe and `other_features` (N,) of `others` (N,)."""
         slam_map = self.map
         added = slam_map.points.add(points, keyframe, slam_map.keyframes.count)
         slam_map.observe(keyframe, features, added)
@@ -104,13 +103,13 @@ class Mapper:
             for second in self.map.neighbors(int(neighbor), 5)[0]:
                 if second != keyframe and int(second) not in targets:
                     targets.append(int(second))
-        own = self.map.keyframes.points[keyframe]
+        poses, own = self.map.keyframes.camera_from_world, self.map.keyframes.points[keyframe]
+        before = self.map.points.observation_counts.copy()
         for target in targets:
-            fuse(self.map, self.camera, target, own[own >= 0].copy(), self.map.keyframes.camera_from_world[target])
-        theirs = self.map.points_of(np.array(targets, dtype=np.int64))
-        fuse(self.map, self.camera, keyframe, theirs, self.map.keyframes.camera_from_world[keyframe])
-        own = self.map.keyframes.points[keyframe]
-        self.map.refresh_points(own[own >= 0])
+            fuse(self.map, self.camera, target, own[own >= 0], poses[target])
+        fuse(self.map, self.camera, keyframe, self.map.points_of(np.array(targets, dtype=np.int64)), poses[keyframe])
+        own = own[own >= 0]
+        self.map.refresh_points(own[self.map.points.observation_counts[own] != before[own]])
 
     # Adjustment -----------------------------------------------------------------------------------------------
 
@@ -125,15 +124,14 @@ class Mapper:
         fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
         if len(fixed) == 0:  # the oldest keeps its pose; the scale is free, and damping keeps it where it was
             fixed, free = free[free == free.min()], free[free != free.min()]
-        adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10), thresholds.LOCAL_BUNDLE_TOLERANCE)
+        adjust_keyframes(self.map, self.camera, free, fixed, points, (5,), thresholds.LOCAL_BUNDLE_TOLERANCE)
 
     def _cull_keyframes(self, keyframe: int) -> None:
         """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
         for neighbor in self.map.neighbors(keyframe)[0]:
             if neighbor == 0:
                 continue
-            redundancy = self.map.redundancy(int(neighbor), thresholds.REDUNDANT_OBSERVATIONS)
-            if redundancy > thresholds.REDUNDANT_SHARE:
+            if self.map.is_redundant(int(neighbor)):
                 self.map.remove_keyframe(int(neighbor))
                 self.places.remove(int(neighbor))
 
@@ -143,37 +141,6 @@ def _keep_first(points: Indices) -> None:
     order = np.argsort(points, kind="stable")
     repeated = order[1:][points[order[1:]] == points[order[:-1]]]
     points[repeated] = NONE
-
-
-def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_from_world: Array) -> int:
-    """Project `points` into a keyframe: where a feature is free they are observed, where it shows another point the
-    two become one, the one that more keyframes see. Returns how many were matched.
-
-    `camera_from_world` (4, 4) may differ from the keyframe's pose: a corrected one while a loop is closed.
-    """
-    table, keyframes = slam_map.points, slam_map.keyframes
-    features = keyframes.features[keyframe]
-    projections = project_map_points(
-        slam_map, slam_map.unseen_points(keyframe, points), camera_from_world, camera, thresholds.VIEWING_COSINE
-    )
-    radii = thresholds.FUSE_WINDOW_PX * slam_map.scale_factors[projections.octaves]
-    matches = match_in_windows(
-        projections.pixels, radii, projections.octaves - 1, projections.octaves,
-        table.descriptors[projections.points], features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
-    )  # fmt: skip
-    queries = np.nonzero(matches >= 0)[0]
-    found = matches[queries]
-    offsets = features.pixels[found] - projections.pixels[queries]
-    errors = (offsets**2).sum(axis=1) / slam_map.scale_factors[features.octaves[found]] ** 2
-    close = errors < thresholds.CHI2_95_2DOF
-    candidates, found = projections.points[queries[close]], found[close]
-    others = keyframes.points[keyframe, found]
-    free = others < 0
-    slam_map.observe(keyframe, found[free], candidates[free])
-    candidates, others = candidates[~free], others[~free]
-    stronger = table.observation_counts[candidates] > table.observation_counts[others]
-    slam_map.replace_points(np.where(stronger, others, candidates), np.where(stronger, candidates, others))
-    return len(free)
 
 
 def adjust_keyframes(
@@ -190,13 +157,11 @@ def adjust_keyframes(
     chosen = np.concatenate([free, fixed]).astype(np.int64)
     slots = np.full(keyframes.count, NONE, np.int64)
     slots[chosen] = np.arange(len(chosen))
-    which, seen_by, features = slam_map.observations(points)
-    inside = slots[seen_by] >= 0
-    which, seen_by, features = which[inside], seen_by[inside], features[inside]
-    octaves = keyframes.octaves[seen_by, features]
+    which, seen_by, features = slam_map.observations(points, chosen)
+    inverse_sigma2 = slam_map.scale_factors**-2.0
     result = adjust(
         keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
-        keyframes.pixels[seen_by, features], slam_map.scale_factors[octaves] ** -2.0, camera.intrinsics,
+        keyframes.pixels[seen_by, features], inverse_sigma2[keyframes.octaves[seen_by, features]], camera.intrinsics,
         np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])

@@ -17,12 +17,11 @@ class Places:
         self._database = KeyframeDatabase(len(self._vocabulary))
         self._nodes: dict[int, Indices] = {}
 
-    def add(self, keyframe: int, features: Features) -> Indices:
-        """Index a keyframe; returns the vocabulary node of each feature (N,)."""
+    def add(self, keyframe: int, features: Features) -> None:
+        """Index a keyframe."""
         words = self._vocabulary.words(features.descriptors)
         self._nodes[keyframe] = words.nodes
         self._database.add(keyframe, self._vocabulary.bow(words.words))
-        return words.nodes
 
     def remove(self, keyframe: int) -> None:
         """Forget a keyframe."""

@@ -16,7 +16,6 @@ from codecbench.slam.bundle_kernels import reprojection
 from codecbench.slam.geometry import fundamental_between, triangulate_pair
 from codecbench.slam.hamming import hamming
 from codecbench.slam.map_kernels import Views, median_depth
-from codecbench.slam.sorting import stable_order
 
 _OCTAVES_APART = 2
 """Most levels between two features that match (own)."""
@@ -63,32 +62,41 @@ def _match_on_lines(
 ) -> Any:
     """Match the free features of a keyframe with those of a neighbour near their epipolar lines (F,), -1 for none.
 
-    Only features under one vocabulary node are compared. A feature of the neighbour is given to the one that is nearest
-    in Hamming distance, the first of equals.
+    A feature of the neighbour is given to the one that is nearest in Hamming distance, the first of equals.
     """
     fundamental, epipole = fundamental_between(views.poses[keyframe], views.poses[neighbor], camera_matrix)
-    starts, candidates = _away_from_epipole(neighbor, epipole, views, scale_factors)
+    candidates, starts = _candidates(neighbor, epipole, views, scale_factors)
+    xs, ys = np.empty((2, len(candidates)), np.float32)
+    reaches = np.empty(len(candidates), np.float32)
+    for k, f in enumerate(candidates):
+        xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
+        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF) * scale_factors[views.octaves[neighbor, f]]
     pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
-    pixels_b, octaves_b, descriptors_b = views.pixels[neighbor], views.octaves[neighbor], views.descriptors[neighbor]
-    nodes = views.nodes[keyframe]
+    descriptors_b = views.descriptors[neighbor]
+    eights = np.zeros(
+        len(candidates) // 8 + 1, np.uint64
+    )  # the marks eight at a time: most lines pass by most features
+    near = eights.view(np.uint8)
     matches = np.full(len(free), -1, np.int64)
     owners = np.full(views.counts[neighbor], -1, np.int64)
     distances = np.full(views.counts[neighbor], thresholds.HAMMING_LOW + 1, np.int64)
     for f in range(len(free)):
-        if not free[f] or nodes[f] + 1 >= len(starts):
+        if not free[f]:
             continue
-        a, b, c = _line(fundamental, pixels[f, 0], pixels[f, 1])
+        first = starts[max(octaves[f] - _OCTAVES_APART, 0)]
+        last = starts[min(octaves[f] + _OCTAVES_APART + 1, len(starts) - 1)]
+        _mark_near_line(
+            fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
+        )
         best, best_distance = -1, thresholds.HAMMING_LOW + 1
-        for k in range(starts[nodes[f]], starts[nodes[f] + 1]):
-            other = candidates[k]
-            offset, scale = a * pixels_b[other, 0] + b * pixels_b[other, 1] + c, scale_factors[octaves_b[other]]
-            if offset * offset > thresholds.CHI2_95_1DOF * scale * scale * (a * a + b * b):
+        for word in range((last - first + 7) // 8):
+            if eights[word] == 0:
                 continue
-            if abs(octaves_b[other] - octaves[f]) > _OCTAVES_APART:
-                continue
-            distance = hamming(descriptors, f, descriptors_b, other)
-            if distance < best_distance:
-                best, best_distance = other, distance
+            for k in range(8 * word, min(8 * word + 8, last - first)):
+                if near[k]:
+                    distance = hamming(descriptors, f, descriptors_b, candidates[first + k])
+                    if distance < best_distance:
+                        best, best_distance = candidates[first + k], distance
         if best >= 0 and best_distance < distances[best]:
             if owners[best] >= 0:
                 matches[owners[best]] = -1
@@ -98,37 +106,36 @@ def _match_on_lines(
 
 
 @njit(cache=True)
-def _line(b_from_a: Any, x: float, y: float) -> Any:
-    """The epipolar line a x + b y + c = 0 of a pixel."""
-    return (
-        b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2],
-        b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2],
-        b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2],
-    )
+def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, near: Any) -> None:
+    """Mark the places (N,) within their reach of the epipolar line of a pixel, many at once."""
+    a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
+    b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
+    c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    scale = 1.0 / max(math.sqrt(a * a + b * b), 1e-300)
+    p, q, r = np.float32(a * scale), np.float32(b * scale), np.float32(c * scale)
+    for k in range(len(xs)):
+        near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
 
 
 @njit(cache=True)
-def _away_from_epipole(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
-    """Free features of a keyframe by vocabulary node: those of node n are `order[starts[n] : starts[n + 1]]`.
+def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
+    """The free features of a keyframe (N,) level by level, and where each level begins (levels + 1,).
 
     Left out are those so near to the epipole that their depth is undetermined.
     """
-    kept = np.empty(views.counts[neighbor], np.int64)
-    count = 0
-    for f in range(len(kept)):
-        dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
-        nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[views.octaves[neighbor, f]]
-        if views.points[neighbor, f] < 0 and dx * dx + dy * dy >= nearest:
-            kept[count] = f
-            count += 1
-    kept = kept[:count]
-    nodes = views.nodes[neighbor][kept]
-    starts = np.zeros(nodes.max() + 2 if count else 1, np.int64)
-    for node in nodes:
-        starts[node + 1] += 1
-    for n in range(1, len(starts)):
-        starts[n] += starts[n - 1]
-    return starts, kept[stable_order(nodes, len(starts) - 1)]
+    count = views.counts[neighbor]
+    octaves = views.octaves[neighbor]
+    kept, starts, made = np.empty(count, np.int64), np.zeros(len(scale_factors) + 1, np.int64), 0
+    for octave in range(len(scale_factors)):
+        nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[octave]
+        for f in range(count):
+            if octaves[f] == octave and views.points[neighbor, f] < 0:
+                dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
+                if dx * dx + dy * dy >= nearest:
+                    kept[made] = f
+                    made += 1
+        starts[octave + 1] = made
+    return kept[:made], starts
 
 
 @njit(cache=True)
