@@ -34,10 +34,8 @@ class Map:
         self.culled: dict[int, CulledKeyframe] = {}
         self.loop_edges: list[tuple[int, int]] = []
         self._neighbors: dict[tuple[int, int | None, int], tuple[Indices, Indices]] = {}  # until observations change
-        self._links = 0
-        self._following = np.empty(16384, np.int64)
-        self._link_keyframes = np.empty(16384, np.int64)
-        self._link_features = np.empty(16384, np.int64)
+        self._link_count = 0
+        self._links = np.empty((16384, 3), np.int32)
 
     # Observations ---------------------------------------------------------------------------------------------
 
@@ -45,24 +43,18 @@ class Map:
         """Record that a keyframe, or keyframes[i], sees points[i] at features[i]; neither may be seen there yet."""
         self._neighbors.clear()
         keyframes = np.full(len(points), keyframes, np.int64)
-        rows = self._links + len(points)
-        self._following = grown(self._following, rows, NONE)
-        self._link_keyframes = grown(self._link_keyframes, rows, NONE)
-        self._link_features = grown(self._link_features, rows, NONE)
+        first = self._link_count
+        self._link_count += len(points)
+        self._links = grown(self._links, self._link_count, NONE)
         map_kernels.add_links(
-            points, keyframes, features, self._links, self.points.heads, self.points.observation_counts,
-            self._following, self._link_keyframes, self._link_features,
-        )  # fmt: skip
-        self._links = rows
+            points, keyframes, features, first, self.points.heads, self.points.observation_counts, self._links
+        )
         self.keyframes.points[keyframes, features] = points
 
     @property
     def _lists(self) -> map_kernels.Links:
         table = self.points
-        return map_kernels.Links(
-            table.heads, table.observation_counts, self._following, self._link_keyframes, self._link_features,
-            self.keyframes.points, table.alive,
-        )  # fmt: skip
+        return map_kernels.Links(table.heads, table.observation_counts, self._links, self.keyframes.points, table.alive)
 
     def unobserve(self, keyframes: Indices, features: Indices) -> None:
         """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
@@ -74,9 +66,8 @@ class Map:
         wanted = np.full(self.keyframes.count, among is None)
         wanted[among if among is not None else []] = True
         which, keyframes, features = map_kernels.list_observations(
-            points, wanted, self.points.observation_counts, self.points.heads, self._following,
-            self._link_keyframes, self._link_features,
-        )  # fmt: skip
+            points, wanted, self.points.observation_counts, self.points.heads, self._links
+        )
         return which, keyframes, features
 
     def remove_points(self, points: Indices) -> None:
@@ -106,8 +97,7 @@ class Map:
         """Recompute what a point derives from its observations: normal, distances, descriptor."""
         table, keyframes = self.points, self.keyframes
         map_kernels.refresh_points(
-            points, table.positions, table.references, table.heads, self._following,
-            self._link_keyframes, self._link_features,
+            points, table.positions, table.references, table.heads, self._links,
             keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
             table.normals, table.min_distances, table.max_distances, table.descriptors, descriptors,
         )  # fmt: skip
@@ -116,11 +106,7 @@ class Map:
 
     def covisibility(self, points: Indices) -> Indices:
         """How many of `points` each keyframe sees (K,); NONE is skipped."""
-        return np.asarray(
-            map_kernels.count_covisible(
-                points, self.keyframes.count, self.points.heads, self._following, self._link_keyframes
-            )
-        )
+        return np.asarray(map_kernels.count_covisible(points, self.keyframes.count, self.points.heads, self._links))
 
     def neighbors(
         self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
@@ -148,8 +134,7 @@ class Map:
         """Whether nearly all points of `keyframe` are seen by enough others at least as finely (ORB-SLAM VI-E)."""
         return bool(
             map_kernels.is_redundant(
-                self.keyframes.points[keyframe], keyframe, self.keyframes.octaves, self.points.heads,
-                self._following, self._link_keyframes, self._link_features,
+                self.keyframes.points[keyframe], keyframe, self.keyframes.octaves, self.points.heads, self._links
             )
         )  # fmt: skip
 

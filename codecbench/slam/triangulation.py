@@ -73,10 +73,8 @@ def _match_on_lines(
         reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF) * scale_factors[views.octaves[neighbor, f]]
     pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
     descriptors_b = views.descriptors[neighbor]
-    eights = np.zeros(
-        len(candidates) // 8 + 1, np.uint64
-    )  # the marks eight at a time: most lines pass by most features
-    near = eights.view(np.uint8)
+    eights = np.zeros(len(candidates) // 8 + 1, np.uint64)
+    near, hits = eights.view(np.uint8), np.empty(len(candidates) + 8, np.int64)
     matches = np.full(len(free), -1, np.int64)
     owners = np.full(views.counts[neighbor], -1, np.int64)
     distances = np.full(views.counts[neighbor], thresholds.HAMMING_LOW + 1, np.int64)
@@ -88,15 +86,13 @@ def _match_on_lines(
         _mark_near_line(
             fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
         )
+        count = _list_marked(eights, near, last - first, hits)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1
-        for word in range((last - first + 7) // 8):
-            if eights[word] == 0:
-                continue
-            for k in range(8 * word, min(8 * word + 8, last - first)):
-                if near[k]:
-                    distance = hamming(descriptors, f, descriptors_b, candidates[first + k])
-                    if distance < best_distance:
-                        best, best_distance = candidates[first + k], distance
+        for k in hits[:count]:
+            other = candidates[first + k]
+            distance = hamming(descriptors, f, descriptors_b, other)
+            if distance < best_distance:
+                best, best_distance = other, distance
         if best >= 0 and best_distance < distances[best]:
             if owners[best] >= 0:
                 matches[owners[best]] = -1
@@ -115,6 +111,22 @@ def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches
     p, q, r = np.float32(a * scale), np.float32(b * scale), np.float32(c * scale)
     for k in range(len(xs)):
         near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
+
+
+@njit(cache=True)
+def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
+    """Write the places of the nonzero among the first `length` marks; returns their number.
+
+    `eights` holds the same marks eight at a time: most lines pass by most features. No branch depends on a single mark.
+    """
+    marks[length : length + 8] = 0
+    count = 0
+    for word in range((length + 7) // 8):
+        if eights[word] != 0:
+            for k in range(8 * word, 8 * word + 8):
+                out[count] = k
+                count += marks[k]
+    return count
 
 
 @njit(cache=True)
