@@ -24,7 +24,7 @@ from codecbench.slam.transforms import Array, orthonormalize
 HUBER_95 = float(np.sqrt(CHI2_95_2DOF))
 """Error in units of its sigma above which Huber's kernel grows linearly (ORB-SLAM, appendix)."""
 
-_ALWAYS_NATURAL_ORDER = 48  # keyframes: below it a search for a better order costs more than it saves
+_ALWAYS_DENSE = 24  # keyframes: up to so many, looking for who shares points with whom costs more than it saves
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class _Problem:
         self.seen = Observations(
             cameras[self.order],
             starts,
-            np.ascontiguousarray(pixels[self.order]),
+            np.take(pixels, self.order, axis=0),
             np.sqrt(inverse_sigma2[self.order]),
             self.everything,
             intrinsics,
@@ -147,12 +147,12 @@ def _layout(cameras: Indices, points: Indices, fixed: NDArray[np.bool_], point_c
     slots = np.full(len(fixed), -1, dtype=np.int64)
     free = np.flatnonzero(~fixed)
     slots[free] = np.arange(len(free))
-    adjacency = camera_adjacency(slots[cameras], points, point_count, len(free))
-    if len(free) > _ALWAYS_NATURAL_ORDER:
+    first = np.zeros(len(free), dtype=np.int64)
+    if len(free) > _ALWAYS_DENSE:
+        adjacency = camera_adjacency(slots[cameras], points, point_count, len(free))
         order = envelope_order(adjacency)
         slots[free[order]] = np.arange(len(free))
-        adjacency = adjacency[np.ix_(order, order)]
-    first = first_neighbours(adjacency)
+        first = first_neighbours(adjacency[np.ix_(order, order)])
     return Layout(slots, first, envelope_offsets(first, 6))
 
 

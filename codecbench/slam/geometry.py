@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
+from codecbench.slam.transforms import se3_inverse, sim3_compose, skew
 
 Floats = NDArray[np.float64]
 _MAX_SWEEPS = 30
@@ -145,22 +146,22 @@ def _motion(rotation: Floats, translation: Floats) -> Floats:
     return motion
 
 
-def fundamental_between(a_from_world: Floats, b_from_world: Floats, camera_matrix: Floats) -> tuple[Floats, Floats]:
+@njit(cache=True)
+def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any) -> Any:
     """Fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,) in image b, pixels.
 
-    An epipole at infinity comes back 1e6 pixels out in its direction.
+    `camera_matrix` (3, 3) is without skew. An epipole at infinity comes back 1e6 pixels out in its direction.
     """
-    b_from_a = b_from_world @ np.linalg.inv(a_from_world)
-    t = b_from_a[:3, 3]
-    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-    inverse = np.linalg.inv(camera_matrix)
-    projected = camera_matrix @ t
-    depth = projected[2] if abs(projected[2]) > 1e-6 * np.linalg.norm(projected[:2]) else 0.0
-    if depth == 0.0:
-        epipole = projected[:2] / max(float(np.linalg.norm(projected[:2])), 1e-300) * 1e6
-    else:
-        epipole = projected[:2] / depth
-    return inverse.T @ cross @ b_from_a[:3, :3] @ inverse, epipole
+    b_from_a = sim3_compose(b_from_world, se3_inverse(a_from_world))
+    t = b_from_a[:3, 3].copy()
+    fx, fy, cx, cy = camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]
+    inverse = np.array([[1.0 / fx, 0.0, -cx / fx], [0.0, 1.0 / fy, -cy / fy], [0.0, 0.0, 1.0]])
+    rotation = np.ascontiguousarray(b_from_a[:3, :3])
+    fundamental = inverse.T @ (skew(t) @ rotation @ inverse)
+    u, v = fx * t[0] + cx * t[2], fy * t[1] + cy * t[2]
+    length = math.sqrt(u * u + v * v)
+    scale = 1.0 / t[2] if abs(t[2]) > 1e-6 * length else 1e6 / max(length, 1e-300)
+    return fundamental, np.array([scale * u, scale * v])
 
 
 @njit(cache=True)
@@ -170,23 +171,31 @@ def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: A
     Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. A point at infinity has coordinates that are not
     finite.
     """
-    fx, fy, cx, cy = intrinsics
     points = np.empty((len(pixels_a), 3))
     system = np.empty((4, 4))
     for i in range(len(pixels_a)):
-        xa, ya = (pixels_a[i, 0] - cx) / fx, (pixels_a[i, 1] - cy) / fy
-        xb, yb = (pixels_b[i, 0] - cx) / fx, (pixels_b[i, 1] - cy) / fy
-        for k in range(4):
-            system[0, k] = xa * a_from_world[2, k] - a_from_world[0, k]
-            system[1, k] = ya * a_from_world[2, k] - a_from_world[1, k]
-            system[2, k] = xb * b_from_world[2, k] - b_from_world[0, k]
-            system[3, k] = yb * b_from_world[2, k] - b_from_world[1, k]
-        x, y, z, w = _null_vector(system)
+        x, y, z, w = triangulate_pair(a_from_world, b_from_world, pixels_a[i], pixels_b[i], intrinsics, system)
         if w != 0.0:
             points[i, 0], points[i, 1], points[i, 2] = x / w, y / w, z / w
         else:
             points[i] = np.inf
     return points
+
+
+@njit(cache=True)
+def triangulate_pair(
+    a_from_world: Any, b_from_world: Any, pixel_a: Any, pixel_b: Any, intrinsics: Any, system: Any
+) -> Any:
+    """Homogeneous coordinates of the point that two pixels show; see `triangulate`. `system` (4, 4) is overwritten."""
+    fx, fy, cx, cy = intrinsics
+    xa, ya = (pixel_a[0] - cx) / fx, (pixel_a[1] - cy) / fy
+    xb, yb = (pixel_b[0] - cx) / fx, (pixel_b[1] - cy) / fy
+    for k in range(4):
+        system[0, k] = xa * a_from_world[2, k] - a_from_world[0, k]
+        system[1, k] = ya * a_from_world[2, k] - a_from_world[1, k]
+        system[2, k] = xb * b_from_world[2, k] - b_from_world[0, k]
+        system[3, k] = yb * b_from_world[2, k] - b_from_world[1, k]
+    return _null_vector(system)
 
 
 @njit(cache=True)

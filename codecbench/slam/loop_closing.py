@@ -7,9 +7,10 @@ import numpy as np
 
 from codecbench.slam import pose_graph, thresholds
 from codecbench.slam.camera import Camera
+from codecbench.slam.fusion import fuse
 from codecbench.slam.loop_detection import Loop, rigid_part
 from codecbench.slam.map import Indices, Map
-from codecbench.slam.mapping import adjust_keyframes, fuse
+from codecbench.slam.mapping import adjust_keyframes
 from codecbench.slam.transforms import Array, sim3_compose, sim3_from_parts, sim3_inverse, sim3_scale
 
 

@@ -3,118 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from codecbench.slam import map_kernels
-from codecbench.slam.features import Features
+from codecbench.slam.map_tables import NONE, Indices, KeyframeTable, PointTable, grown
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
 from codecbench.slam.transforms import Array
 
-Indices = NDArray[np.int64]
-NONE = -1
-"""The index of no point or no keyframe."""
-
-
-def grown(array: NDArray[Any], rows: int, fill: Any) -> NDArray[Any]:
-    """`array` with at least `rows` rows, twice as many as before when it must grow; new ones hold `fill`."""
-    if rows <= len(array):
-        return array
-    longer = np.full((max(2 * len(array), rows), *array.shape[1:]), fill, array.dtype)
-    longer[: len(array)] = array
-    return longer
-
-
-class PointTable:
-    """The points, one a row: `count` rows are in use, dead ones among them (`alive`).
-
-    `positions`, `normals` (mean viewing direction) (P, 3) in the world; `min_distances`, `max_distances` at which the
-    pyramid can show the point; `descriptors` (P, 4); `visible` and `found`: frames that should see and do see it;
-    `born`: number of keyframes made before it; `references`: keyframe whose view gave its scale; `replaced_by`: the
-    point that took its place, or NONE.
-    """
-
-    def __init__(self, capacity: int = 4096) -> None:
-        self.count = 0
-        self.positions = np.zeros((capacity, 3))
-        self.normals = np.zeros((capacity, 3))
-        self.min_distances = np.zeros(capacity)
-        self.max_distances = np.zeros(capacity)
-        self.descriptors = np.zeros((capacity, 4), np.uint64)
-        self.alive = np.zeros(capacity, np.bool_)
-        self.visible = np.zeros(capacity, np.int64)
-        self.found = np.zeros(capacity, np.int64)
-        self.born = np.zeros(capacity, np.int64)
-        self.references = np.full(capacity, NONE, np.int64)
-        self.replaced_by = np.full(capacity, NONE, np.int64)
-        self.heads = np.full(capacity, NONE, np.int64)
-        self.observation_counts = np.zeros(capacity, np.int64)
-
-    def add(self, positions: Array, reference: int, born: int) -> Indices:
-        """New points at `positions` (N, 3); returns their indices (N,)."""
-        rows = self.count + len(positions)
-        for name, array in vars(self).items():
-            if isinstance(array, np.ndarray):
-                fill = NONE if name in ("references", "replaced_by", "heads") else 0
-                setattr(self, name, grown(array, rows, fill))
-        added = np.arange(self.count, rows)
-        self.count = rows
-        self.positions[added] = positions
-        self.alive[added] = True
-        self.visible[added] = self.found[added] = 1
-        self.born[added], self.references[added] = born, reference
-        return added
-
-
-class KeyframeTable:
-    """The keyframes, one a row: `count` rows are in use, dead ones among them (`alive`).
-
-    `camera_from_world` (K, 4, 4); `centers_world` (K, 3); `octaves`, `pixels`, `descriptors`, `points` (K, F, ...) by
-    feature, `points` NONE where a feature has none; `frame_indices` and `parents` (in the spanning tree) (K,);
-    `scales`: by how much loop corrections have stretched the neighbourhood; `features` the Features objects.
-    """
-
-    def __init__(self, features_limit: int, capacity: int = 64) -> None:
-        self.count = 0
-        self.camera_from_world = np.tile(np.eye(4), (capacity, 1, 1))
-        self.centers_world = np.zeros((capacity, 3))
-        self.pixels = np.zeros((capacity, features_limit, 2))
-        self.octaves = np.zeros((capacity, features_limit), np.int32)
-        self.descriptors = np.zeros((capacity, features_limit, 4), np.uint64)
-        self.points = np.full((capacity, features_limit), NONE, np.int64)
-        self.frame_indices = np.full(capacity, NONE, np.int64)
-        self.parents = np.full(capacity, NONE, np.int64)
-        self.scales = np.ones(capacity)
-        self.alive = np.zeros(capacity, np.bool_)
-        self.features: list[Features] = []
-        self.timestamps_s: list[float] = []
-
-    def add(self, features: Features, camera_from_world: Array, frame_index: int, timestamp_s: float) -> int:
-        """A new keyframe that sees no point yet; returns its index."""
-        k = self.count
-        fills = {"points": NONE, "frame_indices": NONE, "parents": NONE, "scales": 1.0}
-        for name, array in vars(self).items():
-            if isinstance(array, np.ndarray):
-                setattr(self, name, grown(array, k + 1, fills.get(name, 0)))
-        self.count = k + 1
-        n = len(features)
-        self.pixels[k, :n] = features.pixels
-        self.octaves[k, :n] = features.octaves
-        self.descriptors[k, :n] = features.descriptors
-        self.alive[k] = True
-        self.frame_indices[k] = frame_index
-        self.features.append(features)
-        self.timestamps_s.append(timestamp_s)
-        self.set_pose(k, camera_from_world)
-        return k
-
-    def set_pose(self, keyframe: int | Indices, camera_from_world: Array) -> None:
-        """Set one pose (4, 4) or several (N, 4, 4)."""
-        self.camera_from_world[keyframe] = camera_from_world
-        rotations, translations = camera_from_world[..., :3, :3], camera_from_world[..., :3, 3]
-        self.centers_world[keyframe] = -np.einsum("...ji,...j->...i", rotations, translations)
+__all__ = ["NONE", "CulledKeyframe", "Indices", "KeyframeTable", "Map", "PointTable", "grown"]
 
 
 @dataclass(frozen=True)
@@ -137,46 +34,40 @@ class Map:
         self.culled: dict[int, CulledKeyframe] = {}
         self.loop_edges: list[tuple[int, int]] = []
         self._neighbors: dict[tuple[int, int | None, int], tuple[Indices, Indices]] = {}  # until observations change
-        self._links = 0
-        self._following = np.empty(16384, np.int64)
-        self._link_keyframes = np.empty(16384, np.int64)
-        self._link_features = np.empty(16384, np.int64)
+        self._link_count = 0
+        self._links = np.empty((16384, 3), np.int32)
 
     # Observations ---------------------------------------------------------------------------------------------
 
-    def observe(self, keyframe: int, features: Indices, points: Indices) -> None:
-        """Record that `keyframe` sees points[i] at features[i]; neither may have an observation there yet."""
+    def observe(self, keyframes: int | Indices, features: Indices, points: Indices) -> None:
+        """Record that a keyframe, or keyframes[i], sees points[i] at features[i]; neither may be seen there yet."""
         self._neighbors.clear()
-        rows = self._links + len(points)
-        self._following = grown(self._following, rows, NONE)
-        self._link_keyframes = grown(self._link_keyframes, rows, NONE)
-        self._link_features = grown(self._link_features, rows, NONE)
+        keyframes = np.full(len(points), keyframes, np.int64)
+        first = self._link_count
+        self._link_count += len(points)
+        self._links = grown(self._links, self._link_count, NONE)
         map_kernels.add_links(
-            points, keyframe, features, self._links, self.points.heads, self.points.observation_counts,
-            self._following, self._link_keyframes, self._link_features,
-        )  # fmt: skip
-        self._links = rows
-        self.keyframes.points[keyframe, features] = points
+            points, keyframes, features, first, self.points.heads, self.points.observation_counts, self._links
+        )
+        self.keyframes.points[keyframes, features] = points
 
     @property
     def _lists(self) -> map_kernels.Links:
         table = self.points
-        return map_kernels.Links(
-            table.heads, table.observation_counts, self._following, self._link_keyframes, self._link_features,
-            self.keyframes.points, table.alive,
-        )  # fmt: skip
+        return map_kernels.Links(table.heads, table.observation_counts, self._links, self.keyframes.points, table.alive)
 
     def unobserve(self, keyframes: Indices, features: Indices) -> None:
         """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
         self._neighbors.clear()
         map_kernels.forget_observations(keyframes, features, self._lists)
 
-    def observations(self, points: Indices) -> tuple[Indices, Indices, Indices]:
-        """Index into `points`, keyframe and feature of each observation, (M,) each."""
+    def observations(self, points: Indices, among: Indices | None = None) -> tuple[Indices, Indices, Indices]:
+        """Index into `points`, keyframe and feature of each observation, (M,) each; only those by keyframes `among`."""
+        wanted = np.full(self.keyframes.count, among is None)
+        wanted[among if among is not None else []] = True
         which, keyframes, features = map_kernels.list_observations(
-            points, self.points.observation_counts, self.points.heads, self._following,
-            self._link_keyframes, self._link_features,
-        )  # fmt: skip
+            points, wanted, self.points.observation_counts, self.points.heads, self._links
+        )
         return which, keyframes, features
 
     def remove_points(self, points: Indices) -> None:
@@ -186,16 +77,10 @@ class Map:
 
     def replace_points(self, old: Indices, new: Indices) -> None:
         """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies. No point is in both."""
-        table = self.points
         self._neighbors.clear()
-        map_kernels.hand_over(old, new, self._lists)
-        table.replaced_by[old] = new
-        np.add.at(table.found, new, table.found[old])
-        np.add.at(table.visible, new, table.visible[old])
-
-    def unseen_points(self, keyframe: int, points: Indices) -> Indices:
-        """Those of `points` that are alive and that `keyframe` does not see, in order."""
-        return np.asarray(map_kernels.list_unseen(keyframe, points, self._lists))
+        table = self.points
+        replacements = map_kernels.Replacements(table.replaced_by, table.found, table.visible)
+        map_kernels.replace(old, new, self._lists, replacements)
 
     def resolve_points(self, points: Indices) -> Indices:
         """`points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
@@ -212,8 +97,7 @@ class Map:
         """Recompute what a point derives from its observations: normal, distances, descriptor."""
         table, keyframes = self.points, self.keyframes
         map_kernels.refresh_points(
-            points, table.positions, table.references, table.heads, self._following,
-            self._link_keyframes, self._link_features,
+            points, table.positions, table.references, table.heads, self._links,
             keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
             table.normals, table.min_distances, table.max_distances, table.descriptors, descriptors,
         )  # fmt: skip
@@ -222,11 +106,7 @@ class Map:
 
     def covisibility(self, points: Indices) -> Indices:
         """How many of `points` each keyframe sees (K,); NONE is skipped."""
-        return np.asarray(
-            map_kernels.count_covisible(
-                points, self.keyframes.count, self.points.heads, self._following, self._link_keyframes
-            )
-        )
+        return np.asarray(map_kernels.count_covisible(points, self.keyframes.count, self.points.heads, self._links))
 
     def neighbors(
         self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
@@ -250,13 +130,13 @@ class Map:
         """The points that any of `keyframes` sees, ascending."""
         return np.asarray(map_kernels.unite_points(keyframes, self.keyframes.points, self.points.count))
 
-    def redundancy(self, keyframe: int, needed: int) -> float:
-        """Share of the points of `keyframe` that `needed` other keyframes see at least as finely."""
-        total, redundant = map_kernels.count_redundant(
-            keyframe, needed, self.keyframes.points, self.keyframes.octaves, self.points.heads,
-            self._following, self._link_keyframes, self._link_features,
+    def is_redundant(self, keyframe: int) -> bool:
+        """Whether nearly all points of `keyframe` are seen by enough others at least as finely (ORB-SLAM VI-E)."""
+        return bool(
+            map_kernels.is_redundant(
+                self.keyframes.points[keyframe], keyframe, self.keyframes.octaves, self.points.heads, self._links
+            )
         )  # fmt: skip
-        return float(redundant / total) if total else 1.0
 
     # Keyframes ------------------------------------------------------------------------------------------------
 

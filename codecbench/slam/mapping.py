@@ -8,13 +8,12 @@ from codecbench.slam import thresholds
 from codecbench.slam.bundle_adjustment import adjust
 from codecbench.slam.camera import Camera
 from codecbench.slam.frame import Frame
-from codecbench.slam.geometry import TwoViewPoints, fundamental_between
+from codecbench.slam.fusion import fuse
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.map_kernels import median_depth
-from codecbench.slam.matching import match_in_windows, match_on_epipolar_lines
 from codecbench.slam.places import Places
-from codecbench.slam.projection import project_map_points
 from codecbench.slam.transforms import Array
+from codecbench.slam.triangulation import triangulate_features
 
 
 class Mapper:
@@ -35,8 +34,7 @@ class Mapper:
         keyframe = self.add(frame)
         self._cull_points()
         neighbors, _ = self.map.neighbors(keyframe, thresholds.TRIANGULATION_NEIGHBORS)
-        for neighbor in neighbors:
-            self._triangulate(keyframe, int(neighbor))
+        self._triangulate(keyframe, neighbors)
         self._fuse_neighborhood(keyframe, neighbors)
         self.adjust_locally(keyframe)
         self._cull_keyframes(keyframe)
@@ -58,12 +56,14 @@ class Mapper:
         frame.reference = keyframe
         return keyframe
 
-    def add_points(self, keyframe: int, features: Indices, other: int, other_features: Indices, points: Array) -> None:
-        """New map points (N, 3), seen by two keyframes at the features given."""
+    def add_points(
+        self, keyframe: int, features: Indices, others: int | Indices, other_features: Indices, points: Array
+    ) -> None:
+        """New map points (N, 3), seen at `features` (N,) of a keyframe and `other_features` (N,) of `others` (N,)."""
         slam_map = self.map
         added = slam_map.points.add(points, keyframe, slam_map.keyframes.count)
         slam_map.observe(keyframe, features, added)
-        slam_map.observe(other, other_features, added)
+        slam_map.observe(others, other_features, added)
         slam_map.refresh_points(added)
         self._probation = np.concatenate([self._probation, added])
 
@@ -80,36 +80,13 @@ class Mapper:
         self.map.remove_points(young[dying])
         self._probation = young[~dying & (ages < thresholds.POINT_PROBATION_KEYFRAMES)]
 
-    def _triangulate(self, keyframe: int, neighbor: int) -> None:
-        """Match free features of two keyframes on epipolar lines and keep the points that pass (ORB-SLAM VI-C)."""
-        table, camera = self.map.keyframes, self.camera
-        pose_a, pose_b = table.camera_from_world[keyframe], table.camera_from_world[neighbor]
-        baseline = float(np.linalg.norm(table.centers_world[keyframe] - table.centers_world[neighbor]))
-        if baseline < thresholds.TRIANGULATION_MIN_BASELINE * self.median_depth(neighbor):
-            return
-        fundamental, epipole = fundamental_between(pose_a, pose_b, camera.matrix)
-        a, b = table.features[keyframe], table.features[neighbor]
-        factors = self.map.scale_factors
-        matches = match_on_epipolar_lines(
-            a.pixels, a.octaves, a.descriptors, table.points[keyframe, : len(a)] < 0,
-            b.pixels, b.octaves, b.descriptors, table.points[neighbor, : len(b)] < 0,
-            fundamental, epipole, factors, thresholds.HAMMING_LOW, thresholds.EPIPOLE_RADIUS_PX,
+    def _triangulate(self, keyframe: int, neighbors: Indices) -> None:
+        """Make points of free features of a keyframe that match free features of its neighbours (ORB-SLAM VI-C)."""
+        found = triangulate_features(
+            keyframe, neighbors, self.map.keyframes.views, self.map.points.positions,
+            self.camera.matrix, self.map.scale_factors,
         )  # fmt: skip
-        features_a = np.nonzero(matches >= 0)[0]
-        features_b = matches[features_a]
-        views = TwoViewPoints(pose_a, pose_b, a.pixels[features_a], b.pixels[features_b], camera.intrinsics)
-        scales_a, scales_b = factors[a.octaves[features_a]], factors[b.octaves[features_b]]
-        good = (views.depths_a > 0.0) & (views.depths_b > 0.0)
-        good &= (views.cosines < thresholds.TRIANGULATION_MAX_COSINE) & (views.cosines > 0.0)
-        good &= views.errors_a < thresholds.CHI2_95_2DOF * scales_a**2
-        good &= views.errors_b < thresholds.CHI2_95_2DOF * scales_b**2
-        distances_a = np.linalg.norm(views.points - table.centers_world[keyframe], axis=1)
-        distances_b = np.linalg.norm(views.points - table.centers_world[neighbor], axis=1)
-        stretch = (distances_b * scales_a) / np.maximum(distances_a * scales_b, 1e-12)
-        limit = thresholds.SCALE_CONSISTENCY * factors[min(1, len(factors) - 1)]
-        good &= (stretch < limit) & (stretch > 1.0 / limit)
-        if good.any():
-            self.add_points(keyframe, features_a[good], neighbor, features_b[good], views.points[good])
+        self.add_points(keyframe, *found)
 
     def median_depth(self, keyframe: int) -> float:
         """Median depth of the points that `keyframe` sees; 1 where it sees none."""
@@ -126,13 +103,13 @@ class Mapper:
             for second in self.map.neighbors(int(neighbor), 5)[0]:
                 if second != keyframe and int(second) not in targets:
                     targets.append(int(second))
-        own = self.map.keyframes.points[keyframe]
+        poses, own = self.map.keyframes.camera_from_world, self.map.keyframes.points[keyframe]
+        before = self.map.points.observation_counts.copy()
         for target in targets:
-            fuse(self.map, self.camera, target, own[own >= 0].copy(), self.map.keyframes.camera_from_world[target])
-        theirs = self.map.points_of(np.array(targets, dtype=np.int64))
-        fuse(self.map, self.camera, keyframe, theirs, self.map.keyframes.camera_from_world[keyframe])
-        own = self.map.keyframes.points[keyframe]
-        self.map.refresh_points(own[own >= 0])
+            fuse(self.map, self.camera, target, own[own >= 0], poses[target])
+        fuse(self.map, self.camera, keyframe, self.map.points_of(np.array(targets, dtype=np.int64)), poses[keyframe])
+        own = own[own >= 0]
+        self.map.refresh_points(own[self.map.points.observation_counts[own] != before[own]])
 
     # Adjustment -----------------------------------------------------------------------------------------------
 
@@ -147,15 +124,14 @@ class Mapper:
         fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
         if len(fixed) == 0:  # the oldest keeps its pose; the scale is free, and damping keeps it where it was
             fixed, free = free[free == free.min()], free[free != free.min()]
-        adjust_keyframes(self.map, self.camera, free, fixed, points, (5, 10), thresholds.LOCAL_BUNDLE_TOLERANCE)
+        adjust_keyframes(self.map, self.camera, free, fixed, points, (5,), thresholds.LOCAL_BUNDLE_TOLERANCE)
 
     def _cull_keyframes(self, keyframe: int) -> None:
         """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
         for neighbor in self.map.neighbors(keyframe)[0]:
             if neighbor == 0:
                 continue
-            redundancy = self.map.redundancy(int(neighbor), thresholds.REDUNDANT_OBSERVATIONS)
-            if redundancy > thresholds.REDUNDANT_SHARE:
+            if self.map.is_redundant(int(neighbor)):
                 self.map.remove_keyframe(int(neighbor))
                 self.places.remove(int(neighbor))
 
@@ -165,37 +141,6 @@ def _keep_first(points: Indices) -> None:
     order = np.argsort(points, kind="stable")
     repeated = order[1:][points[order[1:]] == points[order[:-1]]]
     points[repeated] = NONE
-
-
-def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_from_world: Array) -> int:
-    """Project `points` into a keyframe: where a feature is free they are observed, where it shows another point the
-    two become one, the one that more keyframes see. Returns how many were matched.
-
-    `camera_from_world` (4, 4) may differ from the keyframe's pose: a corrected one while a loop is closed.
-    """
-    table, keyframes = slam_map.points, slam_map.keyframes
-    features = keyframes.features[keyframe]
-    projections = project_map_points(
-        slam_map, slam_map.unseen_points(keyframe, points), camera_from_world, camera, thresholds.VIEWING_COSINE
-    )
-    radii = thresholds.FUSE_WINDOW_PX * slam_map.scale_factors[projections.octaves]
-    matches = match_in_windows(
-        projections.pixels, radii, projections.octaves - 1, projections.octaves,
-        table.descriptors[projections.points], features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
-    )  # fmt: skip
-    queries = np.nonzero(matches >= 0)[0]
-    found = matches[queries]
-    offsets = features.pixels[found] - projections.pixels[queries]
-    errors = (offsets**2).sum(axis=1) / slam_map.scale_factors[features.octaves[found]] ** 2
-    close = errors < thresholds.CHI2_95_2DOF
-    candidates, found = projections.points[queries[close]], found[close]
-    others = keyframes.points[keyframe, found]
-    free = others < 0
-    slam_map.observe(keyframe, found[free], candidates[free])
-    candidates, others = candidates[~free], others[~free]
-    stronger = table.observation_counts[candidates] > table.observation_counts[others]
-    slam_map.replace_points(np.where(stronger, others, candidates), np.where(stronger, candidates, others))
-    return len(free)
 
 
 def adjust_keyframes(
@@ -212,14 +157,13 @@ def adjust_keyframes(
     chosen = np.concatenate([free, fixed]).astype(np.int64)
     slots = np.full(keyframes.count, NONE, np.int64)
     slots[chosen] = np.arange(len(chosen))
-    which, seen_by, features = slam_map.observations(points)
-    inside = slots[seen_by] >= 0
-    which, seen_by, features = which[inside], seen_by[inside], features[inside]
-    octaves = keyframes.octaves[seen_by, features]
+    which, seen_by, features = slam_map.observations(points, chosen)
+    seen = seen_by * keyframes.points.shape[1] + features  # rows of the tables by feature: one index is faster than two
+    inverse_sigma2 = slam_map.scale_factors**-2.0
     result = adjust(
         keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
-        keyframes.pixels[seen_by, features], slam_map.scale_factors[octaves] ** -2.0, camera.intrinsics,
-        np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
+        keyframes.pixels.reshape(-1, 2).take(seen, axis=0), inverse_sigma2[keyframes.octaves.ravel().take(seen)],
+        camera.intrinsics, np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])
     table.positions[points] = result.points_world

@@ -151,11 +151,11 @@ REDUNDANT_OBSERVATIONS: Final = 3
 """Keyframes: see REDUNDANT_SHARE (ORB-SLAM VI-E)."""
 COVISIBLE_MIN_POINTS: Final = 15
 """Points: shared by two keyframes that are neighbours in the covisibility graph (ORB-SLAM III-D)."""
-LOCAL_BUNDLE_KEYFRAMES: Final = 20
+LOCAL_BUNDLE_KEYFRAMES: Final = 12
 """Keyframes: free ones in a local bundle adjustment (own; keeps a step bounded)."""
 LOCAL_BUNDLE_FIXED: Final = 30
 """Keyframes: fixed ones in a local bundle adjustment, those that see most of its points (own)."""
-LOCAL_BUNDLE_TOLERANCE: Final = 1e-4
+LOCAL_BUNDLE_TOLERANCE: Final = 1e-3
 """Of the cost: a round of a local adjustment ends with a step that gains less; the next one goes on (own)."""
 
 # Relocalisation and loops ---------------------------------------------------------------------------------------------
