@@ -52,19 +52,23 @@ def start_from_two_views(
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
     Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
-    motion is accepted when it alone puts most points in front of both cameras with enough parallax.
+    motion is accepted when no mere rotation explains the matches as well, and when it alone puts most points in front
+    of both cameras with enough parallax.
     """
     features_first = np.nonzero(matches >= 0)[0]
     features_second = matches[features_first]
     pixels_a, pixels_b = first.pixels[features_first], second.pixels[features_second]
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
-    samples = np.array([rng.choice(len(pixels_a), 8, False) for _ in range(thresholds.INIT_RANSAC_ITERATIONS)])
+    samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
     homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, samples)
     if score_h + score_f <= 0.0:
         return "neither a homography nor a fundamental matrix fits"
     planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
     inliers = inliers_h if planar else inliers_f
+    turned = _count_turned(homography, pixels_a, pixels_b, camera)
+    if turned > thresholds.INIT_ROTATION_SHARE * inliers.sum():
+        return f"a rotation explains {turned} matches, a motion {inliers.sum()}"
     if planar:
         motions = geometry.decompose_homography(homography, camera.matrix)
     else:
@@ -92,8 +96,7 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
     score_h, score_f = 0.0, 0.0
     for s in range(len(samples) + 2):
         if s < len(samples):
-            chosen_h = samples[s]
-            chosen_f = samples[s]
+            chosen_h, chosen_f = samples[s, :4], samples[s]
         else:  # the last two rounds refine
             chosen_h, chosen_f = np.nonzero(inliers_h)[0], np.nonzero(inliers_f)[0]
         if len(chosen_h) >= 4:
@@ -111,6 +114,26 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
                 fundamental, score_f = fitted, score
                 inliers_f[:] = trial
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
+
+
+def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera: Camera) -> int:
+    """How many matches a camera that only turns explains: the rotation nearest to a homography, fitted to its inliers.
+
+    Without translation there is no depth; a plane or a fundamental matrix then fits only the noise.
+    """
+    to_rays = np.linalg.inv(camera.matrix)
+    rays_a, rays_b = (np.column_stack([pixels, np.ones(len(pixels))]) @ to_rays.T for pixels in (pixels_a, pixels_b))
+    u, _, vt = np.linalg.svd(to_rays @ homography @ camera.matrix)
+    rotation = u @ vt * np.sign(np.linalg.det(u @ vt))
+    inliers, most = np.zeros(len(pixels_a), np.bool_), 0
+    for _ in range(5):
+        turn = camera.matrix @ rotation @ to_rays
+        geometry.score_homography(turn, pixels_a, pixels_b, 1.0, inliers)
+        if inliers.sum() <= max(most, 2):
+            break
+        most = int(inliers.sum())
+        rotation = geometry.fit_rotation(rays_a[inliers], rays_b[inliers])
+    return most
 
 
 def _choose_motion(

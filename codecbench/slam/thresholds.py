@@ -51,9 +51,11 @@ INIT_WINDOW_PX: Final = 100.0
 INIT_RATIO: Final = 0.9
 """Best over second-best distance of such a match (own)."""
 INIT_RANSAC_ITERATIONS: Final = 200
-"""Samples of eight matches, shared by homography and fundamental matrix (ORB-SLAM IV)."""
+"""Samples of eight matches; the homography takes the first four of each (ORB-SLAM IV; there, all eight)."""
 INIT_HOMOGRAPHY_SHARE: Final = 0.45
 """S_H / (S_H + S_F) above which the homography is chosen (ORB-SLAM IV, equation 4)."""
+INIT_ROTATION_SHARE: Final = 0.9
+"""Of the chosen model's inliers: when a rotation explains more, nothing shows that the camera moved (own)."""
 INIT_MIN_PARALLAX_DEG: Final = 1.0
 """Degrees: parallax that the INIT_PARALLAX_RANK-th best point must reach (ORB-SLAM IV)."""
 INIT_PARALLAX_RANK: Final = 50
