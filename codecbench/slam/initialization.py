@@ -17,6 +17,7 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.map import Map
 from codecbench.slam.mapping import Mapper, adjust_keyframes
 from codecbench.slam.matching import keep_consistent_rotations, match_in_windows
+from codecbench.slam.motion_uncertainty import direction_deviation_deg
 
 Floats = NDArray[np.float64]
 
@@ -52,8 +53,8 @@ def start_from_two_views(
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
     Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
-    motion is accepted when no mere rotation explains the matches as well, and when it alone puts most points in front
-    of both cameras with enough parallax.
+    motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
+    both cameras with enough parallax, and when the matches leave little doubt about its direction.
     """
     features_first = np.nonzero(matches >= 0)[0]
     features_second = matches[features_first]
@@ -77,6 +78,9 @@ def start_from_two_views(
     if isinstance(chosen, str):
         return chosen
     motion, points, good = chosen
+    deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], camera.matrix)
+    if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
+        return f"the direction of motion is known to {deviation:.1f} degrees"
     kept = np.nonzero(good)[0]
     return TwoViewStart(
         motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
@@ -153,9 +157,10 @@ def _choose_motion(
     count, motion, views, agree = results[0]
     if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
         return f"the best motion agrees with {count} points where the model had {inlier_count}"
-    rivals = [result[0] for result in results[1:] if not _nearly_equal(result[1], motion)]
-    if rivals and rivals[0] > thresholds.INIT_RIVAL_SHARE * count:
-        return f"two motions agree with {count} and {rivals[0]} points"
+    for rival_count, rival, _, rival_agree in results[1:]:
+        apart = int((agree != rival_agree).sum())  # matches that tell the two from each other; winner's less rival's:
+        if count - rival_count < thresholds.INIT_RIVAL_SIGMAS * np.sqrt(apart) and not _nearly_equal(rival, motion):
+            return f"two motions agree with {count} and {rival_count} points"
     angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
     parallax = float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
     if parallax < thresholds.INIT_MIN_PARALLAX_DEG:
