@@ -78,7 +78,7 @@ def score_corners(level: Any, scores: Any) -> None:
                     ),
                 ),
             )
-            out[x] = max(max(bright, c) - c, c - min(dark, c))
+            out[x] = max(np.uint8(max(bright, c) - c), np.uint8(c - min(dark, c)))
 
 
 @njit(cache=True)

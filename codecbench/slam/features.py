@@ -17,17 +17,10 @@ from codecbench.slam import thresholds
 from codecbench.slam.camera import Camera
 from codecbench.slam.corner_kernels import list_corners, score_corners
 from codecbench.slam.options import Options
-from codecbench.slam.orb_kernels import (
-    describe_patches,
-    index_cells,
-    orient_patches,
-    select_evenly,
-)
+from codecbench.slam.orb_kernels import blur_level, describe_patches, index_cells, orient_patches, select_evenly
 
 CELL_PX = 10.0
 """Side of the cells by which features are looked up, pixels."""
-
-_BLUR = cv2.getGaussianKernel(7, thresholds.BLUR_SIGMA_PX)  # twice as fast as GaussianBlur; they round differently
 
 
 @dataclass
@@ -86,32 +79,30 @@ class FeatureExtractor:
         levels = [np.ascontiguousarray(gray)]
         for factor in self.scale_factors[1:]:
             size = (max(round(width / factor), 1), max(round(height / factor), 1))
-            level = cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR_EXACT)
+            level = cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR)
             levels.append(np.asarray(level, dtype=np.uint8))
         return levels
 
     def _extract_level(
         self, level: NDArray[np.uint8], octave: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-        quota = int(self._quotas[octave])
-        corners, scores = _corners(level, quota)
-        kept = select_evenly(corners, scores, quota, level.shape[0], level.shape[1], thresholds.BORDER_PX)
-        corners = corners[kept]
+        corners = _select_corners(level, int(self._quotas[octave]))
         if len(corners) == 0:
             return np.empty((0, 2)), np.empty(0), np.empty((0, 32), np.uint8)
         angles = orient_patches(level, corners)
-        blurred = cv2.sepFilter2D(level, -1, _BLUR, _BLUR)
-        descriptors = describe_patches(blurred, corners, angles)
+        descriptors = describe_patches(blur_level(level), corners, angles)
         # The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
         ratio = np.array([self._camera.width / level.shape[1], self._camera.height / level.shape[0]])
         return (corners + 0.5) * ratio - 0.5, angles, descriptors
 
 
-def _corners(level: NDArray[np.uint8], quota: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Corners x, y (N, 2) and their scores (N,): at the low threshold where the first try finds too few."""
+def _select_corners(level: NDArray[np.uint8], quota: int) -> NDArray[np.int64]:
+    """At most `quota` corners x, y (N, 2): of the low threshold where the high one leaves too few to choose from."""
     image = np.empty_like(level)
     score_corners(level, image)
-    corners, scores = list_corners(image, thresholds.FAST_THRESHOLD)
-    if len(corners) < thresholds.FAST_CANDIDATES_PER_FEATURE * quota:
-        corners, scores = list_corners(image, thresholds.FAST_THRESHOLD_LOW)
-    return corners, scores
+    corners, scores = list_corners(image, thresholds.FAST_THRESHOLD_LOW)
+    enough = np.count_nonzero(scores > thresholds.FAST_THRESHOLD) >= thresholds.FAST_CANDIDATES_PER_FEATURE * quota
+    threshold = thresholds.FAST_THRESHOLD if enough else thresholds.FAST_THRESHOLD_LOW
+    height, width = level.shape
+    kept = select_evenly(corners, scores, threshold, quota, height, width, thresholds.BORDER_PX)
+    return np.asarray(corners[kept])

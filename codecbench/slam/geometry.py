@@ -45,8 +45,7 @@ def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
         system[2 * i, 6], system[2 * i, 7], system[2 * i, 8] = v * x, v * y, v
         system[2 * i + 1, 0], system[2 * i + 1, 1], system[2 * i + 1, 2] = x, y, 1.0
         system[2 * i + 1, 6], system[2 * i + 1, 7], system[2 * i + 1, 8] = -u * x, -u * y, -u
-    _, _, vt = np.linalg.svd(system, False)
-    return vt[8].copy().reshape((3, 3))
+    return _least_vector(system, 2 * n).reshape((3, 3))
 
 
 @njit(cache=True)
@@ -57,10 +56,38 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
     for i in range(n):
         x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
         system[i] = np.array([u * x, u * y, u, v * x, v * y, v, x, y, 1.0])
-    _, _, vt = np.linalg.svd(system, False)
-    u3, s3, vt3 = np.linalg.svd(vt[8].copy().reshape((3, 3)))
-    s3[2] = 0.0
-    return u3 @ np.diag(s3) @ vt3
+    u, s, vt = np.linalg.svd(_least_vector(system, n).reshape((3, 3)))
+    return (u * np.array([s[0], s[1], 0.0])) @ vt
+
+
+@njit(cache=True)
+def _least_vector(system: Any, equations: int) -> Any:
+    """The vector (9,) that a system (M, 9), whose first `equations` rows count, makes least for its length.
+
+    Eight equations make it zero, which Gaussian elimination finds soonest; zeros where they depend on each other.
+    """
+    if equations != 8:
+        return np.linalg.svd(system, False)[2][8].copy()
+    order, vector = np.arange(9), np.zeros(9)
+    for k in range(8):
+        pivot = k + np.argmax(np.abs(system[k, k:]))
+        order[k], order[pivot] = order[pivot], order[k]
+        for i in range(8):
+            system[i, k], system[i, pivot] = system[i, pivot], system[i, k]
+        if abs(system[k, k]) < 1e-12:
+            return vector
+        for i in range(k + 1, 8):
+            system[i, k:] -= system[i, k] / system[k, k] * system[k, k:]
+    vector[order[8]] = 1.0
+    for k in range(7, -1, -1):
+        vector[order[k]] = -(system[k, k + 1 :] * vector[order[k + 1 :]]).sum() / system[k, k]
+    return vector
+
+
+def fit_rotation(rays_a: Floats, rays_b: Floats) -> Floats:
+    """The rotation `b_from_a` (3, 3) that brings N >= 2 directions (N, 3) nearest to each other (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(rays_b.T @ rays_a)
+    return np.asarray(u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt)
 
 
 @njit(cache=True)
@@ -168,8 +195,7 @@ def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any
 def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any) -> Any:
     """Points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
 
-    Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. A point at infinity has coordinates that are not
-    finite.
+    Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. Coordinates of points at infinity are not finite.
     """
     points = np.empty((len(pixels_a), 3))
     system = np.empty((4, 4))

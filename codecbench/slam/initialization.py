@@ -17,6 +17,7 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.map import Map
 from codecbench.slam.mapping import Mapper, adjust_keyframes
 from codecbench.slam.matching import keep_consistent_rotations, match_in_windows
+from codecbench.slam.motion_uncertainty import direction_deviation_deg
 
 Floats = NDArray[np.float64]
 
@@ -52,19 +53,23 @@ def start_from_two_views(
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
     Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
-    motion is accepted when it alone puts most points in front of both cameras with enough parallax.
+    motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
+    both cameras with enough parallax, and when the matches leave little doubt about its direction.
     """
     features_first = np.nonzero(matches >= 0)[0]
     features_second = matches[features_first]
     pixels_a, pixels_b = first.pixels[features_first], second.pixels[features_second]
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
-    samples = np.array([rng.choice(len(pixels_a), 8, False) for _ in range(thresholds.INIT_RANSAC_ITERATIONS)])
+    samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
     homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, samples)
     if score_h + score_f <= 0.0:
         return "neither a homography nor a fundamental matrix fits"
     planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
     inliers = inliers_h if planar else inliers_f
+    turned = _count_turned(homography, pixels_a, pixels_b, camera)
+    if turned > thresholds.INIT_ROTATION_SHARE * inliers.sum():
+        return f"a rotation explains {turned} matches, a motion {inliers.sum()}"
     if planar:
         motions = geometry.decompose_homography(homography, camera.matrix)
     else:
@@ -73,6 +78,9 @@ def start_from_two_views(
     if isinstance(chosen, str):
         return chosen
     motion, points, good = chosen
+    deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], camera.matrix)
+    if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
+        return f"the direction of motion is known to {deviation:.1f} degrees"
     kept = np.nonzero(good)[0]
     return TwoViewStart(
         motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
@@ -92,8 +100,7 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
     score_h, score_f = 0.0, 0.0
     for s in range(len(samples) + 2):
         if s < len(samples):
-            chosen_h = samples[s]
-            chosen_f = samples[s]
+            chosen_h, chosen_f = samples[s, :4], samples[s]
         else:  # the last two rounds refine
             chosen_h, chosen_f = np.nonzero(inliers_h)[0], np.nonzero(inliers_f)[0]
         if len(chosen_h) >= 4:
@@ -113,6 +120,26 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 
+def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera: Camera) -> int:
+    """How many matches a camera that only turns explains: the rotation nearest to a homography, fitted to its inliers.
+
+    Without translation there is no depth; a plane or a fundamental matrix then fits only the noise.
+    """
+    to_rays = np.linalg.inv(camera.matrix)
+    rays_a, rays_b = (np.column_stack([pixels, np.ones(len(pixels))]) @ to_rays.T for pixels in (pixels_a, pixels_b))
+    u, _, vt = np.linalg.svd(to_rays @ homography @ camera.matrix)
+    rotation = u @ vt * np.sign(np.linalg.det(u @ vt))
+    inliers, most = np.zeros(len(pixels_a), np.bool_), 0
+    for _ in range(5):
+        turn = camera.matrix @ rotation @ to_rays
+        geometry.score_homography(turn, pixels_a, pixels_b, 1.0, inliers)
+        if inliers.sum() <= max(most, 2):
+            break
+        most = int(inliers.sum())
+        rotation = geometry.fit_rotation(rays_a[inliers], rays_b[inliers])
+    return most
+
+
 def _choose_motion(
     motions: list[Floats], pixels_a: Floats, pixels_b: Floats, inlier_count: int, camera: Camera
 ) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
@@ -130,9 +157,10 @@ def _choose_motion(
     count, motion, views, agree = results[0]
     if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
         return f"the best motion agrees with {count} points where the model had {inlier_count}"
-    rivals = [result[0] for result in results[1:] if not _nearly_equal(result[1], motion)]
-    if rivals and rivals[0] > thresholds.INIT_RIVAL_SHARE * count:
-        return f"two motions agree with {count} and {rivals[0]} points"
+    for rival_count, rival, _, rival_agree in results[1:]:
+        apart = int((agree != rival_agree).sum())  # matches that tell the two from each other; winner's less rival's:
+        if count - rival_count < thresholds.INIT_RIVAL_SIGMAS * np.sqrt(apart) and not _nearly_equal(rival, motion):
+            return f"two motions agree with {count} and {rival_count} points"
     angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
     parallax = float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
     if parallax < thresholds.INIT_MIN_PARALLAX_DEG:

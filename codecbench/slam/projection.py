@@ -43,6 +43,25 @@ def project_map_points(
 
 
 @njit(cache=True)
+def project_ahead(points: Any, positions: Any, camera_from_world: Any, intrinsics: Any) -> Any:
+    """Which of `points` (N,) lie ahead of the camera, as indices into them (M,), and their pixels (M, 2)."""
+    fx, fy, cx, cy = intrinsics
+    pose = camera_from_world
+    ahead = np.empty(len(points), np.int64)
+    pixels = np.empty((len(points), 2))
+    count = 0
+    for i in range(len(points)):
+        x, y, z = positions[points[i]]
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        if depth > 0.0:
+            ahead[count] = i
+            pixels[count, 0] = fx * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / depth + cx
+            pixels[count, 1] = fy * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / depth + cy
+            count += 1
+    return ahead[:count], pixels[:count]
+
+
+@njit(cache=True)
 def _project(
     points: Any, positions: Any, normals: Any, min_distances: Any, max_distances: Any,
     camera_from_world: Any, intrinsics: Any, bounds: Any, scale_factors: Any, min_cosine: float,

@@ -51,9 +51,11 @@ INIT_WINDOW_PX: Final = 100.0
 INIT_RATIO: Final = 0.9
 """Best over second-best distance of such a match (own)."""
 INIT_RANSAC_ITERATIONS: Final = 200
-"""Samples of eight matches, shared by homography and fundamental matrix (ORB-SLAM IV)."""
+"""Samples of eight matches; the homography takes the first four of each (ORB-SLAM IV; there, all eight)."""
 INIT_HOMOGRAPHY_SHARE: Final = 0.45
 """S_H / (S_H + S_F) above which the homography is chosen (ORB-SLAM IV, equation 4)."""
+INIT_ROTATION_SHARE: Final = 0.9
+"""Of the chosen model's inliers: when a rotation explains more, nothing shows that the camera moved (own)."""
 INIT_MIN_PARALLAX_DEG: Final = 1.0
 """Degrees: parallax that the INIT_PARALLAX_RANK-th best point must reach (ORB-SLAM IV)."""
 INIT_PARALLAX_RANK: Final = 50
@@ -62,10 +64,14 @@ INIT_MIN_POINTS: Final = 50
 """Points: fewer triangulated by the winning motion and the initialisation is refused (own)."""
 INIT_WINNER_SHARE: Final = 0.9
 """Of the inliers: share of points that the winning motion must triangulate (own)."""
-INIT_RIVAL_SHARE: Final = 0.85
-"""Of the winner's points: a rival motion with more makes the start ambiguous (ORB-SLAM IV: one clear winner)."""
+INIT_RIVAL_SIGMAS: Final = 4.0
+"""Standard deviations: by so much must the matches that agree with only one of two motions be the winner's, or the
+start is ambiguous (McNemar 1947; ORB-SLAM IV: one clear winner)."""
 INIT_SAME_MOTION_DEG: Final = 5.0
 """Degrees: motions nearer in rotation and in direction are no rivals (own)."""
+INIT_MAX_DEVIATION_DEG: Final = 6.0
+"""Degrees: standard deviation of the direction of motion, for pixels known to 1 px, above which the first map would be
+too bent to grow from: planes seen from nearly one place (own)."""
 INIT_MAX_COSINE: Final = 0.99998
 """Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90

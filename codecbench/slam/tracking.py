@@ -12,8 +12,8 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
 from codecbench.slam.pose_optimization import optimize_pose
-from codecbench.slam.projection import Projections, project_map_points
-from codecbench.slam.transforms import Array, se3_exp, se3_log
+from codecbench.slam.projection import Projections, project_ahead, project_map_points
+from codecbench.slam.transforms import Array, se3_exp, se3_inverse, se3_log
 
 
 class Tracker:
@@ -50,7 +50,7 @@ class Tracker:
     def _advance(self, frame: Frame) -> None:
         assert self.last is not None
         interval_s = frame.timestamp_s - self.last.timestamp_s
-        motion = frame.camera_from_world @ np.linalg.inv(self.last.camera_from_world)
+        motion = frame.camera_from_world @ se3_inverse(self.last.camera_from_world)
         self._velocity = se3_log(motion) / interval_s
         self._interval_s = interval_s
         self.last = frame
@@ -79,10 +79,8 @@ class Tracker:
         last, camera = self.last, self.camera
         seen = last.matched
         points = last.points[seen]
-        pose = frame.camera_from_world
-        in_camera = self.map.points.positions[points] @ pose[:3, :3].T + pose[:3, 3]
-        ahead = in_camera[:, 2] > 0.0
-        seen, points, pixels = seen[ahead], points[ahead], camera.project(in_camera[ahead])
+        ahead, pixels = project_ahead(points, self.map.points.positions, frame.camera_from_world, camera.intrinsics)
+        seen, points = seen[ahead], points[ahead]
         octaves = last.features.octaves[seen].astype(np.int64)
         matches = match_in_windows(
             pixels, window_px * self.map.scale_factors[octaves], octaves - 1, octaves + 1,
@@ -162,10 +160,11 @@ class Tracker:
         local = self._local_points(frame)
         table = self.map.points
         shown = frame.points[frame.points >= 0]
+        unseen = np.ones(table.count, np.bool_)
+        unseen[shown] = False
         projections = project_map_points(
-            self.map, np.setdiff1d(local, shown, assume_unique=True), frame.camera_from_world, self.camera,
-            thresholds.VIEWING_COSINE,
-        )  # fmt: skip
+            self.map, local[unseen[local]], frame.camera_from_world, self.camera, thresholds.VIEWING_COSINE
+        )
         table.visible[projections.points] += 1
         table.visible[shown] += 1
         match_projections(self.map, frame, projections, 1.0)

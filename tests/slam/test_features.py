@@ -9,7 +9,7 @@ from codecbench.slam.camera import Camera
 from codecbench.slam.corner_kernels import list_corners, score_corners
 from codecbench.slam.features import FeatureExtractor
 from codecbench.slam.options import Options
-from codecbench.slam.orb_kernels import describe_patches, orient_patches, select_evenly
+from codecbench.slam.orb_kernels import blur_level, describe_patches, orient_patches, select_evenly
 
 IMAGE = Room().image(looking((0.0, 0.0, -1.0), 0.2, 0.1))
 
@@ -25,6 +25,16 @@ def test_corners_and_scores_are_those_of_opencv(threshold: int, rng: np.random.G
         assert [tuple(corner) for corner in corners.tolist()] == [k.pt for k in keypoints]
         assert (found - 1.0).tolist() == [k.response for k in keypoints]
         assert len(keypoints) > 0 or image.size < 100
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (37, 53), (4, 40), (40, 4)])
+def test_smoothing_is_that_of_opencv_but_for_rounding(shape: tuple[int, int], rng: np.random.Generator) -> None:
+    image = IMAGE[: shape[0], : shape[1]].copy()
+    image[::3, ::3] = rng.integers(0, 256, image[::3, ::3].shape)
+    difference = blur_level(image).astype(int) - cv2.GaussianBlur(image, (7, 7), 2.0)
+    assert np.abs(difference).max() <= 2
+    assert abs(difference.mean()) < 0.1
+    assert (blur_level(np.full(shape, 255, np.uint8)) == 255).all()
 
 
 def test_descriptors_and_angles_agree_with_opencv(rng: np.random.Generator) -> None:
@@ -55,11 +65,14 @@ def test_selection_is_even_bounded_and_in_order() -> None:
     x, y = np.meshgrid(np.arange(30, 290), np.arange(30, 210))
     corners = np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
     scores = np.where(corners[:, 0] < 160, 100, 10).astype(np.uint8)
-    kept = select_evenly(corners, scores, 300, 240, 320, 19)
+    kept = select_evenly(corners, scores, 7, 300, 240, 320, 19)
     assert len(kept) == 300
     assert (np.diff(kept) > 0).all()
     left = int((corners[kept, 0] < 160).sum())
     assert 110 < left < 190  # strong responses on one side do not starve the other
+    strong = select_evenly(corners, scores, 20, 300, 240, 320, 19)
+    assert len(strong) == 300
+    assert (corners[strong, 0] < 160).all()
 
 
 def test_the_number_of_features_is_kept_and_the_extraction_repeats() -> None:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from rendered_scenes import CAMERA, two_views
+from scipy.spatial.transform import Rotation
 
 from codecbench.slam import geometry
 
@@ -41,6 +42,34 @@ def test_homography_is_exact_on_a_plane(rng: np.random.Generator) -> None:
     found = normalized_fit(geometry.fit_homography, views.pixels_a[:10], views.pixels_b[:10], True)
     mapped = cv2.perspectiveTransform(views.pixels_a[:, None], found)[:, 0]
     assert np.abs(mapped - views.pixels_b).max() < 1e-7
+
+
+def test_the_fewest_matches_give_the_models_of_many(rng: np.random.Generator) -> None:
+    flat, deep = two_views(rng, planar=True), two_views(rng)
+    homography = normalized_fit(geometry.fit_homography, flat.pixels_a[:4], flat.pixels_b[:4], True)
+    mapped = cv2.perspectiveTransform(flat.pixels_a[:, None], homography)[:, 0]
+    assert np.abs(mapped - flat.pixels_b).max() < 1e-6
+    inliers = np.zeros(300, np.bool_)
+    fundamental = normalized_fit(geometry.fit_fundamental, deep.pixels_a[:8], deep.pixels_b[:8], False)
+    geometry.score_fundamental(fundamental, deep.pixels_a, deep.pixels_b, 1e-6, inliers)
+    assert inliers.all()
+
+
+def test_matches_that_repeat_give_no_model(rng: np.random.Generator) -> None:
+    views = two_views(rng)
+    again = np.zeros(8, np.int64)
+    assert (geometry.fit_homography(views.pixels_a[again[:4]], views.pixels_b[again[:4]]) == 0.0).all()
+    assert (geometry.fit_fundamental(views.pixels_a[again], views.pixels_b[again]) == 0.0).all()
+
+
+def test_the_rotation_between_directions_is_that_of_scipy(rng: np.random.Generator) -> None:
+    true = Rotation.from_rotvec([0.3, -1.2, 2.0])
+    rays = rng.normal(size=(40, 3))
+    assert np.abs(geometry.fit_rotation(rays, true.apply(rays)) - true.as_matrix()).max() < 1e-12
+    noisy = true.apply(rays) + rng.normal(0.0, 0.05, (40, 3))
+    oracle, _ = Rotation.align_vectors(noisy, rays)
+    assert np.abs(geometry.fit_rotation(rays, noisy) - oracle.as_matrix()).max() < 1e-9
+    assert np.linalg.det(geometry.fit_rotation(rays[:2], true.apply(rays[:2]))) == pytest.approx(1.0)
 
 
 def test_scores_tell_a_plane_from_depth(rng: np.random.Generator) -> None:

@@ -6,6 +6,7 @@ from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
 
 from codecbench.slam.frame import Frame
 from codecbench.slam.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
+from codecbench.slam.transforms import se3_exp
 
 FACTORS = 1.2 ** np.arange(8)
 
@@ -38,13 +39,18 @@ def test_wrong_matches_do_not_matter(rng: np.random.Generator) -> None:
     assert (start.features_first >= 60).mean() > 0.97
 
 
-def test_pure_rotation_gives_no_map(rng: np.random.Generator) -> None:
-    views = two_views(rng, noise_px=0.2)
-    turned = CAMERA.project(views.points @ views.b_from_a[:3, :3].T) + rng.normal(0.0, 0.2, (300, 2))
+@pytest.mark.parametrize("turn", [0.01, 0.05, 0.2])
+@pytest.mark.parametrize("noise_px", [0.0, 0.2, 0.7])
+def test_pure_rotation_gives_no_map(rng: np.random.Generator, turn: float, noise_px: float) -> None:
+    views = two_views(rng)
+    rotation = se3_exp(np.array([0.0, 0.0, 0.0, 0.4 * turn, turn, 0.1 * turn]))[:3, :3]
+    turned = CAMERA.project(views.points @ rotation.T) + rng.normal(0.0, noise_px, (300, 2))
+    turned[:30] = rng.uniform([0.0, 0.0], [320.0, 240.0], (30, 2))  # wrong matches
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(turned, descriptors)
     start = start_from_two_views(first, second, np.arange(300), CAMERA, np.random.default_rng(0))
     assert isinstance(start, str)
+    assert "a rotation explains" in start
 
 
 def test_few_matches_are_refused_with_a_reason(rng: np.random.Generator) -> None:
