@@ -42,9 +42,10 @@ class Places:
         A candidate must score no less than the least similar neighbour of `keyframe` (ORB-SLAM VII-A).
         """
         bag = self._database.bow(keyframe)
-        neighbors = self._neighbors(keyframe)
+        keyframes, scores, _ = self._database.query(bag)
+        score_of = dict(zip(keyframes.tolist(), scores.tolist(), strict=True))
         connected = self._map.neighbors(keyframe, min_points=1)[0].tolist()
-        min_score = min((bag.score(self._database.bow(k)) for k in neighbors), default=1.0)
+        min_score = min((score_of.get(k, 0.0) for k in self._neighbors(keyframe)), default=1.0)
         return self._database.loop_candidates(bag, self._neighbors, [keyframe, *connected], min_score)
 
     def _bag(self, features: Features) -> BowVector:
