@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from codecbench.slam.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
-from codecbench.slam.linear_systems import factorize_envelope, solve_envelope
+from codecbench.slam.linear_systems import copy_numbers, factorize_envelope, solve_envelope
 from codecbench.slam.sorting import stable_order
 
 MAX_CHI2 = 1e8  # an error beyond it, or a point behind the camera, costs so much and pulls at nothing
@@ -120,14 +120,6 @@ def robust_cost(poses, points, seen, huber):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _copy(source, target):  # type: ignore[no-untyped-def]
-    """Copy all numbers; assigning a slice would compile to the many checks of broadcasting, five seconds of them."""
-    source, target = source.reshape(-1), target.reshape(-1)
-    for i in range(source.shape[0]):
-        target[i] = source[i]
-
-
-@njit(cache=True)
 def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt in place on poses (K, 3, 4) and points (P, 3); return the number of steps tried."""
     slots, first, offsets = layout
@@ -150,8 +142,8 @@ def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ign
             move_points(points, seen, slots, work, trial_points)
             trial_cost = robust_cost(trial_poses, trial_points, seen, huber)
         if trial_cost < cost:
-            _copy(trial_poses, poses)
-            _copy(trial_points, points)
+            copy_numbers(trial_poses, poses)
+            copy_numbers(trial_points, points)
             gain, cost, linear = cost - trial_cost, trial_cost, False
             damping, growth = max(damping / 10.0, MIN_DAMPING), 4.0
             if gain <= tolerance * (cost + gain):
