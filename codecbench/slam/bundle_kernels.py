@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from codecbench.slam.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
-from codecbench.slam.linear_systems import factorize_envelope, solve_envelope
+from codecbench.slam.linear_systems import copy_numbers, factorize_envelope, solve_envelope
 from codecbench.slam.sorting import stable_order
 
 MAX_CHI2 = 1e8  # an error beyond it, or a point behind the camera, costs so much and pulls at nothing
@@ -142,7 +142,8 @@ def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ign
             move_points(points, seen, slots, work, trial_points)
             trial_cost = robust_cost(trial_poses, trial_points, seen, huber)
         if trial_cost < cost:
-            poses[:], points[:] = trial_poses, trial_points
+            copy_numbers(trial_poses, poses)
+            copy_numbers(trial_points, points)
             gain, cost, linear = cost - trial_cost, trial_cost, False
             damping, growth = max(damping / 10.0, MIN_DAMPING), 4.0
             if gain <= tolerance * (cost + gain):

@@ -255,7 +255,13 @@ def _null_vector(system: Any) -> Any:
                     turned[k, p], turned[k, q] = c * a - s * b, s * a + c * b
         if settled:
             break
-    least = np.argmin((system * system).sum(axis=0))
+    least, shortest = 0, np.inf
+    for q in range(4):
+        length = 0.0
+        for k in range(4):
+            length += system[k, q] * system[k, q]
+        if length < shortest:
+            least, shortest = q, length
     return turned[0, least], turned[1, least], turned[2, least], turned[3, least]
 
 

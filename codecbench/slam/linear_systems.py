@@ -18,6 +18,14 @@ Indices = NDArray[np.int64]
 
 
 @njit(cache=True)
+def copy_numbers(source, target):  # type: ignore[no-untyped-def]
+    """Copy an array into one of its shape; both contiguous. Assigning a slice takes seconds to compile instead."""
+    source, target = source.reshape(-1), target.reshape(-1)
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@njit(cache=True)
 def solve_symmetric(matrix, right_side, damping):  # type: ignore[no-untyped-def]
     """Return x of (A + damping diag(A)) x = b and whether A was positive definite; reads the lower triangle only."""
     n = right_side.shape[0]

@@ -12,6 +12,7 @@ from scipy.special import zeta
 
 from codecbench.slam.linear_systems import (
     Indices,
+    copy_numbers,
     envelope_offsets,
     envelope_order,
     factorize_envelope,
@@ -134,12 +135,13 @@ def edge_jacobians(j_from_i, error):  # type: ignore[no-untyped-def]
     summed as the power series of ad / (exp(ad) - 1), which converges while the rotation of the error is below 2 pi.
     """
     algebra = np.zeros((7, 7))
-    algebra[:3, :3] = skew(error[3:6])
-    algebra[3:6, 3:6] = algebra[:3, :3]
-    for k in range(3):
-        algebra[k, k] += error[6]
-    algebra[:3, 3:6] = skew(error[:3])
-    algebra[:3, 6] = -error[:3]
+    turn, shift = skew(error[3:6]), skew(error[:3])
+    for a in range(3):
+        for b in range(3):
+            algebra[a, b] = algebra[a + 3, b + 3] = turn[a, b]
+            algebra[a, b + 3] = shift[a, b]
+        algebra[a, a] += error[6]
+        algebra[a, 6] = -error[a]
     square = algebra @ algebra
     power, even = np.eye(7), np.eye(7)
     for k in range(_BERNOULLI.shape[0]):
@@ -174,7 +176,7 @@ def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit,
         if not linear:
             _linearize(nodes, edges, measurements, weights, slots, first, offsets, system, gradient)
             linear = True
-        damped[:] = system
+        copy_numbers(system, damped)
         _damp(damped, first, offsets, damping)
         trial, trial_cost = nodes, np.inf
         if factorize_envelope(damped, first, offsets, 7):
@@ -184,7 +186,7 @@ def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit,
             trial_cost = _cost(trial, edges, measurements, weights)
         if trial_cost < cost:
             gain, cost, linear = cost - trial_cost, trial_cost, False
-            nodes[:] = trial
+            copy_numbers(trial, nodes)
             damping, growth = max(damping / 10.0, _MIN_DAMPING), 10.0
             if gain <= tolerance * (cost + gain):
                 break
@@ -209,7 +211,7 @@ def _moved(nodes, slots, step):  # type: ignore[no-untyped-def]
     out = nodes.copy()
     for k in range(nodes.shape[0]):
         if slots[k] >= 0:
-            out[k] = sim3_compose(sim3_exp(step[7 * slots[k] : 7 * slots[k] + 7]), nodes[k])
+            copy_numbers(sim3_compose(sim3_exp(step[7 * slots[k] : 7 * slots[k] + 7]), nodes[k]), out[k])
     return out
 
 

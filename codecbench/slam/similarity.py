@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from codecbench.slam.linear_systems import solve_symmetric
+from codecbench.slam.linear_systems import copy_numbers, solve_symmetric
 from codecbench.slam.thresholds import CHI2_99_2DOF
 from codecbench.slam.transforms import Array, align_points, sim3_compose, sim3_exp, sim3_from_parts, sim3_inverse
 
@@ -148,7 +148,8 @@ def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
             if third >= taken:
                 third += 1
         for row, index in enumerate((first, second, third)):
-            triple_a[row], triple_b[row] = pairs.points_a[index], pairs.points_b[index]
+            for k in range(3):
+                triple_a[row, k], triple_b[row, k] = pairs.points_a[index, k], pairs.points_b[index, k]
         scale, rotation, translation = align_points(triple_a, triple_b, True)
         if not (scale > 1e-9 and scale < 1e9):
             continue
@@ -156,7 +157,8 @@ def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
         count = _classify(trial, pairs, trial_inliers)
         if count > best_count:
             best_count = count
-            best[:], inliers[:] = trial, trial_inliers
+            copy_numbers(trial, best)
+            copy_numbers(trial_inliers, inliers)
             good = min((count / total) ** 3, 1.0 - 1e-12)
             needed = math.log(1.0 - _CONFIDENCE) / math.log(1.0 - good) if good > 1e-12 else needed
     if best_count < _MIN_PAIRS:
@@ -166,7 +168,8 @@ def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
     count = _classify(trial, pairs, trial_inliers)
     if count >= best_count:
         best_count = count
-        best[:], inliers[:] = trial, trial_inliers
+        copy_numbers(trial, best)
+        copy_numbers(trial_inliers, inliers)
     return best_count
 
 
@@ -178,9 +181,9 @@ def _refine(pairs, similarity, inliers):  # type: ignore[no-untyped-def]
         found = _classify(trial, pairs, active)
         if found < _MIN_PAIRS:
             return
-        similarity[:] = trial
+        copy_numbers(trial, similarity)
         unchanged = np.array_equal(active, inliers)
-        inliers[:] = active
+        copy_numbers(active, inliers)
         if unchanged:
             return
 
@@ -198,8 +201,8 @@ def _minimize(pairs, active, similarity):  # type: ignore[no-untyped-def]
         )  # fmt: skip
         if trial_cost < cost or iteration == 0:
             gain = cost - trial_cost
-            similarity[:], cost = trial, trial_cost
-            hessian[:], gradient[:] = trial_hessian, trial_gradient
+            copy_numbers(trial, similarity)
+            hessian, gradient, cost = trial_hessian, trial_gradient, trial_cost
             damping = max(damping * 0.1, 1e-9)
             if gain <= 1e-7 * cost or step_size < 1e-9:
                 return

@@ -149,8 +149,12 @@ def sim3_translation_factor(rotation_vector: Array, log_scale: float) -> Array:
 def sim3_exp(tangent: Array) -> Array:
     """Return the (4, 4) similarity of a (7,) tangent vector (v, w, sigma)."""
     out = np.eye(4)
-    out[:3, :3] = math.exp(tangent[6]) * so3_exp(tangent[3:6])
-    out[:3, 3] = sim3_translation_factor(tangent[3:6], tangent[6]) @ np.ascontiguousarray(tangent[:3])
+    scale, rotation = math.exp(tangent[6]), so3_exp(tangent[3:6])
+    factor = sim3_translation_factor(tangent[3:6], tangent[6])
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = scale * rotation[i, j]
+            out[i, 3] += factor[i, j] * tangent[j]
     return out
 
 
@@ -159,10 +163,28 @@ def sim3_log(similarity: Array) -> Array:
     """Return the (7,) tangent vector (v, w, sigma) of a (4, 4) similarity."""
     out = np.empty(7)
     scale = sim3_scale(similarity)
-    out[3:6] = so3_log(similarity[:3, :3] / scale)
+    rotation_vector = so3_log(similarity[:3, :3] / scale)
     out[6] = math.log(scale)
-    factor = sim3_translation_factor(out[3:6], out[6])
-    out[:3] = np.linalg.solve(factor, np.ascontiguousarray(similarity[:3, 3]))
+    translation = _solve_3x3(sim3_translation_factor(rotation_vector, out[6]), similarity[:3, 3])
+    for k in range(3):
+        out[k], out[k + 3] = translation[k], rotation_vector[k]
+    return out
+
+
+@njit(cache=True)
+def _solve_3x3(matrix: Array, right_side: Array) -> Array:
+    """Return x of A x = b for a well-conditioned A (3, 3): cross products of its rows over its determinant."""
+    out, determinant = np.zeros(3), 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for c in range(3):
+            d, e = (c + 1) % 3, (c + 2) % 3
+            cofactor = matrix[j, d] * matrix[k, e] - matrix[j, e] * matrix[k, d]
+            out[c] += cofactor * right_side[i]
+            if i == 0:
+                determinant += matrix[0, c] * cofactor
+    for c in range(3):
+        out[c] /= determinant
     return out
 
 
@@ -176,8 +198,10 @@ def sim3_scale(similarity: Array) -> float:
 def sim3_from_parts(scale: float, rotation: Array, translation: Array) -> Array:
     """Return the (4, 4) similarity x -> scale rotation x + translation."""
     out = np.eye(4)
-    out[:3, :3] = scale * rotation
-    out[:3, 3] = translation
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = scale * rotation[i, j]
+        out[i, 3] = translation[i]
     return out
 
 
@@ -221,10 +245,11 @@ def sim3_adjoint(similarity: Array) -> Array:
     """Return Ad (7, 7) with S exp(x) = exp(Ad x) S."""
     scale, rotation, translation = sim3_to_parts(similarity)
     out = np.zeros((7, 7))
-    out[:3, :3] = scale * rotation
-    out[:3, 3:6] = skew(translation) @ rotation
-    out[:3, 6] = -translation
-    out[3:6, 3:6] = rotation
+    moment = skew(translation) @ rotation
+    for i in range(3):
+        for j in range(3):
+            out[i, j], out[i, j + 3], out[i + 3, j + 3] = scale * rotation[i, j], moment[i, j], rotation[i, j]
+        out[i, 6] = -translation[i]
     out[6, 6] = 1.0
     return out
 
@@ -233,7 +258,8 @@ def sim3_adjoint(similarity: Array) -> Array:
 def se3_exp(tangent: Array) -> Array:
     """Return the (4, 4) rigid motion of a (6,) tangent vector (v, w)."""
     extended = np.zeros(7)
-    extended[:6] = tangent
+    for k in range(6):
+        extended[k] = tangent[k]
     return sim3_exp(extended)
 
 
