@@ -116,7 +116,7 @@ SMALL_MAP_KEYFRAMES: Final = 5
 """Keyframes: a map with no more is abandoned the moment it is lost (own)."""
 
 # Keyframe decision --------------------------------------------------------------------------------------------------
-KEYFRAME_MIN_INTERVAL_S: Final = 0.2
+KEYFRAME_MIN_INTERVAL_S: Final = 0.13
 """Seconds: between two keyframes, unless tracking weakens (own; stands for a mapper that is still busy)."""
 KEYFRAME_URGENT_SHARE: Final = 0.6
 """Of the reference keyframe's points: a frame with fewer makes a keyframe at once (own)."""
