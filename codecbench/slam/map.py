@@ -33,7 +33,7 @@ class Map:
         self.keyframes = KeyframeTable(features_limit)
         self.culled: dict[int, CulledKeyframe] = {}
         self.loop_edges: list[tuple[int, int]] = []
-        self._neighbors: dict[tuple[int, int | None, int], tuple[Indices, Indices]] = {}  # until observations change
+        self._covisible: dict[int, tuple[Indices, Indices]] = {}  # until observations change
         self._link_count = 0
         self._links = np.empty((16384, 3), np.int32)
 
@@ -41,7 +41,7 @@ class Map:
 
     def observe(self, keyframes: int | Indices, features: Indices, points: Indices) -> None:
         """Record that a keyframe, or keyframes[i], sees points[i] at features[i]; neither may be seen there yet."""
-        self._neighbors.clear()
+        self._covisible.clear()
         keyframes = np.full(len(points), keyframes, np.int64)
         first = self._link_count
         self._link_count += len(points)
@@ -58,7 +58,7 @@ class Map:
 
     def unobserve(self, keyframes: Indices, features: Indices) -> None:
         """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
-        self._neighbors.clear()
+        self._covisible.clear()
         map_kernels.forget_observations(keyframes, features, self._lists)
 
     def observations(self, points: Indices, among: Indices | None = None) -> tuple[Indices, Indices, Indices]:
@@ -72,12 +72,12 @@ class Map:
 
     def remove_points(self, points: Indices) -> None:
         """Let points die and forget who saw them."""
-        self._neighbors.clear()
+        self._covisible.clear()
         map_kernels.kill_points(points, self._lists)
 
     def replace_points(self, old: Indices, new: Indices) -> None:
         """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies. No point is in both."""
-        self._neighbors.clear()
+        self._covisible.clear()
         table = self.points
         replacements = map_kernels.Replacements(table.replaced_by, table.found, table.visible)
         map_kernels.replace(old, new, self._lists, replacements)
@@ -112,16 +112,16 @@ class Map:
         self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
     ) -> tuple[Indices, Indices]:
         """Keyframes that share `min_points` points with `keyframe`, most first, and how many they share."""
-        key = int(keyframe), limit, min_points
-        if key not in self._neighbors:
-            self._neighbors[key] = self._find_neighbors(*key)
-        return self._neighbors[key]
+        if keyframe not in self._covisible:
+            self._covisible[keyframe] = self._find_covisible(keyframe)
+        keyframes, weights = self._covisible[keyframe]
+        end = np.searchsorted(-weights, -min_points, side="right") if min_points > 1 else None
+        return keyframes[:end][:limit], weights[:end][:limit]
 
-    def _find_neighbors(self, keyframe: int, limit: int | None, min_points: int) -> tuple[Indices, Indices]:
+    def _find_covisible(self, keyframe: int) -> tuple[Indices, Indices]:
         weights = self.covisibility(self.keyframes.points[keyframe])
         weights[keyframe] = 0
-        order = np.argsort(-weights, kind="stable")
-        order = order[weights[order] >= max(min_points, 1)][:limit]
+        order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         weights = weights[order]
         order.flags.writeable = weights.flags.writeable = False  # they are shared
         return order, weights

@@ -131,7 +131,7 @@ DECODED_WINDOW_PX: Final = 1.5
 """Pixels at the finest level: how far a feature may move when a keyframe's image is coded and decoded (own)."""
 
 # Mapping ------------------------------------------------------------------------------------------------------------
-TRIANGULATION_NEIGHBORS: Final = 20
+TRIANGULATION_NEIGHBORS: Final = 10
 """Keyframes: covisible ones in which a new keyframe's free features are searched (own)."""
 TRIANGULATION_MAX_COSINE: Final = 0.9998
 """Cosine between two rays above which their point is too uncertain: 1.15 degrees (own)."""
@@ -157,7 +157,7 @@ REDUNDANT_OBSERVATIONS: Final = 3
 """Keyframes: see REDUNDANT_SHARE (ORB-SLAM VI-E)."""
 COVISIBLE_MIN_POINTS: Final = 15
 """Points: shared by two keyframes that are neighbours in the covisibility graph (ORB-SLAM III-D)."""
-LOCAL_BUNDLE_KEYFRAMES: Final = 12
+LOCAL_BUNDLE_KEYFRAMES: Final = 10
 """Keyframes: free ones in a local bundle adjustment (own; keeps a step bounded)."""
 LOCAL_BUNDLE_FIXED: Final = 30
 """Keyframes: fixed ones in a local bundle adjustment, those that see most of its points (own)."""
