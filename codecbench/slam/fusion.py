@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +12,8 @@ from codecbench.slam.camera import Camera
 from codecbench.slam.features import CELL_PX
 from codecbench.slam.hamming import hamming
 from codecbench.slam.map import Indices, Map
+from codecbench.slam.projection import project_points
 from codecbench.slam.transforms import Array
-
-_DISTANCE_MARGIN = 1.2
-"""Times: how far a distance may leave the range that the pyramid covers (ORB-SLAM V-D, own margin)."""
 
 
 class _Points(NamedTuple):
@@ -31,11 +28,10 @@ class _Points(NamedTuple):
 
 
 class _View(NamedTuple):
-    """A keyframe's pose and features: `camera_from_world` (4, 4), `center` (3,) in the world, `intrinsics` (4,),
-    `bounds` (4,) of the image, `scale_factors`; `points` (N,) that it sees; the rest as in Features."""
+    """A keyframe's pose and features: `camera_from_world` (4, 4), `intrinsics` (4,), `bounds` (4,) of the image,
+    `scale_factors`; `points` (N,) that it sees; the rest as in Features."""
 
     camera_from_world: Any
-    center: Any
     intrinsics: Any
     bounds: Any
     scale_factors: Any
@@ -57,9 +53,8 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     table, features = slam_map.points, slam_map.keyframes.features[keyframe]
     shown = slam_map.keyframes.points[keyframe, : len(features)]
     view = _View(
-        camera_from_world, -(camera_from_world[:3, 3] @ camera_from_world[:3, :3]), camera.intrinsics, camera.bounds,
-        slam_map.scale_factors, shown, features.pixels, features.octaves, features.descriptors, features.cell_starts,
-        features.cell_members, features.grid,
+        camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, shown, features.pixels,
+        features.octaves, features.descriptors, features.cell_starts, features.cell_members, features.grid,
     )  # fmt: skip
     columns = table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.alive
     candidates, found = _find_duplicates(points, _Points(*columns), view)
@@ -80,7 +75,12 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
 
     A feature is given to the point that is nearest in Hamming distance, the first of equals.
     """
-    points, pixels, octaves = _place(points, table, view)
+    points = _absent(points, table.alive, view.points)
+    kept, pixels, octaves, _ = project_points(
+        points, table.positions, table.normals, table.min_distances, table.max_distances,
+        view.camera_from_world, view.intrinsics, view.bounds, view.scale_factors, thresholds.VIEWING_COSINE,
+    )  # fmt: skip
+    points = points[kept]
     descriptors, pixels_b, octaves_b, descriptors_b = table.descriptors, view.pixels, view.octaves, view.descriptors
     starts, members, grid, scale_factors = view.cell_starts, view.cell_members, view.grid, view.scale_factors
     columns, rows = int(grid[2]), int(grid[3])
@@ -112,37 +112,15 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
 
 
 @njit(cache=True)
-def _place(points: Any, table: _Points, view: _View) -> Any:
-    """Those of `points` that a view should show and does not show yet: indices (N,), pixels (N, 2), levels (N,)."""
-    positions, normals, min_distances, max_distances, _, alive = table
-    pose, center, (fx, fy, cx, cy), bounds, scale_factors = view[:5]
+def _absent(points: Any, alive: Any, shown: Any) -> Any:
+    """Those of `points` (P,) that live and that a view does not show, (N,)."""
     seen = np.zeros(len(alive), np.bool_)
-    for point in view.points:
+    for point in shown:
         if point >= 0:
             seen[point] = True
-    kept, octaves = np.empty((2, len(points)), np.int64)
-    pixels, count, top = np.empty((len(points), 2)), 0, len(scale_factors) - 1
-    for p in points:
-        if seen[p] or not alive[p]:
-            continue
-        x, y, z = positions[p, 0], positions[p, 1], positions[p, 2]
-        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
-        if depth <= 1e-9:
-            continue
-        u = fx * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / depth + cx
-        v = fy * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / depth + cy
-        if not (bounds[0] <= u <= bounds[2] and bounds[1] <= v <= bounds[3]):
-            continue
-        x, y, z = x - center[0], y - center[1], z - center[2]
-        distance = math.sqrt(x * x + y * y + z * z)
-        if distance > max_distances[p] * _DISTANCE_MARGIN or distance * _DISTANCE_MARGIN < min_distances[p]:
-            continue
-        if x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2] < thresholds.VIEWING_COSINE * distance:
-            continue
-        octave = 0
-        while octave < top and distance * scale_factors[octave] < max_distances[p] * (1.0 - 1e-9):
-            octave += 1
-        kept[count], octaves[count] = p, octave
-        pixels[count, 0], pixels[count, 1] = u, v
-        count += 1
-    return kept[:count], pixels[:count], octaves[:count]
+    kept, count = np.empty(len(points), np.int64), 0
+    for point in points:
+        if alive[point] and not seen[point]:
+            kept[count] = point
+            count += 1
+    return kept[:count]

@@ -35,7 +35,7 @@ def project_map_points(
     """Those of `points` that the camera should see: in front, inside the image, at a distance that the pyramid
     covers, and from within acos(`min_cosine`) of their mean viewing direction (ORB-SLAM V-D)."""
     table = slam_map.points
-    kept, pixels, octaves, cosines = _project(
+    kept, pixels, octaves, cosines = project_points(
         points, table.positions, table.normals, table.min_distances, table.max_distances,
         camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, min_cosine,
     )  # fmt: skip
@@ -62,10 +62,12 @@ def project_ahead(points: Any, positions: Any, camera_from_world: Any, intrinsic
 
 
 @njit(cache=True)
-def _project(
+def project_points(
     points: Any, positions: Any, normals: Any, min_distances: Any, max_distances: Any,
     camera_from_world: Any, intrinsics: Any, bounds: Any, scale_factors: Any, min_cosine: float,
 ) -> Any:  # fmt: skip
+    """project_map_points for compiled code, on columns of the table of points: which of `points` (N,) should be
+    seen, as indices into them (M,), their pixels (M, 2), octaves (M,) and cosines (M,)."""
     fx, fy, cx, cy = intrinsics
     pose = camera_from_world
     n = len(points)
