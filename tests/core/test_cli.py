@@ -110,6 +110,7 @@ def test_columns_are_chosen_by_pattern(place: Path, run: Path) -> None:
     assert "no column matches" in call(place, "table", str(run), "--columns", "quality.*", status=2)
 
 
+@pytest.mark.thorough
 def test_status_report_plot_and_compare(place: Path, run: Path) -> None:
     assert "tiny: not running; 9 cells: 6 ok, 3 unsupported" in call(place, "status", str(run))
     assert json.loads(call(place, "status", str(run), "--json"))["counts"]["ok"] == 6

@@ -31,6 +31,8 @@ from codecbench.plugins.executors.dask import DaskExecutor, DaskParams
 dask = pytest.importorskip("dask")
 pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
 
+pytestmark = pytest.mark.thorough
+
 HERE = Path(__file__).parent
 CODECS = "{use: faulty, params: {step: {grid: [0, 1, 2]}}}"
 
@@ -108,7 +110,6 @@ def awaited(executor: DaskExecutor, count: int, within_s: float = 120.0) -> dict
     return found
 
 
-@pytest.mark.thorough
 def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up() -> None:
     with started(DaskParams(retries=2)) as executor:
         victim = outcomes(executor, Task("first", slow_pid, 0.0))["first"].value
@@ -122,7 +123,6 @@ def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up
         assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
 
 
-@pytest.mark.thorough
 def test_workers_that_are_all_lost_are_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those that are killed while they start, which dask's nannies do not start again."""
     monkeypatch.setattr("codecbench.plugins.executors.dask._LOOK_EVERY_S", 1.0)
@@ -139,7 +139,6 @@ def test_workers_that_are_all_lost_are_started_again(monkeypatch: pytest.MonkeyP
     assert not before & after
 
 
-@pytest.mark.thorough
 def test_a_cluster_without_workers_is_told_in_time(bench: Bench) -> None:
     with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as cluster:
         params = DaskParams(address=cluster.address, start_timeout_s=8.0)
@@ -150,7 +149,6 @@ def test_a_cluster_without_workers_is_told_in_time(bench: Bench) -> None:
                 outcomes(executor, Task("b", slow_pid, 0.0))
 
 
-@pytest.mark.thorough
 def test_a_large_task_survives_the_worker_that_held_it() -> None:
     with started(DaskParams()) as executor:
         first = outcomes(executor, Task("a", slow_pid, 0.5), Task("b", slow_pid, 0.5))
@@ -186,7 +184,6 @@ def gone(*processes: psutil.Process) -> bool:
     return not psutil.wait_procs(processes, timeout=20)[1]
 
 
-@pytest.mark.thorough
 def test_stop_ends_hanging_tasks_and_leaves_no_process(tmp_path: Path) -> None:
     earlier = psutil.Process().children(recursive=True)
     with started(DaskParams()) as executor:
@@ -198,7 +195,6 @@ def test_stop_ends_hanging_tasks_and_leaves_no_process(tmp_path: Path) -> None:
     assert gone(*children)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_isolated_processes_end_with_their_dask_worker(tmp_path: Path, number: signal.Signals) -> None:
     with started(DaskParams(retries=0)) as executor:
@@ -215,7 +211,6 @@ def _command(process: psutil.Process) -> list[str]:
         return []
 
 
-@pytest.mark.thorough
 def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
     local = bench.plan(matrix(CODECS, "wandering, whole"))
     bench.run(local, "local")
@@ -235,7 +230,6 @@ def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
     assert not list((bench.folder / "cluster").rglob("*.bits"))
 
 
-@pytest.mark.thorough
 def test_stop_ends_what_it_started_on_workers_that_live_on(bench: Bench) -> None:
     with cluster_elsewhere(bench.folder / "cluster", bench.site, workers=1) as cluster:
         for name in ("one", "two"):
@@ -272,7 +266,6 @@ def kill_at_random(bench: Bench, kills: int, seed: int) -> None:
     assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
 
 
-@pytest.mark.thorough
 def test_workers_killed_at_random_change_nothing(bench: Bench) -> None:
     kill_at_random(bench, kills=4, seed=0)
 
@@ -283,7 +276,6 @@ def test_many_workers_killed_at_random_change_nothing(bench: Bench) -> None:
     kill_at_random(bench, kills=40, seed=1)
 
 
-@pytest.mark.thorough
 def test_a_killed_coordinator_resumes(bench: Bench) -> None:
     plan = bench.plan(matrix(CODECS, "wandering, whole, slow, {use: slow, params: {fault: again}}", on_dask()))
     arguments = [HERE / "run_driver.py", bench.folder / "matrix.yaml", bench.folder / "killed", bench.site]

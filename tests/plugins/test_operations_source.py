@@ -16,6 +16,8 @@ from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 from codecbench.plugins.evaluators.operations.evaluator import source_counts
 
+pytestmark = pytest.mark.thorough
+
 CODECS = {
     "jpeg_qf": JpegQf.create(qf=5),
     "jpeg_qf optimized 4:2:0": JpegQf.create(qf=20, color="ycbcr420", optimize=True),

@@ -16,6 +16,8 @@ from codecbench.plugins.slam_backends import codecbench_slam_backends, orb
 from codecbench.plugins.slam_backends.orb import Orb
 from codecbench.slam.trajectory import FrameState, LoopEvent, MapResult, Result, Trajectory
 
+pytestmark = pytest.mark.thorough
+
 CAMERA = Camera(640, 480, 535.4, 539.2, 320.1, 247.6, (0.1, 0.0, 0.0, 0.0, 0.0))
 
 

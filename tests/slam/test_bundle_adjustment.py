@@ -12,6 +12,8 @@ from codecbench.slam.bundle_adjustment import HUBER_95, adjust
 from codecbench.slam.bundle_kernels import jacobians
 from codecbench.slam.transforms import se3_exp, so3_exp, umeyama
 
+pytestmark = pytest.mark.thorough
+
 
 def robust_residuals(scene: Scene, parameters: np.ndarray, huber: float) -> np.ndarray:
     """Residuals whose squares sum to Huber's function of the chi-squares: an independent statement of the cost."""

@@ -8,6 +8,8 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
 from codecbench.slam.transforms import se3_exp
 
+pytestmark = pytest.mark.thorough
+
 FACTORS = 1.2 ** np.arange(8)
 
 

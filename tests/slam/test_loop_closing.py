@@ -14,6 +14,8 @@ from codecbench.slam.loop_detection import Loop
 from codecbench.slam.map import Map
 from codecbench.slam.transforms import sim3_from_parts
 
+pytestmark = pytest.mark.thorough
+
 STEPS = 48
 LAST = STEPS - 1
 Floats = NDArray[np.float64]
@@ -74,7 +76,6 @@ def centres(slam_map: Map) -> Floats:
     return np.asarray(slam_map.keyframes.centers_world[:STEPS])
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("drift", [1.0, 1.01, 0.985])
 def test_a_loop_takes_the_drift_out_of_the_whole_walk(drift: float) -> None:
     slam_map, loop, true = drifting_map(drift)

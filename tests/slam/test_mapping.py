@@ -12,6 +12,8 @@ from codecbench.slam.mapping import Mapper
 from codecbench.slam.transforms import se3_exp
 from codecbench.slam.triangulation import triangulate_features
 
+pytestmark = pytest.mark.thorough
+
 POSES = [looking((0.2 * i, 0.0, 0.0)) for i in range(6)]
 
 

@@ -9,6 +9,8 @@ from scipy.optimize import approx_fprime, least_squares
 from codecbench.slam import pose_graph
 from codecbench.slam.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale, so3_exp
 
+pytestmark = pytest.mark.thorough
+
 NOISE = np.array([0.02] * 3 + [0.003] * 3 + [0.005])
 
 

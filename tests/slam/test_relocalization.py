@@ -11,6 +11,8 @@ from codecbench.slam.relocalization import relocalize
 from codecbench.slam.thresholds import RELOCALIZED_MIN_INLIERS
 from codecbench.slam.tracking import Tracker
 
+pytestmark = pytest.mark.thorough
+
 POINTS = 900
 KEYFRAMES = [looking((0.3 * (i % 2), 0.0, 0.0), yaw) for i, yaw in enumerate((0.0, 0.1, 1.5, 1.6, 3.0, 3.1))]
 

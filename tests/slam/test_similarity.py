@@ -10,6 +10,8 @@ from solver_scenes import INTRINSICS, moved, project
 from codecbench.slam.similarity import estimate_similarity, optimize_similarity
 from codecbench.slam.transforms import sim3_exp, sim3_log
 
+pytestmark = pytest.mark.thorough
+
 TRUTH = sim3_exp(np.array([0.3, -0.1, 0.2, 0.1, 0.05, -0.3, 0.4]))
 
 

@@ -13,6 +13,8 @@ from rendered_scenes import CAMERA, Room, looking, position_error
 
 from codecbench.slam import Camera, Options, Result, System
 
+pytestmark = pytest.mark.thorough
+
 STEPS = 45
 
 

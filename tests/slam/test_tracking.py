@@ -10,6 +10,8 @@ from codecbench.slam.frame import Frame
 from codecbench.slam.map import NONE, Map
 from codecbench.slam.tracking import Tracker
 
+pytestmark = pytest.mark.thorough
+
 KEYFRAMES = [looking((0.15 * i, 0.02 * i, 0.0), 0.01 * i) for i in range(5)]
 POINTS = 400
 

@@ -108,6 +108,7 @@ def test_frames_are_the_same_in_another_process(tmp_path):
     assert done.stdout.split() == [sequence.fingerprint, *own]
 
 
+@pytest.mark.thorough
 def test_frames_do_not_depend_on_which_others_are_asked_for(own_cache):
     alone = small(start=7, stop=8).read(0).image
     for file in own_cache.rglob("*.rgb"):
