@@ -188,6 +188,7 @@ def test_color_gray_is_the_gray_picture() -> None:
     assert codec.encode(PICTURE) == codec.encode(gray_from_image(PICTURE))
 
 
+@pytest.mark.thorough
 def test_operations_are_counted_by_the_stages_of_t81() -> None:
     codec = JpegQf.create(qf=5, color="ycbcr420", optimize=True)
     encoding, decoding = CountingTrace(), CountingTrace()

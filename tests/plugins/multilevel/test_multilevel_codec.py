@@ -157,6 +157,7 @@ def test_wrong_parameters_are_refused(wrong: dict[str, object]) -> None:
         Multilevel.create(**wrong)
 
 
+@pytest.mark.thorough
 def test_counting_gives_the_same_bytes_and_pixels() -> None:
     image = textured(24, 32, 3)
     for setting in ({}, {"levels": 2, "decoding": "search", "color": "ycbcr420", "scan": "coefficient"}):
