@@ -77,6 +77,15 @@ def test_a_slowdown_of_ten_percent_is_caught_on_a_machine_that_drifts(rng: np.ra
     assert only(compare(timed(rng, 1.1, 0.1), timed(rng, 1.0, 0.0))).verdict == "better"
 
 
+def test_a_change_of_microseconds_is_not_claimed() -> None:
+    def times(ms: float) -> Snapshot:
+        values = tuple(ms * (1.0 + 0.001 * k) for k in range(5))
+        return snapshot(series("decode_cpu_ms", values, better="lower", repeatable=False))
+
+    assert only(compare(times(0.032), times(0.036))).verdict == "same"
+    assert only(compare(times(0.32), times(0.36))).verdict == "worse"
+
+
 def test_rates_of_work_are_better_when_higher(rng: np.random.Generator) -> None:
     slow = series("encode_mpix_per_s", tuple(rng.normal(30, 0.2, 5)), repeatable=False)
     fast = replace(slow, values=tuple(1.3 * value for value in slow.values))

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numba.core import event
 
 from codecbench.core.contracts.errors import SlamError
 from codecbench.core.contracts.sequence import Camera, Frame
@@ -93,6 +94,37 @@ def test_analyze_then_compress_gives_mapping_the_decoded_keyframe(monkeypatch: p
     assert all(
         image is not None and image.shape == (480, 640) and image[0, 0] == 200 for image in Recorder.last.keyframes
     )
+
+
+def test_compiling_and_decoding_take_no_time_of_slam(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = 0.0
+
+    def work(duration_s: float) -> None:
+        nonlocal seconds
+        seconds += duration_s
+
+    class Working(Recorder):
+        def process(self, image: np.ndarray, timestamp_s: float, keyframe_image: Callable | None = None) -> FrameState:
+            work(0.25)
+            with event.trigger_event("numba:compile"):
+                work(100.0)
+            return super().process(image, timestamp_s, keyframe_image)
+
+        def finish(self) -> Result:
+            work(0.5)
+            return super().finish()
+
+    def keyframe_image(index: int) -> np.ndarray:
+        work(1000.0)
+        with event.trigger_event("numba:compile"):
+            work(100.0)
+        return np.zeros((480, 640), np.uint8)
+
+    monkeypatch.setattr(orb, "System", Working)
+    monkeypatch.setattr(orb.time, "perf_counter", lambda: seconds)
+    monkeypatch.setattr(event, "timer", lambda: seconds)
+    run = Orb.create().run(frames(3), CAMERA, seed=0, keyframe_image=keyframe_image)
+    assert [one.elapsed_ms for one in run.frames] == [250.0, 250.0, 750.0]
 
 
 def test_no_frame_is_an_error() -> None:

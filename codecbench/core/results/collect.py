@@ -102,6 +102,7 @@ def _result(
         metrics,
         partial(_samples, store, record),
         outcome.artifacts,
+        record.duration_s,
     )
 
 

@@ -35,7 +35,7 @@ class CellResult:
     measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
     aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
     declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
-    folder: where the record and its artifacts lie.
+    folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
     """
 
     cell: Cell
@@ -46,6 +46,7 @@ class CellResult:
     metrics: dict[str, Metric]
     samples: Callable[[], pyarrow.Table]
     folder: Path
+    duration_s: float = 0.0
 
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""

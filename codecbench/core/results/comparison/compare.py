@@ -32,6 +32,9 @@ SIGNIFICANCE: Final = 0.01
 TIME_TOLERANCE: Final = 0.05
 """Relative change of a median time below which nothing is claimed."""
 
+LEAST_CHANGE_MS: Final = 0.01
+"""Milliseconds by which a median time must move: less depends on where the memory of a process happens to lie."""
+
 LEAST_REPEATS: Final = 5
 YARDSTICK: Final = "yardstick_ms"
 ON_THE_WALL: Final = ("_wall_ms", "_mpix_per_s")
@@ -152,7 +155,8 @@ def _timed(
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
     if not same_machine:
         return Comparison(old.key, *shown, change, "cannot tell", f"another machine; {note}")
-    if abs(change) <= tolerance:
+    too_short = old.metric.endswith("_ms") and abs(change) * shown[0] < LEAST_CHANGE_MS
+    if abs(change) <= tolerance or too_short:
         return Comparison(old.key, *shown, change, "same", note)
     if chance > SIGNIFICANCE:
         return Comparison(old.key, *shown, change, "cannot tell", note)

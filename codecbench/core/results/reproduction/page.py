@@ -91,7 +91,11 @@ def _provenance(run: RunResult) -> str:
     unsupported = sum(result.status == "unsupported" for result in run.results)
     machine = ", ".join(machines) or "an unknown machine"
     rest = f"{len(run.failed)} failed, {unsupported} unsupported"
-    return f"`{run.plan.name}`, computed on {machine}: {done} of {len(run.plan.cells)} cells, {rest}.\n"
+    hours = sum(result.duration_s for result in run.results) / 3600
+    return (
+        f"`{run.plan.name}`, computed on {machine}: {done} of {len(run.plan.cells)} cells, {rest}; "
+        f"their evaluation took {hours:.1f} hours of one worker's time.\n"
+    )
 
 
 def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
