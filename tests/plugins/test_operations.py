@@ -64,6 +64,7 @@ def test_an_opaque_codec_has_no_source_counts(tmp_path: Path) -> None:
     assert {name.split("_")[0] for name in found} == {"model"}
 
 
+@pytest.mark.thorough
 def test_source_counts_add_up_over_stages(tmp_path: Path) -> None:
     found = values(JpegQf.create(qf=10), tmp_path, SMALL, families=["source"])
     assert {name.split("_")[0] for name in found} == {"source"}

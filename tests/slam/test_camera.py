@@ -6,6 +6,8 @@ import pytest
 
 from codecbench.slam.camera import Camera
 
+pytestmark = pytest.mark.thorough
+
 FR1 = Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
 
 

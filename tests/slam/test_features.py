@@ -11,6 +11,8 @@ from codecbench.slam.features import FeatureExtractor
 from codecbench.slam.options import Options
 from codecbench.slam.orb_kernels import blur_level, describe_patches, orient_patches, select_evenly
 
+pytestmark = pytest.mark.thorough
+
 IMAGE = Room().image(looking((0.0, 0.0, -1.0), 0.2, 0.1))
 
 

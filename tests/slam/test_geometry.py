@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from codecbench.slam import geometry
 
+pytestmark = pytest.mark.thorough
+
 
 def normalized_fit(fit, pixels_a, pixels_b, homography):  # type: ignore[no-untyped-def]
     a, normalizer_a = geometry.normalize_pixels(pixels_a)

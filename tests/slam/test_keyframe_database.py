@@ -12,6 +12,8 @@ from codecbench.slam.keyframe_database import KeyframeDatabase
 from codecbench.slam.options import Options
 from codecbench.slam.vocabulary import BowVector, Vocabulary
 
+pytestmark = pytest.mark.thorough
+
 WORDS = 300
 
 

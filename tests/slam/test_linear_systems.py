@@ -12,6 +12,8 @@ from codecbench.slam.linear_systems import (
     solve_symmetric,
 )
 
+pytestmark = pytest.mark.thorough
+
 
 def packed(matrix: np.ndarray, first: np.ndarray, block: int) -> np.ndarray:
     """The envelope of a matrix, as the solver stores it."""

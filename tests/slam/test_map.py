@@ -7,6 +7,8 @@ from rendered_scenes import looking, random_descriptors
 
 from codecbench.slam.map import NONE, Map, grown
 
+pytestmark = pytest.mark.thorough
+
 POSES = [looking((0.2 * i, 0.0, 0.0)) for i in range(6)]
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
 
 from codecbench.slam.geometry import fundamental_between
@@ -11,6 +12,8 @@ from codecbench.slam.matching import (
     match_in_windows,
     match_on_epipolar_lines,
 )
+
+pytestmark = pytest.mark.thorough
 
 FACTORS = 1.2 ** np.arange(8)
 

@@ -8,6 +8,8 @@ from scipy.optimize import least_squares
 from codecbench.slam.motion_uncertainty import direction_deviation_deg, sampson_distances
 from codecbench.slam.transforms import se3_exp
 
+pytestmark = pytest.mark.thorough
+
 
 def unit(motion: Floats) -> Floats:
     scaled = motion.copy()

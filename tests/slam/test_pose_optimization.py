@@ -8,6 +8,8 @@ from solver_scenes import INTRINSICS, moved, project
 from codecbench.slam.pose_optimization import optimize_pose
 from codecbench.slam.transforms import se3_exp, se3_log
 
+pytestmark = pytest.mark.thorough
+
 TRUTH = se3_exp(np.array([0.1, 0.2, -0.1, 0.05, 0.3, -0.1]))
 START = se3_exp(np.array([0.05, -0.05, 0.06, 0.02, 0.02, -0.02])) @ TRUTH
 

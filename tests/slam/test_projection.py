@@ -8,6 +8,8 @@ from rendered_scenes import CAMERA, Floats, looking, random_descriptors
 from codecbench.slam.map import Map
 from codecbench.slam.projection import Projections, project_ahead, project_map_points
 
+pytestmark = pytest.mark.thorough
+
 POSES = [looking((0.0, 0.0, 0.0)), looking((0.2, 0.0, 0.0)), looking((-0.2, 0.1, 0.0))]
 
 

@@ -4,9 +4,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from rendered_scenes import position_error
 
 from codecbench.slam import Camera, System
+
+pytestmark = pytest.mark.thorough
 
 CAMERA = Camera(640, 480, 535.4, 539.2, 320.1, 247.6)  # TUM RGB-D, freiburg3
 FRAMES = 150

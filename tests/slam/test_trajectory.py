@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, looking, random_descriptors
 
 from codecbench.slam.map import Map
 from codecbench.slam.trajectory import TrackedPose
+
+pytestmark = pytest.mark.thorough
 
 POSES = [looking((0.3 * i, 0.05 * i, 0.0), 0.02 * i) for i in range(4)]
 BETWEEN = looking((0.45, 0.1, 0.05), 0.05)

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from codecbench.slam import transforms as tf
 
+pytestmark = pytest.mark.thorough
+
 SIZES = [1e-9, 1e-5, 1e-2, 0.299, 0.301, 1.0, 2.5]
 components = st.floats(-1.5, 1.5)
 tangents = st.tuples(*[components] * 7).map(np.array)

@@ -8,6 +8,8 @@ import pytest
 from codecbench.slam.train_vocabulary import compose_picture, load_photographs, train
 from codecbench.slam.vocabulary import BowVector, Vocabulary
 
+pytestmark = pytest.mark.thorough
+
 
 def random_bits(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.integers(0, 2**64, (count, 4), dtype=np.uint64)

@@ -170,6 +170,7 @@ def test_counting_gives_the_same_bytes_and_pixels() -> None:
         assert {"arithmetic_decoding", "dequantization", "idct"} <= set(decoding.counts)
 
 
+@pytest.mark.thorough
 def test_minimisation_is_counted_as_the_paper_counts_it() -> None:
     trace = CountingTrace()
     Multilevel.create().encode(textured(48, 48), trace=trace)
