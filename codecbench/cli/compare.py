@@ -46,8 +46,8 @@ def compare(
     """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
 
     Sizes, quality and counts are compared exactly; times statistically over repeats (five at least), in units of a
-    yardstick that was timed beside them; a time by the clock on the wall is judged only where processor time agrees.
-    Another machine is a warning, not a verdict.
+    yardstick that was timed beside them; a time by the clock on the wall is judged only where processor time agrees,
+    and no change below 10 microseconds a frame is claimed. Another machine is a warning, not a verdict.
     """
     from codecbench.core.results.comparison.compare import compare as compared
     from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
