@@ -30,7 +30,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             return  # and so run those of the shorter tiers
         for item in items:
             if item.get_closest_marker(tier):
-                item.add_marker(pytest.mark.skip(reason=f"{tier}; run with --{tier}"))
+                item.add_marker(pytest.mark.skip(reason=f"takes long: marked {tier}; run with --{tier}"))
 
 
 @pytest.fixture(scope="session")

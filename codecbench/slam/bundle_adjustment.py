@@ -17,9 +17,9 @@ from codecbench.slam.bundle_kernels import (
 )
 from codecbench.slam.bundle_schur import Layout
 from codecbench.slam.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbours
+from codecbench.slam.rotations import Array, orthonormalize
 from codecbench.slam.sorting import stable_order
 from codecbench.slam.thresholds import CHI2_95_2DOF
-from codecbench.slam.transforms import Array, orthonormalize
 
 HUBER_95 = float(np.sqrt(CHI2_95_2DOF))
 """Error in units of its sigma above which Huber's kernel grows linearly (ORB-SLAM, appendix)."""

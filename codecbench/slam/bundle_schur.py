@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from codecbench.slam.transforms import so3_exp_into
+from codecbench.slam.rotations import so3_exp_into
 from codecbench.slam.vector_kernels import subtract_product
 
 MIN_DAMPING = 1e-9

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam.features import Features
 from codecbench.slam.map import NONE
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 
 
 @dataclass

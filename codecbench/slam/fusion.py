@@ -13,7 +13,7 @@ from codecbench.slam.features import CELL_PX
 from codecbench.slam.hamming import hamming
 from codecbench.slam.map import Indices, Map
 from codecbench.slam.projection import project_points
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 
 
 class _Points(NamedTuple):

@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.slam.rotations import skew
 from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
-from codecbench.slam.transforms import se3_inverse, sim3_compose, skew
+from codecbench.slam.transforms import se3_inverse, sim3_compose
 
 Floats = NDArray[np.float64]
 _MAX_SWEEPS = 30

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from numba import njit
 
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 from codecbench.slam.vocabulary import BowVector, Indices
 
 _SHARED_WORDS_RATIO = 0.8  # of the most words that any keyframe shares: fewer, and a keyframe is not scored

@@ -11,7 +11,8 @@ from codecbench.slam.fusion import fuse
 from codecbench.slam.loop_detection import Loop, rigid_part
 from codecbench.slam.map import Indices, Map
 from codecbench.slam.mapping import adjust_keyframes
-from codecbench.slam.transforms import Array, sim3_compose, sim3_from_parts, sim3_inverse, sim3_scale
+from codecbench.slam.rotations import Array
+from codecbench.slam.transforms import sim3_compose, sim3_from_parts, sim3_inverse, sim3_scale
 
 
 def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:

@@ -12,8 +12,9 @@ from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
 from codecbench.slam.places import Places
 from codecbench.slam.projection import project_map_points
+from codecbench.slam.rotations import Array
 from codecbench.slam.similarity import estimate_similarity, optimize_similarity
-from codecbench.slam.transforms import Array, sim3_compose, sim3_from_parts, sim3_scale
+from codecbench.slam.transforms import sim3_compose, sim3_from_parts, sim3_scale
 
 
 @dataclass(frozen=True)

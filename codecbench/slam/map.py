@@ -8,8 +8,8 @@ import numpy as np
 
 from codecbench.slam import map_kernels
 from codecbench.slam.map_tables import NONE, Indices, KeyframeTable, PointTable, grown
+from codecbench.slam.rotations import Array
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
-from codecbench.slam.transforms import Array
 
 __all__ = ["NONE", "CulledKeyframe", "Indices", "KeyframeTable", "Map", "PointTable", "grown"]
 

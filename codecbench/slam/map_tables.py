@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam.features import Features
 from codecbench.slam.map_kernels import Views
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 
 Indices = NDArray[np.int64]
 NONE = -1

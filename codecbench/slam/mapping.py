@@ -12,7 +12,7 @@ from codecbench.slam.fusion import fuse
 from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.map_kernels import median_depth
 from codecbench.slam.places import Places
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 from codecbench.slam.triangulation import triangulate_features
 
 

@@ -1,6 +1,6 @@
-"""Matching features: in predicted windows, by appearance alone, and along epipolar lines.
+"""Matching features: in predicted windows and by appearance alone; on epipolar lines see triangulation.
 
-All functions return, for each query, the index of its feature or -1. A feature is given to the one query that is
+Both return, for each query, the index of its feature or -1. A feature is given to the one query that is
 nearest in Hamming distance (ties: the first), so that no feature is used twice.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam.features import CELL_PX, Features
 from codecbench.slam.hamming import hamming
-from codecbench.slam.thresholds import CHI2_95_1DOF, ROTATION_BINS, ROTATION_PEAKS
+from codecbench.slam.thresholds import ROTATION_BINS, ROTATION_PEAKS
 
 Indices = NDArray[np.int64]
 _FAR = 512  # above any distance of 256 bits
@@ -57,8 +57,8 @@ def _match_in_windows(
 ) -> Any:  # fmt: skip
     columns, rows = int(grid[2]), int(grid[3])
     matches = np.full(len(pixels), -1, np.int64)
-    owner = np.full(len(feature_pixels), -1, np.int64)
-    owner_distance = np.full(len(feature_pixels), _FAR, np.int64)
+    owners = np.full(len(feature_pixels), -1, np.int64)
+    distances = np.full(len(feature_pixels), _FAR, np.int64)
     for q in range(len(pixels)):
         x, y, radius = pixels[q, 0], pixels[q, 1], radii[q]
         first_column = max(int((x - radius - grid[0]) / CELL_PX), 0)
@@ -84,12 +84,20 @@ def _match_in_windows(
                     second, second_octave = distance, octave
         if best > max_distance or (best_octave == second_octave and best > ratio * second):
             continue
-        if best < owner_distance[best_feature]:
-            if owner[best_feature] >= 0:
-                matches[owner[best_feature]] = -1
-            owner[best_feature], owner_distance[best_feature] = q, best
-            matches[q] = best_feature
+        claim(q, best_feature, best, matches, owners, distances)
     return matches
+
+
+@njit(cache=True)
+def claim(query: int, feature: int, distance: int, matches: Any, owners: Any, distances: Any) -> None:
+    """Give `feature` to `query` if its owner so far, who then loses it, is further away; updates all in place.
+
+    `matches` (Q,) by query; `owners` (F,), -1 for none, and their Hamming `distances` (F,) by feature.
+    """
+    if distance < distances[feature]:
+        if owners[feature] >= 0:
+            matches[owners[feature]] = -1
+        owners[feature], distances[feature], matches[query] = query, distance, feature
 
 
 @njit(cache=True)
@@ -103,8 +111,8 @@ def match_by_appearance(
     The best match must be within `max_distance` bits and nearer than `ratio` times the second best.
     """
     matches = np.full(len(descriptors_a), -1, np.int64)
-    owner = np.full(len(descriptors_b), -1, np.int64)
-    owner_distance = np.full(len(descriptors_b), _FAR, np.int64)
+    owners = np.full(len(descriptors_b), -1, np.int64)
+    distances = np.full(len(descriptors_b), _FAR, np.int64)
     order = np.argsort(nodes_b, kind="mergesort")
     sorted_nodes = nodes_b[order]
     for i in range(len(descriptors_a)):
@@ -123,68 +131,8 @@ def match_by_appearance(
                 second, best, best_feature = best, distance, j
             elif distance < second:
                 second = distance
-        if best > max_distance or best >= ratio * second or best >= owner_distance[best_feature]:
-            continue
-        if owner[best_feature] >= 0:
-            matches[owner[best_feature]] = -1
-        owner[best_feature], owner_distance[best_feature] = i, best
-        matches[i] = best_feature
-    return matches
-
-
-@njit(cache=True)
-def match_on_epipolar_lines(
-    pixels_a: Any, octaves_a: Any, descriptors_a: Any, free_a: Any,
-    pixels_b: Any, octaves_b: Any, descriptors_b: Any, free_b: Any,
-    b_from_a: Any, epipole_b: Any, scale_factors: Any, max_distance: int, epipole_radius: float,
-) -> Any:  # fmt: skip
-    """Match free features of image a with free features of image b near their epipolar lines; returns (N,).
-
-    `b_from_a` (3, 3) is the fundamental matrix, x_b' F x_a = 0, of unit scale or not; `epipole_b` (2,) pixels. A
-    feature of b is a candidate within chi-square 3.841 of the line and not nearer to the epipole than
-    `epipole_radius` times the root of its level's factor, where lines are too short to tell points apart.
-    """
-    matches = np.full(len(pixels_a), -1, np.int64)
-    owner = np.full(len(pixels_b), -1, np.int64)
-    owner_distance = np.full(len(pixels_b), _FAR, np.int64)
-    candidates = np.nonzero(free_b)[0]
-    kept = 0
-    for j in candidates:
-        dx, dy = pixels_b[j, 0] - epipole_b[0], pixels_b[j, 1] - epipole_b[1]
-        if dx * dx + dy * dy >= epipole_radius * epipole_radius * scale_factors[octaves_b[j]]:
-            candidates[kept] = j
-            kept += 1
-    candidates = candidates[:kept]
-    xs, ys = pixels_b[candidates, 0].copy(), pixels_b[candidates, 1].copy()
-    limits = CHI2_95_1DOF * scale_factors[octaves_b[candidates]] ** 2
-    for i in range(len(pixels_a)):
-        if not free_a[i]:
-            continue
-        x, y = pixels_a[i, 0], pixels_a[i, 1]
-        a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
-        b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
-        c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
-        norm = math.sqrt(a * a + b * b)
-        if norm == 0.0:
-            continue
-        a, b, c = a / norm, b / norm, c / norm
-        best, best_feature = max_distance + 1, -1
-        for k in range(kept):
-            offset = a * xs[k] + b * ys[k] + c
-            if offset * offset > limits[k]:
-                continue
-            j = candidates[k]
-            if abs(octaves_b[j] - octaves_a[i]) > 2:
-                continue
-            distance = hamming(descriptors_a, i, descriptors_b, j)
-            if distance < best:
-                best, best_feature = distance, j
-        if best_feature < 0 or best >= owner_distance[best_feature]:
-            continue
-        if owner[best_feature] >= 0:
-            matches[owner[best_feature]] = -1
-        owner[best_feature], owner_distance[best_feature] = i, best
-        matches[i] = best_feature
+        if best <= max_distance and best < ratio * second:
+            claim(i, best_feature, best, matches, owners, distances)
     return matches
 
 

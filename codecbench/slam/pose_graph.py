@@ -19,15 +19,8 @@ from codecbench.slam.linear_systems import (
     first_neighbours,
     solve_envelope,
 )
-from codecbench.slam.transforms import (
-    Array,
-    sim3_adjoint,
-    sim3_compose,
-    sim3_exp,
-    sim3_inverse,
-    sim3_log,
-    skew,
-)
+from codecbench.slam.rotations import Array, skew
+from codecbench.slam.transforms import sim3_adjoint, sim3_compose, sim3_exp, sim3_inverse, sim3_log
 
 _START_DAMPING = 1e-8  # the graph is nearly linear in these parameters, so the first step is almost Gauss-Newton's
 _MIN_DAMPING = 1e-12

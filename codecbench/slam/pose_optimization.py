@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.slam.linear_systems import solve_symmetric
+from codecbench.slam.rotations import Array, orthonormalize, so3_exp_into
 from codecbench.slam.thresholds import CHI2_95_2DOF
-from codecbench.slam.transforms import Array, orthonormalize, so3_exp_into
 
 _ROUNDS = 4
 _ROBUST_ROUNDS = 2  # then the outliers are out, and Huber's kernel would only slow the convergence

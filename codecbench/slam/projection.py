@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from codecbench.slam.camera import Camera
 from codecbench.slam.map import Indices, Map
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 
 _DISTANCE_MARGIN = 1.2
 """Times: how far a distance may leave the range that the pyramid covers (ORB-SLAM V-D, own margin)."""

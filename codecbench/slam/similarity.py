@@ -10,8 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.slam.linear_systems import copy_numbers, solve_symmetric
+from codecbench.slam.rotations import Array
 from codecbench.slam.thresholds import CHI2_99_2DOF
-from codecbench.slam.transforms import Array, align_points, sim3_compose, sim3_exp, sim3_from_parts, sim3_inverse
+from codecbench.slam.transforms import align_points, sim3_compose, sim3_exp, sim3_from_parts, sim3_inverse
 
 _CONFIDENCE = 0.99  # probability of having drawn a sample without outliers when RANSAC stops
 _ROUNDS = 3  # of the refinement; outliers leave after each

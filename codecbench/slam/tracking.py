@@ -13,7 +13,8 @@ from codecbench.slam.map import NONE, Indices, Map
 from codecbench.slam.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
 from codecbench.slam.pose_optimization import optimize_pose
 from codecbench.slam.projection import Projections, project_ahead, project_map_points
-from codecbench.slam.transforms import Array, se3_exp, se3_inverse, se3_log
+from codecbench.slam.rotations import Array
+from codecbench.slam.transforms import se3_exp, se3_inverse, se3_log
 
 
 class Tracker:

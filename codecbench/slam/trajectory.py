@@ -13,7 +13,8 @@ from codecbench.slam.camera import Camera
 from codecbench.slam.frame import Frame
 from codecbench.slam.map import Map
 from codecbench.slam.pose_optimization import optimize_pose
-from codecbench.slam.transforms import Array, se3_inverse
+from codecbench.slam.rotations import Array
+from codecbench.slam.transforms import se3_inverse
 
 State = Literal["not_initialized", "tracked", "lost", "refused"]
 

@@ -16,6 +16,7 @@ from codecbench.slam.bundle_kernels import reprojection
 from codecbench.slam.geometry import fundamental_between, triangulate_pair
 from codecbench.slam.hamming import hamming
 from codecbench.slam.map_kernels import Views, median_depth
+from codecbench.slam.matching import claim
 
 _OCTAVES_APART = 2
 """Most levels between two features that match (own)."""
@@ -93,11 +94,8 @@ def _match_on_lines(
             distance = hamming(descriptors, f, descriptors_b, other)
             if distance < best_distance:
                 best, best_distance = other, distance
-        if best >= 0 and best_distance < distances[best]:
-            if owners[best] >= 0:
-                matches[owners[best]] = -1
-            owners[best], distances[best] = f, best_distance
-            matches[f] = best
+        if best >= 0:
+            claim(f, best, best_distance, matches, owners, distances)
     return matches
 
 

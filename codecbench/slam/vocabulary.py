@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.slam.hamming import hamming
-from codecbench.slam.transforms import Array
+from codecbench.slam.rotations import Array
 
 Indices = NDArray[np.int64]
 _DBOW2_HEADER = "10 6 0 0"  # branching, depth, L1 score, tf-idf; readers size by it, so it is the same for any tree

@@ -127,7 +127,7 @@ class _TrustsItsHeader(_Broken):
         return super().decode(bitstream)
 
     def act(self, width: int, height: int) -> None:
-        raise NotImplementedError
+        raise NotImplementedError("each of these codecs acts in its own way")
 
 
 class Hangs(_TrustsItsHeader):

@@ -10,7 +10,8 @@ from solver_scenes import INTRINSICS, Scene, corridor, disturbed, project
 
 from codecbench.slam.bundle_adjustment import HUBER_95, adjust
 from codecbench.slam.bundle_kernels import jacobians
-from codecbench.slam.transforms import se3_exp, so3_exp, umeyama
+from codecbench.slam.rotations import so3_exp
+from codecbench.slam.transforms import se3_exp, umeyama
 
 pytestmark = pytest.mark.thorough
 

@@ -2,15 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
+from rendered_scenes import features_at, random_descriptors
 
-from codecbench.slam.geometry import fundamental_between
 from codecbench.slam.hamming import hamming
 from codecbench.slam.matching import (
     keep_consistent_rotations,
     match_by_appearance,
     match_in_windows,
-    match_on_epipolar_lines,
 )
 
 pytestmark = pytest.mark.thorough
@@ -73,25 +71,6 @@ def test_appearance_finds_the_permutation_and_keeps_to_nodes(rng: np.random.Gene
     assert np.array_equal(order[matches], np.arange(100))
     apart = match_by_appearance(descriptors, nodes, every, descriptors[order], nodes[order] + 7, every, 50, 0.7)
     assert (apart == -1).all()
-
-
-def test_epipolar_search_finds_true_matches_only(rng: np.random.Generator) -> None:
-    views = two_views(rng, count=150)
-    descriptors = random_descriptors(rng, 150)
-    fundamental, epipole = fundamental_between(np.eye(4), views.b_from_a, CAMERA.matrix)
-    octaves, free = np.zeros(150, np.int32), np.ones(150, bool)
-    off_line = views.pixels_b.copy()
-    off_line[::2, 1] += 15.0  # the motion is sideways: lines run along x
-
-    def search(pixels_b):  # type: ignore[no-untyped-def]
-        return match_on_epipolar_lines(
-            views.pixels_a, octaves, descriptors, free, pixels_b, octaves, descriptors, free,
-            fundamental, epipole, FACTORS, 50, 10.0,
-        )  # fmt: skip
-
-    assert np.array_equal(search(views.pixels_b), np.arange(150))
-    assert (search(off_line)[::2] == -1).all()
-    assert np.array_equal(search(off_line)[1::2], np.arange(150)[1::2])
 
 
 def test_matches_that_turn_otherwise_are_dropped(rng: np.random.Generator) -> None:

@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import approx_fprime, least_squares
 
 from codecbench.slam import pose_graph
-from codecbench.slam.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale, so3_exp
+from codecbench.slam.rotations import so3_exp
+from codecbench.slam.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale
 
 pytestmark = pytest.mark.thorough
 
