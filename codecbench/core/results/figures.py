@@ -62,18 +62,24 @@ def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
 def curve_figure(
     run: RunResult, entry: SequenceEntry, x: str, y: str, across: str, up: str, log: bool
 ) -> Figure | None:
-    """One line a curve of settings, rates on a logarithmic axis; None where no setting has both values."""
+    """One line a curve of settings, rates on a logarithmic axis; None where no setting has both values.
+
+    Bars are the 95 % intervals of medians over repeats, where there are any.
+    """
     rows = run.wide[run.wide["sequence"] == entry.name]
     if x not in rows or y not in rows:
         return None
-    lines: dict[str, list[tuple[float, float]]] = {}
+    ends = page_data.intervals(run.wide).get(y, ())
+    lines: dict[str, list[tuple[float, float, float, float]]] = {}
     for row in rows.to_dict("records"):
-        point = (float(row[x]), float(row[y]))
-        if all(map(math.isfinite, point)):
+        value = float(row[y])
+        low, high = (float(row[end]) for end in ends) if ends else (math.nan, math.nan)
+        point = (float(row[x]), value, value - low, high - value)
+        if all(map(math.isfinite, point[:2])):
             lines.setdefault(run.curves[row["codec"], row["setting"]].curve, []).append(point)
     if not lines:
         return None
-    figure, axes = plt.subplots(figsize=(5.2, 3.6))
+    figure, axes = plt.subplots(figsize=(5.2, 4.0))
     for index, (curve, points) in enumerate(lines.items()):
         points.sort()
         style: dict[str, Any] = {
@@ -81,13 +87,14 @@ def curve_figure(
             "marker": MARKERS[index % len(MARKERS)],
             "markersize": 4,
         }
-        axes.plot(*zip(*points, strict=True), label=curve, linewidth=1.2, **style)
+        rates, values, below, above = zip(*points, strict=True)
+        axes.errorbar(rates, values, (below, above), label=curve, linewidth=1.2, elinewidth=0.6, capsize=2, **style)
     axes.set_xscale("log")
     if log:
         axes.set_yscale("log")
     axes.set(xlabel=across, ylabel=up, title=entry.name)
     axes.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
-    axes.legend(fontsize=7)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=7)
     return figure
 
 
