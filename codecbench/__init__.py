@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-    from codecbench.core.instrument.kernel import kernel
-    from codecbench.core.instrument.trace import NULL_TRACE, Trace
+    from codecbench.core.counting.kernel import kernel
+    from codecbench.core.counting.trace import NULL_TRACE, Trace
     from codecbench.core.results.collect import open_run
     from codecbench.core.results.running import run
 
@@ -66,8 +66,8 @@ _HOMES = {
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Sequence", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
-    "codecbench.core.instrument.kernel": ("kernel",),
-    "codecbench.core.instrument.trace": ("NULL_TRACE", "Trace"),
+    "codecbench.core.counting.kernel": ("kernel",),
+    "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
     "codecbench.core.results.collect": ("open_run",),
     "codecbench.core.results.running": ("run",),
 }  # fmt: skip

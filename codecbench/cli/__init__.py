@@ -17,7 +17,7 @@ COMMANDS = {
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
     "status": ("codecbench.cli.status:status", "Say how far a run is, also while it is running."),
-    "reproduce": ("codecbench.cli.reproduce:reproduce", "Put the paper's tables and figures beside a run."),
+    "reproduce": ("codecbench.paper.command:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
     "verify": ("codecbench.cli.verify:verify", "Check that codecs keep the contract; write and check corpora."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),

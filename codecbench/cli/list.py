@@ -67,7 +67,7 @@ def schema(plugin: str | None) -> None:
     An editor that is given the schema completes and checks a matrix as it is typed. Where plugins of two kinds
     share a name, write KIND:NAME (codec:raw).
     """
-    from codecbench.core.engine.schema import matrix_schema, plugin_schema
+    from codecbench.core.engine.planning.schema import matrix_schema, plugin_schema
 
     registry = installed()
     value = plugin_schema(registry, plugin) if plugin else matrix_schema(registry)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.model import Plan
+    from codecbench.core.engine.planning.model import Plan
 
 
 @click.command()
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     """Show what `codecbench run MATRIX` would do: coding jobs and cells, what is there already, what is unsupported."""
-    from codecbench.core.engine.estimate import estimate
-    from codecbench.core.engine.matrix import read_matrix
-    from codecbench.core.engine.plan import make_plan
-    from codecbench.core.engine.store import Store
+    from codecbench.core.engine.planning.estimate import estimate
+    from codecbench.core.engine.planning.matrix import read_matrix
+    from codecbench.core.engine.planning.plan import make_plan
+    from codecbench.core.engine.storage.store import Store
 
     made = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / made.name

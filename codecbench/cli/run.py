@@ -13,8 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as ProgressBar
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.progress import Progress
-    from codecbench.core.engine.run import RunSummary
+    from codecbench.core.engine.running.progress import Progress
+    from codecbench.core.engine.running.run import RunSummary
 
 LEVELS = ("debug", "info", "warning", "error")
 
@@ -31,9 +31,9 @@ def run(matrix: Path, out: Path | None, workers: int | None, keep_going: bool, l
 
     Goes on where an earlier run in the same folder stopped. Exit status 0 only if no cell failed; 130 if stopped.
     """
-    from codecbench.core.engine.matrix import read_matrix
-    from codecbench.core.engine.plan import make_plan
-    from codecbench.core.engine.run import run_plan
+    from codecbench.core.engine.planning.matrix import read_matrix
+    from codecbench.core.engine.planning.plan import make_plan
+    from codecbench.core.engine.running.run import run_plan
 
     plan = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / plan.name

@@ -15,7 +15,7 @@ import click
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
     """Say how far the run in the RUN folder is, also while it is running."""
-    from codecbench.core.engine.store import Store
+    from codecbench.core.engine.storage.store import Store
 
     store = Store(run)
     plan = store.read_plan()

@@ -11,7 +11,7 @@
 last bit. Nothing here knows codecs or ground truth.
 """
 
-from codecbench.slam.camera import Camera
+from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
 from codecbench.slam.system import System
 from codecbench.slam.trajectory import FrameState, LoopEvent, MapResult, Result, Trajectory

@@ -7,16 +7,16 @@ import math
 import numpy as np
 
 from codecbench.slam import thresholds
-from codecbench.slam.camera import Camera
-from codecbench.slam.frame import Frame
-from codecbench.slam.loop_closing import adjust_map, close_loop
-from codecbench.slam.loop_detection import LoopDetector
-from codecbench.slam.map import Map
-from codecbench.slam.mapping import Mapper
-from codecbench.slam.relocalization import relocalize
-from codecbench.slam.tracking import Tracker
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_scale
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import Map
+from codecbench.slam.mapping.loop_closing import adjust_map, close_loop
+from codecbench.slam.mapping.loop_detection import LoopDetector
+from codecbench.slam.mapping.mapper import Mapper
+from codecbench.slam.tracking.relocalization import relocalize
+from codecbench.slam.tracking.tracker import Tracker
 from codecbench.slam.trajectory import LoopEvent, TrackedPose
-from codecbench.slam.transforms import se3_inverse, sim3_compose, sim3_scale
 
 
 class Session:

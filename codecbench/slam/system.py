@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
-from codecbench.slam.camera import Camera
-from codecbench.slam.decoded_keyframes import use_decoded
-from codecbench.slam.features import FeatureExtractor, Features
-from codecbench.slam.frame import Frame
-from codecbench.slam.initialization import Initializer
+from codecbench.slam.features.extractor import FeatureExtractor, Features
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.map.frame import Frame
 from codecbench.slam.options import Options
 from codecbench.slam.session import Session
+from codecbench.slam.tracking.decoded_keyframes import use_decoded
+from codecbench.slam.tracking.initialization import Initializer
 from codecbench.slam.trajectory import FrameState, LoopEvent, Result, State, summarize
 
 ImageArray = NDArray[np.uint8]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
-from codecbench.slam.camera import Camera
-from codecbench.slam.frame import Frame
-from codecbench.slam.map import Map
-from codecbench.slam.pose_optimization import optimize_pose
-from codecbench.slam.rotations import Array
-from codecbench.slam.transforms import se3_inverse
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.geometry.transforms import se3_inverse
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import Map
+from codecbench.slam.optimisation.pose_optimization import optimize_pose
 
 State = Literal["not_initialized", "tracked", "lost", "refused"]
 

@@ -14,8 +14,8 @@ import pytest
 
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.image import Image
-from codecbench.core.instrument.kernel import Kernel
-from codecbench.core.instrument.operations import new_counters
+from codecbench.core.counting.kernel import Kernel
+from codecbench.core.counting.operations import new_counters
 from codecbench.plugins.codecs.dct.color import luma_from_rgb
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel

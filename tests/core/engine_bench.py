@@ -12,14 +12,14 @@ from typing import Any
 import distributions
 import numpy as np
 
-from codecbench.core.engine.matrix import read_matrix
-from codecbench.core.engine.model import Cell, Plan
-from codecbench.core.engine.plan import make_plan
-from codecbench.core.engine.record import Record
+from codecbench.core.engine.planning.matrix import read_matrix
+from codecbench.core.engine.planning.model import Cell, Plan
+from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.run import RunSummary, run_plan
-from codecbench.core.engine.samples import table_from_parquet
-from codecbench.core.engine.store import Store
+from codecbench.core.engine.running.run import RunSummary, run_plan
+from codecbench.core.engine.storage.record import Record
+from codecbench.core.engine.storage.samples import table_from_parquet
+from codecbench.core.engine.storage.store import Store
 
 FRAMES = 5
 

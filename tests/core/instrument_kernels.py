@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 OFFSET = 3
 TABLE = np.array([5, 3, 8, 1, 9, 2, 7, 4])

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import Kernel
-from codecbench.core.instrument.operations import COUNTERS
+from codecbench.core.counting.kernel import Kernel
+from codecbench.core.counting.operations import COUNTERS
 
 BINARY = {
     "+": ("adds",), "-": ("adds",), "*": ("mults",), "/": ("mults", "divisions"), "//": ("mults", "divisions"),

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.engine.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
-from codecbench.core.engine.coding import CodedFrames, CodingError, Place, checked_decoding, encode_sequence
-from codecbench.core.engine.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
+from codecbench.core.engine.running.coding import CodedFrames, CodingError, Place, checked_decoding, encode_sequence
+from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 
 
 def filed(*bitstreams: bytes) -> bytes:

@@ -24,8 +24,8 @@ from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Finished, Task
-from codecbench.core.engine.model import Cell
-from codecbench.core.engine.progress import Progress
+from codecbench.core.engine.planning.model import Cell
+from codecbench.core.engine.running.progress import Progress
 from codecbench.plugins.executors.dask import DaskExecutor, DaskParams
 
 dask = pytest.importorskip("dask")

@@ -9,7 +9,7 @@ import pytest
 from distributions import THIRD_PARTY
 
 from codecbench.core.contracts.hooks import KINDS
-from codecbench.core.engine.matrix import read_matrix
+from codecbench.core.engine.planning.matrix import read_matrix
 
 ROOT = Path(__file__).parent.parent.parent
 DOCS = ROOT / "docs"

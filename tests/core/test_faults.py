@@ -18,9 +18,9 @@ import pytest
 from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine import atomic
-from codecbench.core.engine.record import RecordDamage
-from codecbench.core.engine.store import Store
+from codecbench.core.engine.storage import atomic
+from codecbench.core.engine.storage.record import RecordDamage
+from codecbench.core.engine.storage.store import Store
 
 CODEC_FAULTS = {
     "raise": ("failed", "coding failed: encode, frame 2: ZeroDivisionError: divided by nothing"),
@@ -238,7 +238,7 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: p
             raise OSError(errno.ENOSPC, "No space left on device")
         return fsync(*arguments)
 
-    monkeypatch.setattr("codecbench.core.engine.store._DURABLE_FROM_S", 0.0)
+    monkeypatch.setattr("codecbench.core.engine.storage.store._DURABLE_FROM_S", 0.0)
     monkeypatch.setattr(atomic.os, "fsync", full)
     with pytest.raises(StoreError, match="No space left on device; all earlier records are kept"):
         bench.run(plan)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from opcode_oracle import Oracle
 
-from codecbench.core.instrument.kernel import Kernel, new_counters
-from codecbench.core.instrument.operations import CLASSES, OperationCounts
-from codecbench.core.instrument.trace import NULL_TRACE, CountingTrace
+from codecbench.core.counting.kernel import Kernel, new_counters
+from codecbench.core.counting.operations import CLASSES, OperationCounts
+from codecbench.core.counting.trace import NULL_TRACE, CountingTrace
 
 
 def cases(seed: int) -> list[tuple[Kernel, tuple[Any, ...]]]:

@@ -16,8 +16,8 @@ import numba
 import numpy as np
 import pytest
 
-from codecbench.core.instrument.kernel import Kernel, UncountableError, kernel, new_counters
-from codecbench.core.instrument.source import SourceError
+from codecbench.core.counting.kernel import Kernel, UncountableError, kernel, new_counters
+from codecbench.core.kernels.source import SourceError
 
 
 def test_a_kernel_pickles_by_reference_and_keeps_its_name() -> None:
@@ -56,7 +56,7 @@ def uncountable(body: str, folder: Path) -> str:
     name = f"refused_{next(numbers)}"
     lines = textwrap.indent(textwrap.dedent(body).strip(), "    ")
     (folder / f"{name}.py").write_text(
-        "import math\nimport numpy as np\nfrom codecbench.core.instrument.kernel import kernel\n"
+        "import math\nimport numpy as np\nfrom codecbench.core.counting.kernel import kernel\n"
         f"PAIR = (1, 2)\ndef plain(x):\n    return x\n\n\n@kernel\ndef refused(a, b):\n{lines}\n"
     )
     refused: Kernel = __import__(name).refused
@@ -130,7 +130,7 @@ def test_closures_and_builtins_are_refused() -> None:
 
 
 CALLEE = """
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 @kernel
 def inner(x):
@@ -141,7 +141,7 @@ import sys
 import numpy as np
 from callee import inner
 import constants
-from codecbench.core.instrument.kernel import kernel, new_counters
+from codecbench.core.counting.kernel import kernel, new_counters
 
 @kernel
 def outer(x):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.engine.matrix import Matrix, read_matrix
+from codecbench.core.engine.planning.matrix import Matrix, read_matrix
 
 GOOD = """
 version: 1

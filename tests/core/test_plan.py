@@ -10,9 +10,9 @@ import plain_plugins
 import pytest
 
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.engine.matrix import read_matrix
-from codecbench.core.engine.model import Plan, plan_from_json
-from codecbench.core.engine.plan import make_plan
+from codecbench.core.engine.planning.matrix import read_matrix
+from codecbench.core.engine.planning.model import Plan, plan_from_json
+from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import Registry
 
 MATRIX = """

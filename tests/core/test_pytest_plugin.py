@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from distributions import THIRD_PARTY, register
 
-from codecbench.codec_baseline import Baseline
+from codecbench.pytesting.baseline import Baseline
 
 pytestmark = pytest.mark.thorough
 

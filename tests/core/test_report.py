@@ -14,8 +14,8 @@ import codecbench
 from codecbench.core.results.figures import draw_all
 from codecbench.core.results.report.render import SIZE_LIMIT_BYTES
 from codecbench.core.results.report.write import write_report
-from codecbench.core.results.reproduction.page import write_page
 from codecbench.core.results.run_result import RunResult
+from codecbench.paper.page import write_page
 
 pytestmark = pytest.mark.thorough
 

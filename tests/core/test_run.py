@@ -15,9 +15,9 @@ import pytest
 from engine_bench import FRAMES, Bench, bench_in, contents, grid, matrix
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.model import Cell, CodingJob
-from codecbench.core.engine.progress import Progress
-from codecbench.core.engine.schedule import Schedule
+from codecbench.core.engine.planning.model import Cell, CodingJob
+from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.running.schedule import Schedule
 
 STEPS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
 MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")

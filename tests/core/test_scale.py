@@ -28,10 +28,10 @@ from engine_bench import Bench, bench_in, write_stack
 
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import summarise
-from codecbench.core.engine.progress import Progress
-from codecbench.core.engine.record import Record, cell_description
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.samples import parquet_from_samples
+from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.storage.record import Record, cell_description
+from codecbench.core.engine.storage.samples import parquet_from_samples
 from codecbench.core.results.collect import open_run
 
 pytestmark = pytest.mark.thorough

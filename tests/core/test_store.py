@@ -12,10 +12,10 @@ import pytest
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.engine.identity import digest
-from codecbench.core.engine.record import Record, RecordDamage, bytes_from_record, record_from_bytes
-from codecbench.core.engine.record_index import RecordIndex, entry_from_record
-from codecbench.core.engine.samples import parquet_from_samples, table_from_parquet
-from codecbench.core.engine.store import Store
+from codecbench.core.engine.storage.record import Record, RecordDamage, bytes_from_record, record_from_bytes
+from codecbench.core.engine.storage.record_index import RecordIndex, entry_from_record
+from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.engine.storage.store import Store
 
 RECORD = Record(
     cell_id="ab" * 16,

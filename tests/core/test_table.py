@@ -11,8 +11,8 @@ import pytest
 
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval, summarise
-from codecbench.core.engine.model import Cell, PluginSetting, SequenceEntry
-from codecbench.core.engine.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.engine.planning.model import Cell, PluginSetting, SequenceEntry
+from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.results.table import TIDY_COLUMNS, CellResult, tidy, wide
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "synthetic", "1"), "f00d", 3, 3, True, True)

@@ -14,7 +14,7 @@ from codecbench.core.contracts.evaluator import CodedFrame, Context
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 
 class MemorySequence(Sequence):

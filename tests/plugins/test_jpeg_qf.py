@@ -22,7 +22,7 @@ from damage import outcomes
 from skimage.metrics import peak_signal_noise_ratio
 
 from codecbench import BitstreamError, ImageError, gray_from_image
-from codecbench.core.instrument.trace import CountingTrace
+from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.dct.tables import LUMINANCE, PAPER, ZIGZAG
 from codecbench.plugins.codecs.jpeg_qf import JpegQf
 

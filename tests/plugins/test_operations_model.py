@@ -11,7 +11,7 @@ from dataclasses import astuple
 
 import pytest
 
-from codecbench.core.instrument.operations import CLASSES, OperationCounts
+from codecbench.core.counting.operations import CLASSES, OperationCounts
 from codecbench.plugins.evaluators.operations import model
 
 FRAME = model.Plane(640, 480)

@@ -11,7 +11,7 @@ from memory_sequence import textured
 from opcode_oracle import OracleTrace
 
 from codecbench.core.contracts.image import Image
-from codecbench.core.instrument.trace import CountingTrace
+from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 from codecbench.plugins.evaluators.operations.evaluator import source_counts

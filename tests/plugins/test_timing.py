@@ -15,7 +15,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.evaluators.timing import Timing, duration
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, features_at
 
-from codecbench.slam.camera import Camera
-from codecbench.slam.frame import Frame
-from codecbench.slam.map import NONE, Map
-from codecbench.slam.mapping import Mapper
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import NONE, Map
+from codecbench.slam.mapping.mapper import Mapper
 
 FACTORS = 1.2 ** np.arange(8)
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.slam.camera import Camera
-from codecbench.slam.features import CELL_PX, Features
-from codecbench.slam.orb_kernels import index_cells
-from codecbench.slam.transforms import se3_exp
+from codecbench.slam.features.extractor import CELL_PX, Features
+from codecbench.slam.features.orb_kernels import index_cells
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.transforms import se3_exp
 
 Floats = NDArray[np.float64]
 

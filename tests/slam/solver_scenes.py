@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.slam.rotations import so3_exp
-from codecbench.slam.transforms import se3_exp
+from codecbench.slam.geometry.rotations import so3_exp
+from codecbench.slam.geometry.transforms import se3_exp
 
 INTRINSICS = np.array([520.0, 510.0, 320.0, 240.0])
 

@@ -8,10 +8,10 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.sparse import lil_matrix
 from solver_scenes import INTRINSICS, Scene, corridor, disturbed, project
 
-from codecbench.slam.bundle_adjustment import HUBER_95, adjust
-from codecbench.slam.bundle_kernels import jacobians
-from codecbench.slam.rotations import so3_exp
-from codecbench.slam.transforms import se3_exp, umeyama
+from codecbench.slam.geometry.rotations import so3_exp
+from codecbench.slam.geometry.transforms import se3_exp, umeyama
+from codecbench.slam.optimisation.bundle_adjustment import HUBER_95, adjust
+from codecbench.slam.optimisation.bundle_kernels import jacobians
 
 pytestmark = pytest.mark.thorough
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from codecbench.slam.camera import Camera
+from codecbench.slam.geometry.camera import Camera
 
 pytestmark = pytest.mark.thorough
 

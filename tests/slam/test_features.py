@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from rendered_scenes import CAMERA, Room, looking
 
-from codecbench.slam.camera import Camera
-from codecbench.slam.corner_kernels import list_corners, score_corners
-from codecbench.slam.features import FeatureExtractor
+from codecbench.slam.features.corner_kernels import list_corners, score_corners
+from codecbench.slam.features.extractor import FeatureExtractor
+from codecbench.slam.features.orb_kernels import blur_level, describe_patches, orient_patches, select_evenly
+from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
-from codecbench.slam.orb_kernels import blur_level, describe_patches, orient_patches, select_evenly
 
 pytestmark = pytest.mark.thorough
 

@@ -6,7 +6,7 @@ import pytest
 from rendered_scenes import CAMERA, two_views
 from scipy.spatial.transform import Rotation
 
-from codecbench.slam import geometry
+from codecbench.slam.geometry import two_view as geometry
 
 pytestmark = pytest.mark.thorough
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
 
-from codecbench.slam.frame import Frame
-from codecbench.slam.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
-from codecbench.slam.transforms import se3_exp
+from codecbench.slam.geometry.transforms import se3_exp
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.tracking.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
 
 pytestmark = pytest.mark.thorough
 

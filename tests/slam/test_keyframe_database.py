@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from codecbench.slam.camera import Camera
-from codecbench.slam.features import FeatureExtractor
-from codecbench.slam.keyframe_database import KeyframeDatabase
+from codecbench.slam.features.extractor import FeatureExtractor
+from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
-from codecbench.slam.vocabulary import BowVector, Vocabulary
+from codecbench.slam.places.keyframe_database import KeyframeDatabase
+from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 pytestmark = pytest.mark.thorough
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codecbench.slam.linear_systems import (
+from codecbench.slam.geometry.linear_systems import (
     envelope_offsets,
     envelope_order,
     factorize_envelope,

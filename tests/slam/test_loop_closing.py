@@ -8,11 +8,11 @@ from map_scenes import build_map
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, position_error, random_descriptors
 
-from codecbench.slam import loop_closing
-from codecbench.slam.loop_closing import close_loop
-from codecbench.slam.loop_detection import Loop
-from codecbench.slam.map import Map
-from codecbench.slam.transforms import sim3_from_parts
+from codecbench.slam.geometry.transforms import sim3_from_parts
+from codecbench.slam.map.map import Map
+from codecbench.slam.mapping import loop_closing
+from codecbench.slam.mapping.loop_closing import close_loop
+from codecbench.slam.mapping.loop_detection import Loop
 
 pytestmark = pytest.mark.thorough
 

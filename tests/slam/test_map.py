@@ -5,7 +5,7 @@ import pytest
 from map_scenes import assert_consistent, build_map
 from rendered_scenes import looking, random_descriptors
 
-from codecbench.slam.map import NONE, Map, grown
+from codecbench.slam.map.map import NONE, Map, grown
 
 pytestmark = pytest.mark.thorough
 

@@ -6,11 +6,11 @@ from map_scenes import FACTORS, assert_consistent, build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
 
-from codecbench.slam.fusion import fuse
-from codecbench.slam.map import Indices, Map
-from codecbench.slam.mapping import Mapper
-from codecbench.slam.transforms import se3_exp
-from codecbench.slam.triangulation import triangulate_features
+from codecbench.slam.geometry.transforms import se3_exp
+from codecbench.slam.map.fusion import fuse
+from codecbench.slam.map.map import Indices, Map
+from codecbench.slam.map.triangulation import triangulate_features
+from codecbench.slam.mapping.mapper import Mapper
 
 pytestmark = pytest.mark.thorough
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rendered_scenes import features_at, random_descriptors
 
-from codecbench.slam.hamming import hamming
-from codecbench.slam.matching import (
+from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.matching import (
     keep_consistent_rotations,
     match_by_appearance,
     match_in_windows,

@@ -5,8 +5,8 @@ import pytest
 from rendered_scenes import CAMERA, Floats, two_views
 from scipy.optimize import least_squares
 
-from codecbench.slam.motion_uncertainty import direction_deviation_deg, sampson_distances
-from codecbench.slam.transforms import se3_exp
+from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg, sampson_distances
+from codecbench.slam.geometry.transforms import se3_exp
 
 pytestmark = pytest.mark.thorough
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime, least_squares
 
-from codecbench.slam import pose_graph
-from codecbench.slam.rotations import so3_exp
-from codecbench.slam.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale
+from codecbench.slam.geometry.rotations import so3_exp
+from codecbench.slam.geometry.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale
+from codecbench.slam.optimisation import pose_graph
 
 pytestmark = pytest.mark.thorough
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import least_squares
 from solver_scenes import INTRINSICS, moved, project
 
-from codecbench.slam.pose_optimization import optimize_pose
-from codecbench.slam.transforms import se3_exp, se3_log
+from codecbench.slam.geometry.transforms import se3_exp, se3_log
+from codecbench.slam.optimisation.pose_optimization import optimize_pose
 
 pytestmark = pytest.mark.thorough
 

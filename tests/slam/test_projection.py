@@ -5,8 +5,8 @@ import pytest
 from map_scenes import FACTORS, build_map
 from rendered_scenes import CAMERA, Floats, looking, random_descriptors
 
-from codecbench.slam.map import Map
-from codecbench.slam.projection import Projections, project_ahead, project_map_points
+from codecbench.slam.map.map import Map
+from codecbench.slam.map.projection import Projections, project_ahead, project_map_points
 
 pytestmark = pytest.mark.thorough
 

@@ -5,11 +5,11 @@ import pytest
 from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
-from codecbench.slam.frame import Frame
-from codecbench.slam.map import NONE
-from codecbench.slam.relocalization import relocalize
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import NONE
 from codecbench.slam.thresholds import RELOCALIZED_MIN_INLIERS
-from codecbench.slam.tracking import Tracker
+from codecbench.slam.tracking.relocalization import relocalize
+from codecbench.slam.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.thorough
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from solver_scenes import INTRINSICS, moved, project
 
-from codecbench.slam.similarity import estimate_similarity, optimize_similarity
-from codecbench.slam.transforms import sim3_exp, sim3_log
+from codecbench.slam.geometry.similarity import estimate_similarity, optimize_similarity
+from codecbench.slam.geometry.transforms import sim3_exp, sim3_log
 
 pytestmark = pytest.mark.thorough
 

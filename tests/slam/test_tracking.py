@@ -6,9 +6,9 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
-from codecbench.slam.frame import Frame
-from codecbench.slam.map import NONE, Map
-from codecbench.slam.tracking import Tracker
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import NONE, Map
+from codecbench.slam.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.thorough
 

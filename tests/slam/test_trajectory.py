@@ -5,7 +5,7 @@ import pytest
 from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, looking, random_descriptors
 
-from codecbench.slam.map import Map
+from codecbench.slam.map.map import Map
 from codecbench.slam.trajectory import TrackedPose
 
 pytestmark = pytest.mark.thorough

@@ -8,8 +8,8 @@ from numba import njit
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from codecbench.slam import rotations
-from codecbench.slam import transforms as tf
+from codecbench.slam.geometry import rotations
+from codecbench.slam.geometry import transforms as tf
 
 pytestmark = pytest.mark.thorough
 

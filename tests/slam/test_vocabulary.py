@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codecbench.slam.train_vocabulary import compose_picture, load_photographs, train
-from codecbench.slam.vocabulary import BowVector, Vocabulary
+from codecbench.slam.places.train_vocabulary import compose_picture, load_photographs, train
+from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 pytestmark = pytest.mark.thorough
 
@@ -30,7 +30,7 @@ def test_the_shipped_vocabulary_is_rich_and_small() -> None:
     vocabulary = Vocabulary.load_default()
     assert vocabulary is Vocabulary.load_default()
     assert len(vocabulary) >= 50_000
-    file = Path(__import__("codecbench.slam", fromlist=["slam"]).__file__).parent / "data" / "vocabulary.npz"
+    file = Path(__import__("codecbench.slam.places", fromlist=["places"]).__file__).parent / "vocabulary.npz"
     assert file.stat().st_size <= 4_000_000
 
 

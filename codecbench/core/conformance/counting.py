@@ -8,7 +8,7 @@ from codecbench.core.conformance.failure import ConformanceFailure
 from codecbench.core.conformance.images import NamedImage
 from codecbench.core.conformance.round_trip import CodecClass, encoded, require_equal
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import CountingTrace
+from codecbench.core.counting.trace import CountingTrace
 
 
 def counting_changes_nothing(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 P = TypeVar("P", bound=Params)
 

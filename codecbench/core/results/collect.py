@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Metric, Outcome
-from codecbench.core.engine.model import Cell, Plan
-from codecbench.core.engine.record import Record
+from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.samples import parquet_from_samples, table_from_parquet
-from codecbench.core.engine.store import Store
+from codecbench.core.engine.storage.record import Record
+from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.table import CellResult
 

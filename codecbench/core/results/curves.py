@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from codecbench.core.engine.model import PluginSetting
+from codecbench.core.engine.planning.model import PluginSetting
 
 
 @dataclass(frozen=True)

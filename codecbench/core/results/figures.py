@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from codecbench.core.engine.model import SequenceEntry
+from codecbench.core.engine.planning.model import SequenceEntry
 from codecbench.core.results.report import page_data
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.trajectories import SavedTrajectory, saved_trajectories

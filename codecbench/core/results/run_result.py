@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from codecbench.core.engine.model import Plan
+from codecbench.core.engine.planning.model import Plan
 from codecbench.core.results.curves import CurvePoint, curve_points
 from codecbench.core.results.table import CellResult, tidy, wide
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from codecbench.core.engine.matrix import read_matrix
-from codecbench.core.engine.plan import make_plan
-from codecbench.core.engine.run import Listener, run_plan
+from codecbench.core.engine.planning.matrix import read_matrix
+from codecbench.core.engine.planning.plan import make_plan
+from codecbench.core.engine.running.run import Listener, run_plan
 from codecbench.core.results.collect import open_run
 from codecbench.core.results.run_result import RunResult
 

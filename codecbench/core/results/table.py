@@ -13,7 +13,7 @@ import pandas as pd
 
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import aggregate
-from codecbench.core.engine.model import Cell, PluginSetting
+from codecbench.core.engine.planning.model import Cell, PluginSetting
 
 if TYPE_CHECKING:
     import pyarrow

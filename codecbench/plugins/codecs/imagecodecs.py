@@ -20,7 +20,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image, gray_from_image
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 _HEADER = struct.Struct("<4sBBII")
 _CRC = struct.Struct("<I")

@@ -23,7 +23,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import Image, check_image, png_bytes
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.jp2_syntax import MAX_JP2_PIXELS, checked_shape, with_checksum
 from codecbench.plugins.codecs.openjpeg import load_glymur
 

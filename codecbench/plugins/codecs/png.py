@@ -13,7 +13,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.opencv import library_versions, read_image, write_image
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"

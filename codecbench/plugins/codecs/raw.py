@@ -22,7 +22,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
 from codecbench.core.contracts.params import NoParams
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 _MAGIC = b"RAW1"
 _HEADER = struct.Struct("<4sBII")

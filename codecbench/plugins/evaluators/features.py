@@ -20,7 +20,7 @@ from pydantic import Field
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, Metric, SequenceEvaluator
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
-from codecbench.slam.hamming import hamming
+from codecbench.slam.features.hamming import hamming
 
 LEVELS: Final = 8
 SCALE_FACTOR: Final = 1.2

@@ -16,9 +16,9 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-from codecbench.slam import camera as slam_camera
 from codecbench.slam import options as slam_options
 from codecbench.slam import trajectory as slam_trajectory
+from codecbench.slam.geometry import camera as slam_camera
 from codecbench.slam.system import System
 
 

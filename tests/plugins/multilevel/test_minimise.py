@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codecbench.core.contracts.errors import ImageError, KeyCollision
-from codecbench.core.instrument.trace import NULL_TRACE
+from codecbench.core.counting.trace import NULL_TRACE
 from codecbench.plugins.codecs.multilevel import levels as levels_module
 from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked, manual_keys, random_keys
 from codecbench.plugins.codecs.multilevel.levels import expanded, minimised

@@ -17,7 +17,7 @@ from scipy.fft import dctn, idctn
 
 from codecbench.core.contracts.errors import KeyCollision, ParamsError
 from codecbench.core.contracts.image import gray_from_image
-from codecbench.core.instrument.trace import CountingTrace
+from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.dct.tables import LUMINANCE, PAPER, ZIGZAG
 from codecbench.plugins.codecs.multilevel import Multilevel, describe
 

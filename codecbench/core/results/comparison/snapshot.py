@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.atomic import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.collect import open_run
 from codecbench.core.results.export import json_value
 from codecbench.core.results.run_result import RunResult

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.engine.bitstream_file import BitstreamFile
-from codecbench.core.engine.coding import CodedFrames, Place
-from codecbench.core.engine.model import PluginSetting, SequenceEntry
-from codecbench.core.engine.plan import coding_id
+from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
+from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.store import Store
+from codecbench.core.engine.running.coding import CodedFrames, Place
+from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.report.frame_views import FrameView, frame_view
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.trajectories import saved_trajectories

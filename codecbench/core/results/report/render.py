@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import plotly.offline
 
-from codecbench.core.engine.matrix import VERSION as MATRIX_VERSION
+from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.report import page_data
 from codecbench.core.results.run_result import RunResult

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from codecbench.core.contracts.errors import ParamsError
-from codecbench.core.engine.atomic import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.export import chosen_columns, exported
 from codecbench.core.results.report import page_data
 from codecbench.core.results.report.pictures import frame_pictures, trajectory_pictures

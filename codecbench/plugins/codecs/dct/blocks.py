@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.planes import Plane
 from codecbench.plugins.codecs.dct.quantisation import dequantise, inverse_zigzag, quantise, zigzag
 from codecbench.plugins.codecs.dct.transform import forward_dct, inverse_dct

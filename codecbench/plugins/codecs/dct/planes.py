@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
-from codecbench.core.instrument.kernel import kernel
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.kernel import kernel
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.color import (
     chroma_from_rgb,
     double,

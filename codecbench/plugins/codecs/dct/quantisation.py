@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.dct.tables import ZIGZAG
 
 _ALMOST_HALF = np.float32(0.49999997)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 _C6 = np.float32(np.cos(3 * np.pi / 8))
 _C4 = np.float32(np.sqrt(0.5))

@@ -17,7 +17,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, channel_count, check_image
 from codecbench.core.contracts.params import Params
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct import tables
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 OK, CUT_SHORT, BAD_CODE, BAD_RUN, BAD_SIZE, OUT_OF_RANGE, LEFT_OVER, BAD_RESTART = range(8)
 REASONS = {

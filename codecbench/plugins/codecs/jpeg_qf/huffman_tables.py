@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 MAX_LENGTH = 16
 LOOKAHEAD = 8

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.instrument.trace import Trace
+from codecbench.core.counting.trace import Trace
 from codecbench.plugins.codecs.jpeg_qf import entropy
 from codecbench.plugins.codecs.jpeg_qf.huffman_tables import (
     STANDARD_TABLES,

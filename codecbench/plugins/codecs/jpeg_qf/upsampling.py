@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.instrument.kernel import kernel
-from codecbench.core.instrument.trace import Run
+from codecbench.core.counting.kernel import kernel
+from codecbench.core.counting.trace import Run
 from codecbench.plugins.codecs.dct.color import double
 
 _NARROWEST_SMOOTHED = 3

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 TOP = 1 << 48
 _BOTTOM = 1 << 40

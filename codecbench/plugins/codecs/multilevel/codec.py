@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, check_image
-from codecbench.core.instrument.trace import NULL_TRACE, Trace
+from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
 from codecbench.plugins.codecs.dct.tables import Table, steps_from_table

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import ParamsError
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 Keys = NDArray[np.int64]
 AutomaticKeys = Literal["canonical", "random"]

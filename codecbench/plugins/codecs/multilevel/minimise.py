@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 _RADIX_BITS = 11
 _RADIX = 1 << _RADIX_BITS

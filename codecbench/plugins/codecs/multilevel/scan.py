@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.instrument.kernel import kernel
-from codecbench.core.instrument.trace import Trace
+from codecbench.core.counting.kernel import kernel
+from codecbench.core.counting.trace import Trace
 
 Scan = Literal["block", "coefficient"]
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 
 Search = Literal["sequential", "pruned", "greedy"]
 

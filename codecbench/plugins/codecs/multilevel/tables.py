@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.instrument.kernel import kernel
+from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.multilevel.arithmetic import (
     LOOK_AHEAD,
     TOP,

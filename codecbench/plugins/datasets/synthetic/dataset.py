@@ -14,7 +14,7 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
-from codecbench.core.instrument.cache_folder import cache_folder
+from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.plugins.datasets.selection import Selection, converted
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, HandheldPath

@@ -11,7 +11,7 @@ from PIL import Image as PillowImage
 from scipy.fft import dctn
 
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
-from codecbench.core.instrument.operations import OperationCounts
+from codecbench.core.counting.operations import OperationCounts
 from codecbench.plugins.evaluators.operations import model
 from codecbench.plugins.evaluators.operations.model import Plane, Stages
 

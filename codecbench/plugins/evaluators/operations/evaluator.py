@@ -20,8 +20,8 @@ from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measure
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.instrument.operations import CLASSES, COUNTERS, OperationCounts
-from codecbench.core.instrument.trace import CountingTrace
+from codecbench.core.counting.operations import CLASSES, COUNTERS, OperationCounts
+from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.evaluators.operations import codec_models, machine
 from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
 from codecbench.plugins.evaluators.sampling import evenly_spread

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.instrument.operations import CLASSES, OperationCounts
+from codecbench.core.counting.operations import CLASSES, OperationCounts
 
 _PATTERNS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"v?f(n?m)(add|sub)|v?pmadd|vpdp", ("mults", "adds")),

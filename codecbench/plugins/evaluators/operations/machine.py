@@ -14,7 +14,7 @@ from typing import Any
 
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.image import Image
-from codecbench.core.instrument.operations import OperationCounts
+from codecbench.core.counting.operations import OperationCounts
 from codecbench.plugins.evaluators.operations.instructions import classified, object_code, read_profile, relocated
 
 _CHILD = "codecbench.plugins.evaluators.operations.machine_child"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from codecbench.core.instrument.operations import OperationCounts
+from codecbench.core.counting.operations import OperationCounts
 
 Stages = dict[str, OperationCounts]
 """Operations by stage, in the order in which the stages run."""

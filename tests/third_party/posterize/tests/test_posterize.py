@@ -1,6 +1,6 @@
 from codecbench_posterize.codec import Posterize
 
-from codecbench.testing import CodecSuite
+from codecbench.pytesting.suite import CodecSuite
 
 
 class TestPosterize(CodecSuite):

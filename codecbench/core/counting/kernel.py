@@ -1,0 +1,138 @@
+"""Kernels: plain Python functions on arrays with a fast build and a counting build of one source.
+
+    @kernel
+    def quantise(coefficients, steps, levels):
+        for i in range(coefficients.size):
+            levels[i] = int(coefficients[i] / steps[i])
+
+The fast build is what numba makes of the function. The counting build is what it makes of the same tree with
+counters in it (see `counting`). Kernels call kernels, and counts pass through; numba functions may call them
+too. The language is numbers, array elements, `range` loops and the functions in `costs`.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import inspect
+from collections.abc import Callable
+from functools import cached_property
+from types import FunctionType
+from typing import Any, overload
+
+import numba
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+
+from codecbench.core.counting import checking, costs, expressions, operations
+from codecbench.core.counting import rewriting as counting
+from codecbench.core.counting.checking import CountingCompiler, counted
+from codecbench.core.counting.expressions import COUNTED, UncountableError
+from codecbench.core.counting.operations import new_counters
+from codecbench.core.counting.rewriting import counting_tree
+from codecbench.core.kernels.cache import KernelCache
+from codecbench.core.kernels.source import SourceError, fingerprint, function_tree
+
+
+class Kernel:
+    """A kernel: calling it runs the fast build.
+
+    python: the function as written. fast: its numba dispatcher, compiled at the first call and kept on disk.
+    counting_build: the dispatcher of the counting build, which takes int64 counters before the arguments.
+    """
+
+    def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
+        if not isinstance(function, FunctionType):
+            raise TypeError(f"@kernel takes a plain function, got {function!r}")
+        functools.update_wrapper(self, function)
+        self.python = self.py_func = function
+        self.options = options
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.fast(*arguments)
+
+    def __repr__(self) -> str:
+        return f"<kernel {self.python.__module__}.{self.python.__qualname__}>"
+
+    def __reduce__(self) -> str:
+        return self.python.__qualname__
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes this object for inside other compiled functions: the fast build."""
+        return types.Dispatcher(self.fast)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of all that the compiled code depends on; SourceError where there is no source to go by."""
+        return fingerprint(self.python, self.options)
+
+    @cached_property
+    def fast(self) -> Any:
+        dispatcher = numba.njit(**self.options)(self.python)
+        try:
+            return self._cached(dispatcher, "fast", "")
+        except SourceError:
+            return dispatcher  # typed at a prompt or edited since: compiled for this process alone
+
+    def counting(self, counters: Any, *arguments: Any) -> Any:
+        """Run the counting build: what the kernel returns, with its operations added to `counters`.
+
+        Raises UncountableError where the source goes beyond the language of kernels.
+        """
+        return self.counting_build(counters, *arguments)
+
+    @cached_property
+    def counting_build(self) -> Any:
+        function, callees = self._counting_function()
+        dispatcher = numba.njit(pipeline_class=CountingCompiler, **self.options)(function)
+        for name, callee in callees.items():
+            function.__globals__[name] = dispatcher if callee is self else callee.counting_build
+        return self._cached(dispatcher, "counting", _rewriting_digest())
+
+    @cached_property
+    def counting_source(self) -> str:
+        """The source of the counting build, to be read."""
+        return ast.unparse(counting_tree(function_tree(self.python), self.python)[0])
+
+    def _counting_function(self) -> tuple[FunctionType, dict[str, Any]]:
+        tree, callees = counting_tree(function_tree(self.python), self.python)
+        namespace = {**self.python.__globals__, COUNTED: counted}
+        exec(compile(ast.Module([tree], []), self.python.__code__.co_filename, "exec", dont_inherit=True), namespace)
+        function = namespace[tree.name]
+        function.__defaults__ = self.python.__defaults__
+        function.__qualname__ = f"{self.python.__qualname__}__counting"
+        return function, callees
+
+    def _cached(self, dispatcher: Any, build: str, rewriting: str) -> Any:
+        if isinstance(dispatcher, Dispatcher):  # not where NUMBA_DISABLE_JIT is set
+            name = f"{self.python.__module__}.{self.python.__qualname__}.{build}"
+            cache = KernelCache(name, f"{build}{rewriting}:{self.fingerprint}")
+            dispatcher._cache = cache  # type: ignore[attr-defined]
+        return dispatcher
+
+
+@functools.cache
+def _rewriting_digest() -> str:
+    """Digest of what turns a tree into its counting build, so that a change of the rules is never ignored."""
+    sources = [inspect.getsource(module) for module in (costs, counting, expressions, operations, checking)]
+    return hashlib.sha256("".join(sources).encode()).hexdigest()
+
+
+@overload
+def kernel(function: Callable[..., Any], /) -> Kernel: ...
+
+
+@overload
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Kernel]: ...
+
+
+def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
+    """Make a function a kernel; `options` go to numba for both builds (`error_model="numpy"`)."""
+    if function is None:
+        return functools.partial(kernel, **options)
+    return Kernel(function, options)  # type: ignore[arg-type]
+
+
+__all__ = ["Kernel", "UncountableError", "kernel", "new_counters"]

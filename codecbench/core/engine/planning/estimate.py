@@ -1,0 +1,56 @@
+"""How long a plan may take: from durations measured in the same folder, else from typical costs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from codecbench.core.engine.planning.model import Cell, Plan
+
+TYPICAL_MS_PER_FRAME: Final = {"quality": 30.0, "features": 25.0, "trajectory": 30.0}
+"""A cell of these evaluators on a 640x480 colour frame, decoding included, on one core of a small server."""
+_TYPICAL_CELL_S: Final = 3.0
+"""Evaluators that look at a few frames, whatever the length of the sequence."""
+_TYPICAL_CODING_MS: Final = 25.0
+_START_S: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Seconds of wall time, and how many of the cells were estimated from measured durations."""
+
+    seconds: float
+    measured: int
+    typical: int
+
+
+def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str, float]) -> Estimate:
+    """The time for the missing cells and the coding jobs that have no file yet, spread over the workers.
+
+    durations: seconds of finished cells by id. A cell is estimated from the median cost per frame of finished
+    cells of the same codec and evaluator, where there are any.
+    """
+    costs: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for cell in plan.cells:
+        if cell.id in durations:
+            costs[cell.codec.name, cell.evaluator.name].append(durations[cell.id] / cell.sequence.frames)
+    shared = alone = 0.0
+    measured = 0
+    for cell in missing:
+        known = sorted(costs.get((cell.codec.name, cell.evaluator.name), []))
+        typical = TYPICAL_MS_PER_FRAME.get(cell.evaluator.name)
+        if known:
+            seconds = known[len(known) // 2] * cell.sequence.frames
+            measured += 1
+        else:
+            seconds = _TYPICAL_CELL_S if typical is None else typical / 1000 * cell.sequence.frames
+        if cell.exclusive:
+            alone += seconds
+        else:
+            shared += seconds
+    frames = max((entry.frames for entry in plan.sequences), default=0)
+    shared += jobs * _TYPICAL_CODING_MS / 1000 * frames
+    total = _START_S + shared / plan.run.workers + alone if missing else 0.0
+    return Estimate(total, measured, len(missing) - measured)

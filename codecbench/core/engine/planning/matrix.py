@@ -1,0 +1,274 @@
+"""The matrix file: which sequences, codecs and evaluators meet, validated as a whole before anything runs."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import to_jsonable_python
+
+from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.engine.planning.model import PluginSetting, RunSettings
+from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, suggest
+from codecbench.core.engine.registry import Registry, installed
+
+VERSION = 1
+_SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
+_TOP = ("version", "name", *_SECTIONS, "run")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+class RunSection(BaseModel):
+    """The `run:` section: how the matrix is run. Only `seed` can change a result."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=100_000)
+    timeout_s: float = Field(default=3600.0, gt=0, description="for one coding job or cell")
+    memory_mb: int = Field(default=4096, ge=256, description="for one coding job or cell")
+    seed: int = Field(default=0, ge=0, lt=1 << 63)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One setting of a section, and where in the file it stands. `missing` says why it cannot be used here."""
+
+    where: Where
+    setting: PluginSetting
+    name: str | None = None
+    missing: str | None = None
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """A matrix file whose every name and parameter has been checked."""
+
+    path: Path
+    text: str
+    name: str
+    sequences: tuple[Entry, ...]
+    codecs: tuple[Entry, ...]
+    evaluators: tuple[Entry, ...]
+    run: RunSettings
+    root: Any
+
+    def problems(self) -> Problems:
+        """An empty list of problems of this file, for checks that need more than the file."""
+        return Problems(str(self.path), self.root)
+
+
+def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
+    """Read and check a matrix file.
+
+    Raises MatrixError that lists every problem as `file:line:column: place: what, allowed, suggestion`.
+    """
+    path = Path(path)
+    text, root = load(path)
+    problems = Problems(str(path), root)
+    reader = _Reader(problems, registry or installed(), path.resolve().parent)
+    if not isinstance(root, Mapping):
+        problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain(root)).__name__}")
+        problems.raise_any()
+    problems.unknown((), root, _TOP)
+    if root.get("version") != VERSION:
+        problems.add(("version",), f"must be {VERSION}; got {plain(root.get('version'))!r}")
+    name = plain(root.get("name", path.stem))
+    if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        problems.add(("name",), f"{name!r} is not made of letters, digits, '.', '_' and '-'")
+    sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
+    run = reader.run_section(root.get("run") or {})
+    problems.raise_any()
+    assert run is not None
+    return Matrix(path=path, text=text, name=name, run=run, root=root, **sections)
+
+
+class _Reader:
+    """Reads sections, noting every problem and going on."""
+
+    def __init__(self, problems: Problems, registry: Registry, folder: Path) -> None:
+        self.problems = problems
+        self.registry = registry
+        self.folder = folder
+
+    def section(self, section: str, items: Any) -> tuple[Entry, ...]:
+        kind = _SECTIONS[section]
+        if not isinstance(items, list) or not items:
+            got = "nothing" if items is None else repr(plain(items))
+            self.problems.add((section,), f"must be a list with at least one {kind}; got {got}")
+            return ()
+        entries: list[Entry] = []
+        for index, item in enumerate(items):
+            entries.extend(self.entries(kind, (section, index), item))
+        return _labelled(_distinct(entries), self.registry)
+
+    def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
+        """The settings that one item of a section stands for: one, or as many as its axes span."""
+        if isinstance(item, str):
+            item = {"use": item}
+        if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
+            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {plain(item)!r}")
+            return
+        allowed = ("use", "name", "params") if kind == "dataset" else ("use", "params")
+        self.problems.unknown(where, item, allowed)
+        name = plain(item.get("name"))
+        if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
+            self.problems.add((*where, "name"), f"{name!r} is not made of letters, digits, '.', '_' and '-'")
+            return
+        params = item.get("params") or {}
+        if not isinstance(params, Mapping):
+            self.problems.add((*where, "params"), f"must be a mapping; got {plain(params)!r}")
+            return
+        for point in self.points((*where, "params"), params):
+            entry = self.entry(kind, where, str(item["use"]), point)
+            if entry is not None:
+                yield replace(entry, name=name)
+
+    def points(self, where: Where, params: Mapping[str, Any]) -> Iterator[dict[str, tuple[Where, Any]]]:
+        """Every combination of the axes of a `params` mapping, each value with its place."""
+        axes: list[list[tuple[str, Where, Any]]] = []
+        for key, value in params.items():
+            place = (*where, key)
+            choices = self.axis(place, value) if _is_axis(value) else [(place, plain(value))]
+            axes.append([(str(key), at, choice) for at, choice in choices])
+        for combination in itertools.product(*axes):
+            yield {key: (at, value) for key, at, value in combination}
+
+    def axis(self, where: Where, value: Mapping[str, Any]) -> list[tuple[Where, Any]]:
+        """The places and values of `{grid: [...]}` or `{range: [first, last, step]}`, the last included."""
+        ((word, choices),) = value.items()
+        place = (*where, word)
+        if not isinstance(choices, list) or not choices:
+            self.problems.add(place, f"must be a list; got {plain(choices)!r}")
+        elif word == "grid":
+            return [((*place, index), plain(choice)) for index, choice in enumerate(choices)]
+        else:
+            numbers = [number for number in plain(choices) if isinstance(number, int | float)]
+            if len(numbers) == len(choices) in (2, 3) and [*numbers, 1][2] > 0:
+                first, last, step = [*numbers, 1][:3]
+                count = int((last - first) / step + 1e-9) + 1
+                if 1 <= count <= 10_000:
+                    return [(place, first + step * index) for index in range(count)]
+            self.problems.add(place, f"must be [first, last, step > 0], 1 to 10000 values; got {plain(choices)!r}")
+        return []
+
+    def entry(self, kind: Kind, where: Where, name: str, point: dict[str, tuple[Where, Any]]) -> Entry | None:
+        """One validated setting, or None after noting what is wrong with it."""
+        try:
+            cls = self.registry.load(kind, name)
+        except Unsupported as error:
+            params = {key: value for key, (_, value) in point.items()}
+            return Entry(where, PluginSetting(kind, name, "", params), missing=str(error))
+        except PluginError as error:
+            self.problems.add((*where, "use"), str(error))
+            return None
+        values = {key: value for key, (_, value) in point.items()}
+        try:
+            params = cls.params_type.model_validate(values, context={"folder": self.folder})
+        except ValidationError as error:
+            for detail in error.errors():
+                self.note(where, point, detail, list(cls.params_type.model_fields))
+            return None
+        return Entry(where, PluginSetting(kind, name, cls.version, params.identity()))
+
+    def note(self, where: Where, point: dict[str, tuple[Where, Any]], detail: Any, fields: list[str]) -> None:
+        """Translate one of pydantic's errors into a problem at the value that it is about."""
+        location = detail["loc"]
+        if not location:
+            self.problems.add((*where, "params"), _message(detail))
+        elif detail["type"] == "extra_forbidden" and len(location) == 1:
+            self.problems.add((*where, "params", location[0]), f"unknown; {suggest(location[0], fields)}", at_key=True)
+        elif detail["type"] == "missing":
+            self.problems.add((*where, "params", *location), "required")
+        else:
+            place = point[location[0]][0] if location[0] in point else (*where, "params")
+            self.problems.add((*place, *location[1:]), _message(detail))
+
+    def run_section(self, section: Any) -> RunSettings | None:
+        if not isinstance(section, Mapping):
+            self.problems.add(("run",), f"must be a mapping; got {plain(section)!r}")
+            return None
+        values = plain(section)
+        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", "local")))
+        values.pop("executor", None)
+        try:
+            run = RunSection.model_validate(values)
+        except ValidationError as error:
+            fields = [*RunSection.model_fields, "executor"]
+            for detail in error.errors():
+                key = detail["loc"][0]
+                unknown = detail["type"] == "extra_forbidden"
+                message = f"unknown; {suggest(str(key), fields)}" if unknown else _message(detail)
+                self.problems.add(("run", *detail["loc"]), message, at_key=unknown)
+            return None
+        if len(executor) != 1:
+            if executor:
+                self.problems.add(("run", "executor"), "must be one setting, without axes")
+            return None
+        if executor[0].missing:
+            self.problems.add(("run", "executor"), executor[0].missing)
+            return None
+        return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting)
+
+
+def _is_axis(value: Any) -> bool:
+    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in ("grid", "range")
+
+
+def _message(detail: Any) -> str:
+    got = detail.get("input")
+    message = str(detail["msg"]).removeprefix("Value error, ")
+    shown = repr(got)
+    return message if isinstance(got, Mapping) or len(shown) > 80 else f"{message}; got {shown}"
+
+
+def _distinct(entries: list[Entry]) -> list[Entry]:
+    """The entries without those that validate to a setting that came before."""
+    kept: list[Entry] = []
+    for entry in entries:
+        if not any(entry.setting == other.setting and entry.name == other.name for other in kept):
+            kept.append(entry)
+    return kept
+
+
+def _labelled(entries: list[Entry], registry: Registry) -> tuple[Entry, ...]:
+    """Give each setting the label that tells it from the other settings of its plugin."""
+    done = []
+    for entry in entries:
+        same = [other.setting.params for other in entries if other.setting.name == entry.setting.name]
+        params = entry.setting.params
+        if len(same) > 1:
+            keys = [key for key in params if any(other.get(key) != params[key] for other in same)]
+        else:
+            keys = _explicit(entry, registry) if entry.setting.kind == "codec" else []
+        label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
+        done.append(replace(entry, setting=replace(entry.setting, label=label)))
+    return tuple(done)
+
+
+def _explicit(entry: Entry, registry: Registry) -> list[str]:
+    """Parameters of the only setting of a codec that differ from the defaults."""
+    params = entry.setting.params
+    if entry.missing:
+        return list(params)
+    fields = registry.load(entry.setting.kind, entry.setting.name).params_type.model_fields
+    usual = {key: to_jsonable_python(field.default, fallback=str) for key, field in fields.items()}
+    return [key for key in params if key not in usual or usual[key] != params[key]]
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    if isinstance(value, list):
+        return ",".join(_word(item) for item in value)
+    if isinstance(value, dict):
+        return ",".join(f"{key}:{_word(item)}" for key, item in value.items())
+    return str(value)

@@ -1,0 +1,161 @@
+"""From a matrix to a plan: open the sequences, cross settings with evaluators, and say what cannot be done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
+from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator
+from codecbench.core.engine.identity import digest, seed_from
+from codecbench.core.engine.planning.matrix import Entry, Matrix
+from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
+from codecbench.core.engine.registry import Registry, installed
+
+RECORD_FORMAT = 1
+"""Enters every identity: raised when the meaning of a record changes, so that old ones are recomputed."""
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A codec or evaluator setting beside its instance, or why there is none."""
+
+    setting: PluginSetting
+    instance: Any
+    missing: str | None
+
+
+def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
+    """Everything that a matrix asks for.
+
+    Opens every sequence, so that a missing file is an error now and not in an hour. Combinations that
+    cannot be computed here become cells with the reason in `unsupported`. Raises MatrixError, with the
+    place in the file, for sequences that cannot be opened.
+    """
+    registry = registry or installed()
+    sequences = _open_sequences(matrix, registry)
+    codecs = [_side(entry, registry) for entry in matrix.codecs]
+    evaluators = [_side(entry, registry) for entry in matrix.evaluators]
+    jobs: dict[str, CodingJob] = {}
+    cells: dict[str, Cell] = {}
+    for sequence in sequences:
+        for codec in codecs:
+            job = CodingJob(coding_id(sequence, codec.setting), sequence, codec.setting)
+            for evaluator in evaluators:
+                for cell in _cells(job, codec, evaluator, matrix.run.seed, registry):
+                    cells.setdefault(cell.id, cell)
+                    if cell.job_id is not None and cell.unsupported is None:
+                        jobs.setdefault(job.id, job)
+    return Plan(
+        name=matrix.name,
+        matrix_text=matrix.text,
+        run=matrix.run,
+        sequences=tuple(sequences),
+        jobs=tuple(jobs.values()),
+        cells=tuple(cells.values()),
+    )
+
+
+def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
+    """The identity of a sequence's bitstreams under a codec setting."""
+    return digest(["coding", RECORD_FORMAT, sequence.fingerprint, codec.identity()])
+
+
+def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
+    problems = matrix.problems()
+    entries: dict[str, SequenceEntry] = {}
+    for entry in matrix.sequences:
+        if entry.missing is not None:
+            problems.add(entry.where, entry.missing)
+            continue
+        setting = entry.setting
+        try:
+            sequence = registry.create("dataset", setting.name, setting.params).open()
+        except CodecbenchError as error:
+            problems.add(entry.where, str(error))
+            continue
+        name = entry.name or sequence.name
+        if name in entries:
+            label = setting.label or setting.name
+            name = f"{name} {label}"
+        if name in entries:
+            problems.add(entry.where, f"another sequence is called {name!r}; give this one a `name`")
+            continue
+        entries[name] = SequenceEntry(
+            name=name,
+            dataset=setting,
+            fingerprint=sequence.fingerprint,
+            frames=len(sequence),
+            channels=sequence.channels,
+            has_camera=sequence.camera is not None,
+            has_ground_truth=sequence.ground_truth is not None,
+        )
+    problems.raise_any()
+    return list(entries.values())
+
+
+def _side(entry: Entry, registry: Registry) -> _Side:
+    if entry.missing is not None:
+        return _Side(entry.setting, None, entry.missing)
+    setting = entry.setting
+    try:
+        return _Side(setting, registry.create(setting.kind, setting.name, setting.params), None)
+    except Unsupported as error:
+        return _Side(setting, None, str(error))
+
+
+def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int, registry: Registry) -> Iterator[Cell]:
+    instance: Evaluator[Any] | None = evaluator.instance
+    identity = [RECORD_FORMAT, job.sequence.fingerprint, codec.setting.identity()]
+    unsupported = _unsupported(job.sequence, codec, evaluator, registry)
+    for repeat in range(instance.repeats if instance else 1):
+        params = instance.repeat_identity(repeat) if instance else evaluator.setting.params
+        used = _used(instance, registry)
+        whole = ["cell", *identity, evaluator.setting.name, evaluator.setting.version, params, repeat, used, seed]
+        cell_id = digest(whole)
+        yield Cell(
+            id=cell_id,
+            sequence=job.sequence,
+            codec=codec.setting,
+            evaluator=evaluator.setting,
+            repeat=repeat,
+            seed=seed_from(cell_id, seed),
+            exclusive=bool(instance and instance.exclusive),
+            job_id=None if isinstance(instance, CodecEvaluator) else job.id,
+            unsupported=unsupported,
+        )
+
+
+def _used(evaluator: Evaluator[Any] | None, registry: Registry) -> list[Any]:
+    """Name, version and parameters of the plugins that an evaluator runs, as far as they are there."""
+    used = []
+    for use in evaluator.uses if evaluator else ():
+        try:
+            cls = registry.load(use.kind, use.name)
+        except (Unsupported, PluginError):
+            used.append([use.kind, use.name, None, use.params])
+        else:
+            used.append([use.kind, use.name, cls.version, cls.params_type.model_validate(use.params).identity()])
+    return used
+
+
+def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side, registry: Registry) -> str | None:
+    """Why this combination cannot be computed here, or None."""
+    for side in (codec, evaluator):
+        if side.missing is not None:
+            return side.missing
+    allowed = codec.instance.capabilities.channels
+    if sequence.channels not in allowed:
+        wanted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
+        return f"codec {codec.setting.name} takes {wanted} frames; {sequence.name} has {sequence.channels} channel(s)"
+    if "camera" in evaluator.instance.needs and not sequence.has_camera:
+        return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
+    if "ground_truth" in evaluator.instance.needs and not sequence.has_ground_truth:
+        return f"evaluator {evaluator.setting.name} needs ground truth; {sequence.name} has none"
+    for use in evaluator.instance.uses:
+        try:
+            registry.create(use.kind, use.name, use.params)
+        except (Unsupported, PluginError) as error:
+            return str(error)
+    return None

@@ -1,0 +1,97 @@
+"""JSON Schema of matrices and of plugins' parameters, for editors and for people."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.planning.matrix import RunSection
+from codecbench.core.engine.registry import Plugin, Registry
+
+
+def plugin_schema(registry: Registry, name: str) -> dict[str, Any]:
+    """The schema of one plugin's parameters; `name` is NAME or KIND:NAME. Raises PluginError for an unknown name."""
+    wanted, _, bare = name.rpartition(":")
+    kinds = [kind for kind in KINDS if wanted in ("", kind)]
+    found = [plugin for kind in kinds for plugin in registry.plugins(kind) if plugin.offer.name == bare]
+    if len(found) == 1:
+        schema: dict[str, Any] = _params_schema(registry, found[0])
+        return schema
+    if found:
+        choices = ", ".join(f"{plugin.kind}:{bare}" for plugin in found)
+        raise PluginError(f"several plugins are called {bare!r}; say which: {choices}")
+    names = [plugin.offer.name for kind in kinds for plugin in registry.plugins(kind)]
+    near = difflib.get_close_matches(bare, names, n=1)
+    meant = f"did you mean {near[0]!r}?" if near else "see codecbench list"
+    raise PluginError(f"no plugin is called {name!r}; {meant}")
+
+
+def matrix_schema(registry: Registry) -> dict[str, Any]:
+    """The schema of a whole matrix with everything that is installed."""
+    sections: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
+    definitions: dict[str, Any] = {}
+    properties: dict[str, Any] = {
+        "version": {"const": 1},
+        "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9._-]*$"},
+    }
+    for section, kind in sections.items():
+        items = {"anyOf": _choices(registry, kind, definitions)}
+        properties[section] = {"type": "array", "minItems": 1, "items": items}
+    run = RunSection.model_json_schema()
+    run["properties"]["executor"] = {"anyOf": _choices(registry, "executor", definitions)}
+    properties["run"] = run
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "codecbench matrix",
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["version", *sections],
+        "properties": properties,
+        "$defs": definitions,
+    }
+
+
+def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> list[Any]:
+    choices: list[Any] = [{"enum": [plugin.offer.name for plugin in registry.plugins(kind)]}]
+    for plugin in registry.plugins(kind):
+        try:
+            params = _params_schema(registry, plugin)
+        except (Unsupported, PluginError):
+            params = {"type": "object"}
+        definitions.update(params.pop("$defs", {}))
+        for name, value in params.get("properties", {}).items():
+            params["properties"][name] = _or_axis(value)
+        properties = {"use": {"const": plugin.offer.name}, "params": params}
+        if kind == "dataset":
+            properties["name"] = {"type": "string"}
+        required = ["use", "params"] if params.get("required") else ["use"]
+        choices.append(
+            {
+                "type": "object",
+                "description": plugin.offer.summary,
+                "properties": properties,
+                "required": required,
+                "additionalProperties": False,
+            }
+        )
+    return choices
+
+
+def _params_schema(registry: Registry, plugin: Plugin) -> dict[str, Any]:
+    cls = registry.load(plugin.kind, plugin.offer.name)
+    schema: dict[str, Any] = cls.params_type.model_json_schema()
+    return schema
+
+
+def _or_axis(value: Any) -> dict[str, Any]:
+    """The schema of a value, or of an axis of such values."""
+    described = {key: value.pop(key) for key in ("title", "description", "default") if key in value}
+    grid = {"type": "array", "minItems": 1, "items": value}
+    steps = {"type": "array", "minItems": 2, "maxItems": 3, "items": {"type": "number"}}
+    axes = [
+        {"type": "object", "properties": {word: choices}, "required": [word], "additionalProperties": False}
+        for word, choices in (("grid", grid), ("range", steps))
+    ]
+    return {**described, "anyOf": [value, *axes]}

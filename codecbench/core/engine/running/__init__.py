@@ -1,0 +1,1 @@
+"""From a plan to records: what is ready, who computes it, and what became of it."""

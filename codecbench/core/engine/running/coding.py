@@ -1,0 +1,102 @@
+"""Where frames become bitstreams and bitstreams become frames: the only place that calls a codec for its result.
+
+Codecs are stateless, so frames are coded one by one. A codec with memory between frames (video) would change
+`encode_sequence` and `CodedFrames` and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.evaluator import CodedFrame
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+
+
+class CodingError(CodecbenchError):
+    """A codec returned something that is not a bitstream, or not the picture's shape."""
+
+
+@dataclass
+class Place:
+    """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`."""
+
+    stage: str = ""
+    frame: int | None = None
+
+    def at(self, stage: str, frame: int | None = None) -> None:
+        self.stage, self.frame = stage, frame
+
+    def __str__(self) -> str:
+        return self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
+
+
+def encode_sequence(codec: Codec[Any], sequence: Sequence, place: Place) -> Iterator[bytes]:
+    """The bitstreams of all frames in order. Raises CodingError for what is not a bitstream."""
+    for index in range(len(sequence)):
+        place.at("read", index)
+        image = sequence.read(index).image
+        place.at("encode", index)
+        bitstream = codec.encode(image)
+        if not isinstance(bitstream, bytes):
+            raise CodingError(f"encode returned {type(bitstream).__name__}; a bitstream is bytes")
+        if not bitstream:
+            raise CodingError("encode returned no bytes")
+        yield bitstream
+
+
+class CodedFrames:
+    """A CodedSequence over a file of bitstreams; frames are read and decoded when they are asked for.
+
+    `codec` must be an instance that has encoded nothing, so that whatever it knows came from the bitstream.
+    """
+
+    def __init__(self, sequence: Sequence, codec: Codec[Any], bitstreams: BitstreamFile, place: Place) -> None:
+        if len(bitstreams) != len(sequence):
+            raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
+        self.sequence = sequence
+        self.codec = codec
+        self._bitstreams = bitstreams
+        self._place = place
+
+    def __len__(self) -> int:
+        return len(self._bitstreams)
+
+    def __iter__(self) -> Iterator[CodedFrame]:
+        return (self.frame(index) for index in range(len(self)))
+
+    def frame(self, index: int) -> CodedFrame:
+        """Frame `index` beside its bitstream and what the codec makes of it.
+
+        Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
+        the frame's shape, and whatever the codec raises.
+        """
+        outer = self._place.stage
+        self._place.at("read", index)
+        original = self.sequence.read(index)
+        bitstream = self._bitstreams.read(index)
+        self._place.at("decode", index)
+        decoded = checked_decoding(self.codec.decode(bitstream), original.image)
+        self._place.at(outer, index)
+        return CodedFrame(original, bitstream, decoded)
+
+    def size_bytes(self, index: int) -> int:
+        return self._bitstreams.size_bytes(index)
+
+
+def checked_decoding(decoded: object, original: Image) -> Image:
+    """`decoded` as a contiguous image, after checking type, dtype and shape against the frame's."""
+    if not isinstance(decoded, np.ndarray):
+        raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")
+    if decoded.dtype != np.uint8:
+        raise CodingError(f"decode returned dtype {decoded.dtype}; a decoded frame is uint8")
+    if decoded.shape != original.shape:
+        raise CodingError(f"decode returned shape {decoded.shape}; the frame has {original.shape}")
+    return np.ascontiguousarray(decoded)

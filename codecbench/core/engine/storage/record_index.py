@@ -1,0 +1,86 @@
+"""A list of all records in one append-only file, so that 100,000 of them are listed in a second.
+
+The records are the truth and the index is a copy: a line that is torn, damaged or missing is rebuilt from the
+record, and a line without a record is dropped. Each line carries a CRC of itself and the digests of the
+record and its files, so that checking a record needs no parsing.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.record import RECORD_FILE, Record, content_digest
+
+_SEPARATOR: Final = " "
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """What is known of a record without opening it. digests: of `record.json` and each file beside it."""
+
+    cell_id: str
+    status: str
+    reason: str
+    duration_s: float
+    digests: dict[str, str]
+
+
+def entry_from_record(record: Record, content: bytes) -> IndexEntry:
+    """The entry of a record whose file holds `content`."""
+    digests = {RECORD_FILE: content_digest(content)}
+    digests |= {name: facts["digest"] for name, facts in record.files.items()}
+    return IndexEntry(record.cell_id, record.status, record.reason, record.duration_s, digests)
+
+
+class RecordIndex:
+    """The index file of a run folder. Entries are appended as records are written."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def read(self) -> dict[str, IndexEntry]:
+        """The latest entry of each cell; damaged lines are left out."""
+        try:
+            content = self._path.read_bytes()
+        except FileNotFoundError:
+            return {}
+        found: dict[str, IndexEntry] = {}
+        for line in content.split(b"\n"):
+            entry = _entry_from_line(line)
+            if entry is not None:
+                found[entry.cell_id] = entry
+        return found
+
+    def append(self, entry: IndexEntry) -> None:
+        """Add one entry. A torn last line, left by a crash, is closed off first."""
+        line = _line_from_entry(entry) + b"\n"
+        with open(self._path, "ab+", buffering=0) as stream:
+            end = stream.tell()
+            if end:
+                stream.seek(end - 1)
+                if stream.read(1) != b"\n":
+                    line = b"\n" + line
+            stream.write(line)
+
+    def rewrite(self, entries: Iterable[IndexEntry]) -> None:
+        """Replace the whole file."""
+        write_file(self._path, b"".join(_line_from_entry(entry) + b"\n" for entry in entries))
+
+
+def _line_from_entry(entry: IndexEntry) -> bytes:
+    fields = [entry.cell_id, entry.status, entry.reason, round(entry.duration_s, 6), entry.digests]
+    text = json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
+    return f"{zlib.crc32(text):08x}{_SEPARATOR}".encode() + text
+
+
+def _entry_from_line(line: bytes) -> IndexEntry | None:
+    crc, _, text = line.partition(_SEPARATOR.encode())
+    if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
+        return None
+    return IndexEntry(*json.loads(text))

@@ -1,0 +1,293 @@
+"""A run folder: what is where, who may write, and what is still sound.
+
+    matrix.yaml  plan.json  environment/<id>.json  coded/<job>  records/<xx>/<cell>/record.json
+    records/index.jsonl  tables/  report/  run.log  lock
+
+Every file is written whole and renamed. A record is one folder (record.json, frames.parquet, artifacts) that
+is renamed into place whole, so it is complete or absent. Damage is found by digests, reported and recomputed.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import socket
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine.environment import environment_id
+from codecbench.core.engine.planning.model import Plan, plan_from_json
+from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.record import (
+    RECORD_FILE,
+    SAMPLES_FILE,
+    Record,
+    RecordDamage,
+    bytes_from_record,
+    content_digest,
+    file_facts,
+    record_from_bytes,
+)
+from codecbench.core.engine.storage.record_index import IndexEntry, RecordIndex, entry_from_record
+
+log = logging.getLogger("codecbench.store")
+
+_DURABLE_FROM_S: Final = 1.0
+"""A record of a cell that took longer is waited for until the disk has it; a quicker one is cheaper to redo."""
+
+
+class Store:
+    """The files of one run. Reading needs nothing; writing needs `locked`, which only one process can hold."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.records_folder = folder / "records"
+        self.coded_folder = folder / "coded"
+        self.log_path = folder / "run.log"
+        self._index = RecordIndex(self.records_folder / "index.jsonl")
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder for writing. Raises StoreError where another process does.
+
+        The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with open(self.folder / "lock", "a+", encoding="utf-8") as stream:
+            if not _locked(stream):
+                stream.seek(0)
+                holder = stream.read().strip() or "another process"
+                message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
+                raise StoreError(message)
+            stream.truncate(0)
+            stream.write(f"process {os.getpid()} on {socket.gethostname()}")
+            stream.flush()
+            self._tidy()
+            yield
+
+    def in_use(self) -> bool:
+        """Whether a process is writing to this folder now."""
+        try:
+            with open(self.folder / "lock", encoding="utf-8") as stream:
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            return False
+        except BlockingIOError:
+            return True
+        return False
+
+    def write_plan(self, plan: Plan) -> None:
+        write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
+        body = plan.as_json()
+        document = {"checksum": content_digest(_json(body)), "plan": body}
+        write_file(self.folder / "plan.json", _json(document))
+
+    def read_plan(self) -> Plan:
+        """The plan of the last run in this folder. Raises StoreError where it is missing or damaged."""
+        path = self.folder / "plan.json"
+        try:
+            document = json.loads(path.read_bytes())
+            body = document["plan"]
+            if content_digest(_json(body)) != document["checksum"]:
+                raise ValueError("its checksum does not match its content")
+            return plan_from_json(body)
+        except FileNotFoundError:
+            raise StoreError(f"{self.folder} is not a run folder: it has no plan.json") from None
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            message = f"{path} is damaged ({error}); run the matrix again, which computes only what is missing"
+            raise StoreError(message) from error
+
+    def write_environment(self, environment: dict[str, Any]) -> str:
+        """Keep the description of an environment and return its id."""
+        name = environment_id(environment)
+        path = self.folder / "environment" / f"{name}.json"
+        if not path.exists():
+            write_file(path, json.dumps(environment, indent=1).encode() + b"\n")
+        return name
+
+    def environments(self) -> dict[str, dict[str, Any]]:
+        """All environments of this run by id."""
+        paths = sorted((self.folder / "environment").glob("*.json"))
+        return {path.stem: json.loads(path.read_bytes()) for path in paths}
+
+    def coded_path(self, job_id: str) -> Path:
+        return self.coded_folder / f"{job_id}.bits"
+
+    def has_coded(self, job_id: str, frames: int) -> bool:
+        """Whether a sound file of this job's bitstreams is here; a damaged one is reported and removed."""
+        path = self.coded_path(job_id)
+        if not path.exists():
+            return False
+        try:
+            if len(BitstreamFile(path)) == frames:
+                return True
+            reason = "it has another number of frames"
+        except BitstreamDamage as error:
+            reason = str(error)
+        self.drop_coded(job_id, reason)
+        return False
+
+    def write_coded(self, job_id: str, content: bytes) -> None:
+        """Keep a file of bitstreams that came from a worker which does not see this folder."""
+        with self._writing():
+            write_file(self.coded_path(job_id), content)
+
+    def drop_coded(self, job_id: str, reason: str) -> None:
+        log.warning("coded/%s.bits is damaged and will be encoded again: %s", job_id, reason)
+        self.coded_path(job_id).unlink(missing_ok=True)
+
+    def record_folder(self, cell_id: str) -> Path:
+        return Path(f"{self.records_folder}/{cell_id[:2]}/{cell_id}")
+
+    def write_record(self, record: Record, files: Mapping[str, bytes]) -> Record:
+        """Keep a record and its files, in place of an earlier one.
+
+        Raises StoreError where that cannot be written (disk full), and then changes nothing.
+        """
+        record = replace(record, files=file_facts(files))
+        content = bytes_from_record(record)
+        durable = record.duration_s >= _DURABLE_FROM_S
+        with self._writing():
+            write_folder(self.record_folder(record.cell_id), {**files, RECORD_FILE: content}, durable=durable)
+            self._index.append(entry_from_record(record, content))
+        return record
+
+    def read_record(self, cell_id: str, entry: IndexEntry | None = None) -> Record:
+        """The record of a cell, checked. Raises RecordDamage, or StoreError if there is none.
+
+        entry: what the index knows of it; a record that has its digest is not checked a second time.
+        """
+        path = f"{self.records_folder}/{cell_id[:2]}/{cell_id}/{RECORD_FILE}"
+        try:
+            with open(path, "rb", buffering=0) as stream:
+                content = stream.read()
+            indexed = entry is not None and content_digest(content) == entry.digests[RECORD_FILE]
+            record = record_from_bytes(content, known_good=indexed)
+        except FileNotFoundError:
+            raise StoreError(f"{self.folder} has no record of cell {cell_id}") from None
+        except RecordDamage as error:
+            raise RecordDamage(f"{path}: {error}") from error
+        if record.cell_id != cell_id:
+            raise RecordDamage(f"{path}: it is the record of cell {record.cell_id}")
+        return record
+
+    def read_file(self, record: Record, name: str) -> bytes:
+        """A file beside a record, checked against it. Raises RecordDamage where it is not what was written."""
+        path = self.record_folder(record.cell_id) / name
+        try:
+            content = path.read_bytes()
+        except FileNotFoundError:
+            raise RecordDamage(f"{path} is missing") from None
+        if content_digest(content) != record.files[name]["digest"]:
+            raise RecordDamage(f"{path} is not what was written (digest differs)")
+        return content
+
+    def samples(self, record: Record) -> bytes | None:
+        """The Parquet file with the record's per-frame measurements, or None where it has none."""
+        return self.read_file(record, SAMPLES_FILE) if SAMPLES_FILE in record.files else None
+
+    def entries(self) -> dict[str, IndexEntry]:
+        """All records as the index knows them, without opening any; records that it misses are read."""
+        known = self._index.read()
+        found: dict[str, IndexEntry] = {}
+        for cell_id in self._present():
+            entry = known.get(cell_id) or self._entry(cell_id)
+            if entry is not None:
+                found[cell_id] = entry
+        return found
+
+    def sound_entries(self, cell_ids: Iterable[str]) -> tuple[dict[str, IndexEntry], dict[str, str]]:
+        """Those of these cells whose record is whole to the last byte, and why others with one are not."""
+        known = self.entries()
+        sound: dict[str, IndexEntry] = {}
+        damaged: dict[str, str] = {}
+        present = self._present()
+        for cell_id in cell_ids:
+            entry = known.get(cell_id)
+            if entry is None:
+                if cell_id in present:
+                    damaged[cell_id] = "its record cannot be read"
+                continue
+            problem = self._problem(entry) if cell_id in known else None
+            if problem is not None and (fresh := self._entry(cell_id)) is not None:
+                problem = self._problem(entry := fresh)  # the index may be older than the record
+            if problem is None:
+                sound[cell_id] = entry
+            else:
+                damaged[cell_id] = problem
+        return sound, damaged
+
+    def drop_record(self, cell_id: str) -> None:
+        if self.record_folder(cell_id).exists():
+            remove_folder(self.record_folder(cell_id))
+
+    def rebuild_index(self) -> None:
+        """Write the index again from what is there; the engine does so when a run ends."""
+        self._index.rewrite(self.entries().values())
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            message = f"cannot write to {self.folder}: {error}; all earlier records are kept: mend this and run again"
+            raise StoreError(message) from error
+
+    def _problem(self, entry: IndexEntry) -> str | None:
+        folder = f"{self.records_folder}/{entry.cell_id[:2]}/{entry.cell_id}/"
+        for name, digest in entry.digests.items():
+            try:
+                with open(folder + name, "rb", buffering=0) as stream:
+                    content = stream.read()
+            except FileNotFoundError:
+                return f"{name} is missing"
+            if content_digest(content) != digest:
+                return f"{name} is damaged (digest differs)"
+        return None
+
+    def _entry(self, cell_id: str) -> IndexEntry | None:
+        path = self.record_folder(cell_id) / RECORD_FILE
+        try:
+            return entry_from_record(self.read_record(cell_id), path.read_bytes())
+        except StoreError as error:
+            log.warning("%s", error)
+            return None
+
+    def _present(self) -> set[str]:
+        """Ids of all cells that have a record folder."""
+        found: set[str] = set()
+        if self.records_folder.is_dir():
+            for shard in os.scandir(self.records_folder):
+                if len(shard.name) == 2:
+                    found.update(name for name in os.listdir(shard.path) if not name.startswith("."))
+        return found
+
+    def _tidy(self) -> None:
+        """Make the folders and delete what interrupted writers left."""
+        for folder in (self.folder, self.records_folder, self.coded_folder, self.folder / "environment"):
+            folder.mkdir(parents=True, exist_ok=True)
+            sweep(folder)
+        for shard in self.records_folder.glob("??"):
+            sweep(shard)
+
+
+def _locked(stream: TextIO) -> bool:
+    """Lock an open file for this process alone; tries for a moment, for `in_use` may just be looking."""
+    for _ in range(4):
+        with suppress(BlockingIOError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()

@@ -1,0 +1,24 @@
+"""`codecbench reproduce`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("docs/reproduction.md"), show_default=True
+)
+def reproduce(runs: tuple[Path, ...], out: Path) -> None:
+    """Write the page that puts the paper beside the RUN folder of examples/paper.yaml, table by table.
+
+    The trajectories of further runs, such as that of examples/paper_loops.yaml, are added to its own.
+    """
+    from codecbench.core.results.collect import open_run
+    from codecbench.paper.page import write_page
+
+    for path in write_page([open_run(run) for run in runs], out):
+        click.echo(str(path))

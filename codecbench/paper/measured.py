@@ -1,0 +1,68 @@
+"""Our numbers for the settings that the paper swept, looked up by parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.results.run_result import RunResult
+
+KIB = 1024.0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A run as the reproduction asks of it."""
+
+    run: RunResult
+
+    @cached_property
+    def _rows(self) -> dict[tuple[str, str, str], dict[str, Any]]:
+        records = self.run.wide.to_dict("records")
+        return {(row["sequence"], row["codec"], row["setting"]): {str(k): v for k, v in row.items()} for row in records}
+
+    @cached_property
+    def sequences(self) -> list[str]:
+        """Sequences of the run, in the order of the matrix."""
+        return [entry.name for entry in self.run.plan.sequences]
+
+    @cached_property
+    def settings(self) -> list[PluginSetting]:
+        """Every codec setting of the run, once."""
+        found = {(r.cell.codec.name, r.cell.codec.label): r.cell.codec for r in self.run.results}
+        return list(found.values())
+
+    def setting(self, codec: str, **params: Any) -> PluginSetting | None:
+        """The first setting of a codec with these parameters, numbers compared as numbers."""
+        for setting in self.settings:
+            if setting.name == codec and all(_same(setting.params.get(key), value) for key, value in params.items()):
+                return setting
+        return None
+
+    def value(self, sequence: str, setting: PluginSetting | None, column: str) -> float:
+        """One number of the wide table, NaN where it was not measured."""
+        if setting is None:
+            return float("nan")
+        row = self._rows.get((sequence, setting.name, setting.label), {})
+        value = row.get(column)
+        return float("nan") if value is None else float(value)
+
+    def size_kib(self, sequence: str, setting: PluginSetting | None) -> float:
+        """Mean size of a coded frame in KiB."""
+        return self.value(sequence, setting, "quality.size_bytes.mean") / KIB
+
+    def over_sequences(self, setting: PluginSetting | None, column: str, sequences: list[str]) -> float:
+        """Mean over several sequences of one column; NaN where none has it."""
+        values = np.array([self.value(sequence, setting, column) for sequence in sequences])
+        values = values[~np.isnan(values)]
+        return float(values.mean()) if len(values) else float("nan")
+
+
+def _same(first: Any, second: Any) -> bool:
+    if isinstance(first, int | float) and isinstance(second, int | float):
+        return float(first) == float(second)
+    return bool(first == second)

@@ -1,0 +1,33 @@
+"""The benchmarks that `pytest --codecbench` runs; see `pytest_plugin`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from codecbench.pytesting.baseline import Baseline
+from codecbench.pytesting.plugin import CodecCase
+
+
+def test_encode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Baseline) -> None:
+    case = codec_under_test
+    facts = case.facts()
+    benchmark.extra_info.update(facts)
+    benchmark(case.codec.encode, case.image)
+    complaint = codec_baseline.complaint(facts)
+    if not complaint and benchmark.enabled:
+        complaint = codec_baseline.time_complaint(case.name, "encode", lambda: case.codec.encode(case.image))
+    if complaint:
+        pytest.fail(complaint)
+
+
+def test_decode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Baseline) -> None:
+    case = codec_under_test
+    bitstream = case.codec.encode(case.image)
+    benchmark.extra_info.update(case.facts())
+    benchmark(case.codec.decode, bitstream)
+    if benchmark.enabled:
+        complaint = codec_baseline.time_complaint(case.name, "decode", lambda: case.codec.decode(bitstream))
+        if complaint:
+            pytest.fail(complaint)

@@ -1,0 +1,62 @@
+"""The conformance checks as a pytest suite, to be inherited in a codec author's repository.
+
+    from codecbench.pytesting.suite import CodecSuite
+    from my_package import MyCodec
+
+    class TestMyCodec(CodecSuite):
+        codec = MyCodec
+        settings = [{}, {"quality": 90}]
+
+Every check is a test of its own, run for each setting and each layout that the codec takes. The codec must be
+importable by its module's name in another process, as an installed package is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import pytest
+
+from codecbench.core.conformance.settings import setting_label
+from codecbench.core.conformance.suite import CHECKS, Check, run_checks
+from codecbench.core.contracts.codec import Codec
+
+__all__ = ["CodecSuite"]
+
+
+class CodecSuite:
+    """Inherit it and name the codec; a test `test_<check>` for each of the checks comes with it.
+
+    codec: the class to check. settings: parameters of the settings to check, the codec's `examples` where left out.
+    """
+
+    codec: ClassVar[type[Codec[Any]]]
+    settings: ClassVar[Sequence[dict[str, Any]]] = ()
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """Run each test of the class once for each setting."""
+        if "setting" in metafunc.fixturenames:
+            settings = list(self.settings or self.codec.examples)
+            metafunc.parametrize(
+                "setting", settings, ids=[setting_label("", setting) or "defaults" for setting in settings]
+            )
+
+
+def _test_of(check: Check) -> Callable[[CodecSuite, dict[str, Any]], None]:
+    def test(self: CodecSuite, setting: dict[str, Any]) -> None:
+        results = run_checks(self.codec, self.codec.params_type.model_validate(setting), [check])
+        failures = [f"{result.layout}: {result.reason}" for result in results if result.status == "failed"]
+        if failures:
+            pytest.fail(f"{check.proves}\n" + "\n".join(failures), pytrace=False)
+        if all(result.status == "skipped" for result in results):
+            pytest.skip(results[0].reason)
+
+    test.__name__ = f"test_{check.name}"
+    test.__qualname__ = f"{CodecSuite.__qualname__}.{test.__name__}"
+    test.__doc__ = f"Check that {check.proves}."
+    return test
+
+
+for _check in CHECKS:
+    setattr(CodecSuite, f"test_{_check.name}", _test_of(_check))

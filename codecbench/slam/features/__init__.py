@@ -1,0 +1,1 @@
+"""Corners, orientations, descriptors, and matches between them."""

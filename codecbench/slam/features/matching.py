@@ -1,0 +1,160 @@
+"""Matching features: in predicted windows and by appearance alone; on epipolar lines see triangulation.
+
+Both return, for each query, the index of its feature or -1. A feature is given to the one query that is
+nearest in Hamming distance (ties: the first), so that no feature is used twice.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.slam.features.extractor import CELL_PX, Features
+from codecbench.slam.features.hamming import hamming
+from codecbench.slam.thresholds import ROTATION_BINS, ROTATION_PEAKS
+
+Indices = NDArray[np.int64]
+_FAR = 512  # above any distance of 256 bits
+
+
+def match_in_windows(
+    pixels: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    octaves_low: NDArray[np.int64],
+    octaves_high: NDArray[np.int64],
+    descriptors: NDArray[np.uint64],
+    features: Features,
+    free: NDArray[np.bool_],
+    max_distance: int,
+    ratio: float = 1.0,
+) -> Indices:
+    """Match queries with the features near their predicted places.
+
+    Queries: `pixels` (Q, 2) predicted, `radii` (Q,) pixels, levels `octaves_low`..`octaves_high` (Q,), `descriptors`
+    (Q, 4). `free` (N,) marks the features that may be taken. A best match beyond `max_distance` bits, or not nearer
+    than `ratio` times the second best on the same level, is refused. Returns feature indices (Q,), -1 for none.
+    """
+    return np.asarray(
+        _match_in_windows(
+            pixels, radii, octaves_low, octaves_high, descriptors,
+            features.pixels, features.octaves, features.descriptors,
+            features.cell_starts, features.cell_members, features.grid,
+            free, max_distance, ratio,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _match_in_windows(
+    pixels: Any, radii: Any, octaves_low: Any, octaves_high: Any, descriptors: Any,
+    feature_pixels: Any, feature_octaves: Any, feature_descriptors: Any,
+    starts: Any, members: Any, grid: Any,
+    free: Any, max_distance: int, ratio: float,
+) -> Any:  # fmt: skip
+    columns, rows = int(grid[2]), int(grid[3])
+    matches = np.full(len(pixels), -1, np.int64)
+    owners = np.full(len(feature_pixels), -1, np.int64)
+    distances = np.full(len(feature_pixels), _FAR, np.int64)
+    for q in range(len(pixels)):
+        x, y, radius = pixels[q, 0], pixels[q, 1], radii[q]
+        first_column = max(int((x - radius - grid[0]) / CELL_PX), 0)
+        last_column = min(int((x + radius - grid[0]) / CELL_PX), columns - 1)
+        first_row = max(int((y - radius - grid[1]) / CELL_PX), 0)
+        last_row = min(int((y + radius - grid[1]) / CELL_PX), rows - 1)
+        if first_column > last_column:
+            continue
+        best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
+        for row in range(first_row, last_row + 1):
+            for m in range(starts[row * columns + first_column], starts[row * columns + last_column + 1]):
+                f = members[m]
+                octave = feature_octaves[f]
+                if not free[f] or octave < octaves_low[q] or octave > octaves_high[q]:
+                    continue
+                if abs(feature_pixels[f, 0] - x) > radius or abs(feature_pixels[f, 1] - y) > radius:
+                    continue
+                distance = hamming(descriptors, q, feature_descriptors, f)
+                if distance < best:
+                    second, second_octave = best, best_octave
+                    best, best_feature, best_octave = distance, f, octave
+                elif distance < second:
+                    second, second_octave = distance, octave
+        if best > max_distance or (best_octave == second_octave and best > ratio * second):
+            continue
+        claim(q, best_feature, best, matches, owners, distances)
+    return matches
+
+
+@njit(cache=True)
+def claim(query: int, feature: int, distance: int, matches: Any, owners: Any, distances: Any) -> None:
+    """Give `feature` to `query` if its owner so far, who then loses it, is further away; updates all in place.
+
+    `matches` (Q,) by query; `owners` (F,), -1 for none, and their Hamming `distances` (F,) by feature.
+    """
+    if distance < distances[feature]:
+        if owners[feature] >= 0:
+            matches[owners[feature]] = -1
+        owners[feature], distances[feature], matches[query] = query, distance, feature
+
+
+@njit(cache=True)
+def match_by_appearance(
+    descriptors_a: Any, nodes_a: Any, usable_a: Any, descriptors_b: Any, nodes_b: Any, usable_b: Any,
+    max_distance: int, ratio: float,
+) -> Any:  # fmt: skip
+    """Match descriptors (N, 4) with descriptors (M, 4) under the same vocabulary node; returns (N,), -1 for none.
+
+    `nodes_a` (N,), `nodes_b` (M,) are the nodes (all equal: every pair is compared), `usable_a`, `usable_b` masks.
+    The best match must be within `max_distance` bits and nearer than `ratio` times the second best.
+    """
+    matches = np.full(len(descriptors_a), -1, np.int64)
+    owners = np.full(len(descriptors_b), -1, np.int64)
+    distances = np.full(len(descriptors_b), _FAR, np.int64)
+    order = np.argsort(nodes_b, kind="mergesort")
+    sorted_nodes = nodes_b[order]
+    for i in range(len(descriptors_a)):
+        if not usable_a[i]:
+            continue
+        best, second, best_feature = _FAR, _FAR, -1
+        start = np.searchsorted(sorted_nodes, nodes_a[i], side="left")
+        for k in range(start, len(order)):
+            if sorted_nodes[k] != nodes_a[i]:
+                break
+            j = order[k]
+            if not usable_b[j]:
+                continue
+            distance = hamming(descriptors_a, i, descriptors_b, j)
+            if distance < best:
+                second, best, best_feature = best, distance, j
+            elif distance < second:
+                second = distance
+        if best <= max_distance and best < ratio * second:
+            claim(i, best_feature, best, matches, owners, distances)
+    return matches
+
+
+@njit(cache=True)
+def keep_consistent_rotations(matches: Any, angles_a: Any, angles_b: Any) -> Any:
+    """Set to -1, in place, the matches whose turn (angle a minus angle b) is not among the histogram's peaks.
+
+    `matches` (N,) index `angles_b`; angles in radians. The ROTATION_PEAKS fullest of ROTATION_BINS bins count as peaks,
+    the second and third only where they hold a tenth of the first. Returns `matches`.
+    """
+    bins = np.full(len(matches), -1, np.int64)
+    counts = np.zeros(ROTATION_BINS, np.int64)
+    for i in range(len(matches)):
+        if matches[i] >= 0:
+            turn = (angles_a[i] - angles_b[matches[i]]) / (2.0 * math.pi)
+            bins[i] = int((turn - math.floor(turn)) * ROTATION_BINS) % ROTATION_BINS
+            counts[bins[i]] += 1
+    order = np.argsort(-counts, kind="mergesort")
+    peak = np.zeros(ROTATION_BINS, np.bool_)
+    for k in range(ROTATION_PEAKS):
+        peak[order[k]] = counts[order[k]] * 10 >= counts[order[0]]
+    for i in range(len(matches)):
+        if matches[i] >= 0 and not peak[bins[i]]:
+            matches[i] = -1
+    return matches

@@ -1,0 +1,162 @@
+"""The inner loops of feature extraction."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from codecbench.slam.features.orb_pattern import ORB_PATTERN
+from codecbench.slam.features.sorting import stable_order
+from codecbench.slam.thresholds import BLUR_SIGMA_PX, PATCH_RADIUS_PX
+
+_RADIUS = PATCH_RADIUS_PX
+_PATTERN_X = np.ascontiguousarray(ORB_PATTERN.reshape(512, 2)[:, 0]).astype(np.float32)
+_PATTERN_Y = np.ascontiguousarray(ORB_PATTERN.reshape(512, 2)[:, 1]).astype(np.float32)
+_COLUMNS = 2 * (_RADIUS + 1)  # even, for whole vectors: the last column is in no disc
+_HALF_WIDTHS = np.array([int(math.sqrt(_RADIUS * _RADIUS - v * v) + 0.5) for v in range(_RADIUS + 1)])
+_DISC = (np.abs(np.arange(_COLUMNS) - _RADIUS) <= _HALF_WIDTHS[:, None]).astype(np.int16)  # rows 0.._RADIUS
+_GAUSSIAN = np.exp(-0.5 * (np.arange(-3, 4) / BLUR_SIGMA_PX) ** 2)
+_SIDE = tuple(np.uint16(w) for w in np.rint(256.0 * _GAUSSIAN[:3] / _GAUSSIAN.sum()))  # 256ths, the outermost first
+_CENTER = np.uint16(256 - 2 * sum(int(w) for w in _SIDE))
+
+
+@njit(cache=True)
+def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height: int, width: int, border: int) -> Any:
+    """Indices of at most `quota` corners (N, 2) with `scores` (N,) uint8, spread over the level, in reading order.
+
+    Only corners that score above `threshold` are taken. The level is divided into about `quota` square cells. Corners
+    are taken by their rank within their cell, the strongest of every cell first; the rank that does not fit whole is
+    taken by score. Ties go to reading order.
+    """
+    inner_width, inner_height = width - 2 * border, height - 2 * border
+    if inner_width < 1 or inner_height < 1 or quota < 1:
+        return np.empty(0, np.int64)
+    side = max(math.sqrt(inner_width * inner_height / quota), 1.0)
+    columns = int(inner_width / side) + 1
+    inside = np.empty(len(corners), np.int64)
+    cells = np.empty(len(corners), np.int64)
+    weakness = np.empty(len(corners), np.int64)
+    count = 0
+    for i in range(len(corners)):
+        x, y = corners[i, 0] - border, corners[i, 1] - border
+        if scores[i] > threshold and 0 <= x < inner_width and 0 <= y < inner_height:
+            inside[count], weakness[count] = i, 255 - np.int64(scores[i])
+            cells[count] = int(y / side) * columns + int(x / side)
+            count += 1
+    if count <= quota:
+        return inside[:count]
+    order = stable_order(weakness[:count], 256)
+    filled = np.zeros((int(inner_height / side) + 1) * columns, np.int64)
+    ranks = np.empty(count, np.int64)
+    for i in range(count):
+        cell = cells[order[i]]
+        ranks[i] = filled[cell]
+        filled[cell] += 1
+    by_rank = order[stable_order(ranks, ranks.max() + 1)]
+    return inside[np.sort(by_rank[:quota])]
+
+
+@njit(cache=True)
+def orient_patches(level: Any, corners: Any) -> Any:
+    """Direction (N,), radians in -pi..pi, from each corner to the intensity centroid of its disc (ORB, equation 3).
+
+    Rows of the disc go in pairs, above and below the corner; 16 bits hold the sums over rows.
+    """
+    angles = np.empty(len(corners))
+    sums, moments = np.empty(_COLUMNS, np.int16), np.empty(_COLUMNS, np.int16)
+    for i in range(len(corners)):
+        x, y = corners[i, 0], corners[i, 1]
+        row, disc = level[y, x - _RADIUS : x - _RADIUS + _COLUMNS], _DISC[0]
+        for k in range(np.uint64(_COLUMNS)):  # unsigned, and 16 bits: vector code
+            sums[k] = np.int16(row[k]) * disc[k]
+            moments[k] = 0
+        for v in range(1, _RADIUS + 1):
+            above = level[y - v, x - _RADIUS : x - _RADIUS + _COLUMNS]
+            below, disc = level[y + v, x - _RADIUS : x - _RADIUS + _COLUMNS], _DISC[v]
+            for k in range(np.uint64(_COLUMNS)):
+                a, b = np.int16(above[k]), np.int16(below[k])
+                sums[k] = np.int16(sums[k] + np.int16(np.int16(a + b) * disc[k]))
+                moments[k] = np.int16(moments[k] + np.int16(np.int16(np.int16(b - a) * disc[k]) * np.int16(v)))
+        m10, m01 = 0, 0
+        for k in range(_COLUMNS):
+            m10 += (k - _RADIUS) * sums[k]
+            m01 += moments[k]
+        angles[i] = math.atan2(float(m01), float(m10))
+    return angles
+
+
+@njit(cache=True)
+def blur_level(level: Any) -> Any:
+    """The level (height, width) uint8 smoothed by a Gaussian of seven pixels both ways, mirrored at the border.
+
+    Both passes round to 8 bits: their sums fit into 16, and vectors hold twice as many of them.
+    """
+    height, width = level.shape
+    blurred = np.empty_like(level)
+    line = np.empty(width + 6, np.uint8)  # a row smoothed from above and below, with three pixels more at each end
+    r0, r1, r2, r3, r4, r5, r6 = line, line[1:], line[2:], line[3:], line[4:], line[5:], line[6:]
+    last = height - 1
+    for y in range(height):
+        d1, d2, d3 = last - abs(last - y - 1), last - abs(last - y - 2), last - abs(last - y - 3)
+        u1, u2, u3 = abs(y - 1), abs(y - 2), abs(y - 3)
+        _weigh(level[u3], level[u2], level[u1], level[y], level[d1], level[d2], level[d3], line[3 : width + 3])
+        for k in range(3):
+            line[k], line[width + 5 - k] = line[6 - k], line[width - 1 + k]
+        _weigh(r0, r1, r2, r3, r4, r5, r6, blurred[y])
+    return blurred
+
+
+@njit(cache=True, inline="always")  # a call costs as much as half a row
+def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any) -> None:
+    """Fill `out` (N,) with the weighted mean of the first N values of seven rows."""
+    far, middle, near = _SIDE
+    for x in range(np.uint64(len(out))):
+        outer = np.uint16(far * np.uint16(np.uint16(a[x]) + np.uint16(g[x])))
+        outer = np.uint16(outer + np.uint16(middle * np.uint16(np.uint16(b[x]) + np.uint16(f[x]))))
+        inner = np.uint16(near * np.uint16(np.uint16(c[x]) + np.uint16(e[x])))
+        inner = np.uint16(inner + np.uint16(_CENTER * np.uint16(d[x]) + 128))
+        out[x] = np.uint8(np.uint16(outer + inner) >> np.uint16(8))
+
+
+@njit(cache=True)
+def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
+    """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
+    descriptors = np.empty((len(corners), 32), np.uint8)
+    stride = np.int32(blurred.shape[1])
+    flat = blurred.reshape(-1)
+    offsets = np.empty(512, np.int32)
+    half = np.float32(64.5)
+    for i in range(len(corners)):
+        corner = np.int32((corners[i, 1] - 64) * stride + corners[i, 0] - 64)
+        c, s = np.float32(math.cos(angles[i])), np.float32(math.sin(angles[i]))
+        for k in range(512):  # floor by truncation: 64 keeps the argument above zero; 32 bits: vector code
+            row = np.int32(_PATTERN_X[k] * s + _PATTERN_Y[k] * c + half)
+            column = np.int32(_PATTERN_X[k] * c - _PATTERN_Y[k] * s + half)
+            offsets[k] = np.int32(corner + np.int32(np.int32(row * stride) + column))
+        for byte in range(32):
+            value = 0
+            for bit in range(8):
+                k = 2 * (8 * byte + bit)
+                darker = flat[np.uint64(offsets[k])] < flat[np.uint64(offsets[k + 1])]
+                value |= np.int64(darker) << bit  # type: ignore[assignment]
+            descriptors[i, byte] = value
+    return descriptors
+
+
+@njit(cache=True)
+def index_cells(pixels: Any, grid: Any, cell_px: float) -> Any:
+    """Starts (cells + 1,) and members (N,) of the cells of `grid`; features outside go to the nearest cell."""
+    columns, rows = int(grid[2]), int(grid[3])
+    starts = np.zeros(columns * rows + 1, np.int64)
+    cells = np.empty(len(pixels), np.int64)
+    for i in range(len(pixels)):
+        column = min(max(int((pixels[i, 0] - grid[0]) / cell_px), 0), columns - 1)
+        row = min(max(int((pixels[i, 1] - grid[1]) / cell_px), 0), rows - 1)
+        cells[i] = row * columns + column
+        starts[cells[i] + 1] += 1
+    for k in range(columns * rows):
+        starts[k + 1] += starts[k]
+    return starts, stable_order(cells, columns * rows)

@@ -1,0 +1,316 @@
+"""Two-view geometry: homography, fundamental matrix, what motion they mean, and triangulation.
+
+Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 9, 11, 12.
+Pixels are undistorted; `b_from_a` maps image or camera a to b.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.slam.geometry.rotations import skew
+from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose
+from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
+
+Floats = NDArray[np.float64]
+_MAX_SWEEPS = 30
+
+
+@njit(cache=True)
+def normalize_pixels(pixels: Any) -> Any:
+    """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the (3, 3) that does it."""
+    x, y = pixels[:, 0].mean(), pixels[:, 1].mean()
+    distance = np.sqrt((pixels[:, 0] - x) ** 2 + (pixels[:, 1] - y) ** 2).mean()
+    scale = math.sqrt(2.0) / max(distance, 1e-12)
+    normalizer = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y], [0.0, 0.0, 1.0]])
+    normalized = np.empty_like(pixels)
+    normalized[:, 0] = (pixels[:, 0] - x) * scale
+    normalized[:, 1] = (pixels[:, 1] - y) * scale
+    return normalized, normalizer
+
+
+@njit(cache=True)
+def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
+    """Homography `b_from_a` (3, 3) of N >= 4 matches (N, 2) by the direct linear transform; normalise them first."""
+    n = len(pixels_a)
+    system = np.zeros((max(2 * n, 9), 9))
+    for i in range(n):
+        x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
+        system[2 * i, 3], system[2 * i, 4], system[2 * i, 5] = -x, -y, -1.0
+        system[2 * i, 6], system[2 * i, 7], system[2 * i, 8] = v * x, v * y, v
+        system[2 * i + 1, 0], system[2 * i + 1, 1], system[2 * i + 1, 2] = x, y, 1.0
+        system[2 * i + 1, 6], system[2 * i + 1, 7], system[2 * i + 1, 8] = -u * x, -u * y, -u
+    return _least_vector(system, 2 * n).reshape((3, 3))
+
+
+@njit(cache=True)
+def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
+    """Fundamental matrix (3, 3), x_b' F x_a = 0, of N >= 8 matches (N, 2), of rank two; normalise them first."""
+    n = len(pixels_a)
+    system = np.zeros((max(n, 9), 9))
+    for i in range(n):
+        x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
+        system[i] = np.array([u * x, u * y, u, v * x, v * y, v, x, y, 1.0])
+    u, s, vt = np.linalg.svd(_least_vector(system, n).reshape((3, 3)))
+    return (u * np.array([s[0], s[1], 0.0])) @ vt
+
+
+@njit(cache=True)
+def _least_vector(system: Any, equations: int) -> Any:
+    """The vector (9,) that a system (M, 9), whose first `equations` rows count, makes least for its length.
+
+    Eight equations make it zero, which Gaussian elimination finds soonest; zeros where they depend on each other.
+    """
+    if equations != 8:
+        return np.linalg.svd(system, False)[2][8].copy()
+    order, vector = np.arange(9), np.zeros(9)
+    for k in range(8):
+        pivot = k + np.argmax(np.abs(system[k, k:]))
+        order[k], order[pivot] = order[pivot], order[k]
+        for i in range(8):
+            system[i, k], system[i, pivot] = system[i, pivot], system[i, k]
+        if abs(system[k, k]) < 1e-12:
+            return vector
+        for i in range(k + 1, 8):
+            system[i, k:] -= system[i, k] / system[k, k] * system[k, k:]
+    vector[order[8]] = 1.0
+    for k in range(7, -1, -1):
+        vector[order[k]] = -(system[k, k + 1 :] * vector[order[k + 1 :]]).sum() / system[k, k]
+    return vector
+
+
+def fit_rotation(rays_a: Floats, rays_b: Floats) -> Floats:
+    """The rotation `b_from_a` (3, 3) that brings N >= 2 directions (N, 3) nearest to each other (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(rays_b.T @ rays_a)
+    return np.asarray(u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt)
+
+
+@njit(cache=True)
+def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
+    """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,)."""
+    determinant = np.linalg.det(b_from_a)
+    if abs(determinant) < 1e-12:
+        inliers[:] = False
+        return 0.0
+    a_from_b = np.linalg.inv(b_from_a)
+    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
+    score = 0.0
+    for i in range(len(pixels_a)):
+        forward = _transfer_error2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
+        backward = _transfer_error2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        inliers[i] = forward <= CHI2_95_2DOF and backward <= CHI2_95_2DOF
+        score += max(CHI2_95_2DOF - forward, 0.0) + max(CHI2_95_2DOF - backward, 0.0)
+    return score
+
+
+@njit(cache=True)
+def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
+    x, y = pixel_a[0], pixel_a[1]
+    w = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    if abs(w) < 1e-12:
+        return np.inf
+    dx = (b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]) / w - pixel_b[0]
+    dy = (b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]) / w - pixel_b[1]
+    return float(dx * dx + dy * dy)
+
+
+@njit(cache=True)
+def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
+    """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,)."""
+    a_from_b = b_from_a.T.copy()
+    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
+    score = 0.0
+    for i in range(len(pixels_a)):
+        forward = _line_distance2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
+        backward = _line_distance2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        inliers[i] = forward <= CHI2_95_1DOF and backward <= CHI2_95_1DOF
+        if forward <= CHI2_95_1DOF:
+            score += CHI2_95_2DOF - forward
+        if backward <= CHI2_95_1DOF:
+            score += CHI2_95_2DOF - backward
+    return score
+
+
+@njit(cache=True)
+def _line_distance2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
+    x, y = pixel_a[0], pixel_a[1]
+    a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
+    b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
+    c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    norm2 = a * a + b * b
+    if norm2 < 1e-24:
+        return np.inf
+    distance = a * pixel_b[0] + b * pixel_b[1] + c
+    return float(distance * distance / norm2)
+
+
+def decompose_homography(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
+    """The motions `b_from_a` (4, 4), unit or zero translation, that a homography of pixels allows (Malis 2007)."""
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(b_from_a, camera_matrix)
+    pairs = zip(rotations, translations, strict=True)
+    return [_motion(np.asarray(r, np.float64), np.asarray(t, np.float64).ravel()) for r, t in pairs]
+
+
+def decompose_fundamental(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
+    """The four motions `b_from_a` (4, 4), unit translation, that a fundamental matrix allows (section 9.6.2)."""
+    u, _, vt = np.linalg.svd(camera_matrix.T @ b_from_a @ camera_matrix)
+    u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotations = (u @ turn @ vt, u @ turn.T @ vt)
+    return [_motion(rotation, sign * u[:, 2]) for rotation in rotations for sign in (1.0, -1.0)]
+
+
+def _motion(rotation: Floats, translation: Floats) -> Floats:
+    motion = np.eye(4)
+    motion[:3, :3] = rotation
+    length = float(np.linalg.norm(translation))
+    motion[:3, 3] = translation / length if length > 1e-12 else translation
+    return motion
+
+
+@njit(cache=True)
+def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any) -> Any:
+    """Fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,) in image b, pixels.
+
+    `camera_matrix` (3, 3) is without skew. An epipole at infinity comes back 1e6 pixels out in its direction.
+    """
+    b_from_a = sim3_compose(b_from_world, se3_inverse(a_from_world))
+    t = b_from_a[:3, 3].copy()
+    fx, fy, cx, cy = camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]
+    inverse = np.array([[1.0 / fx, 0.0, -cx / fx], [0.0, 1.0 / fy, -cy / fy], [0.0, 0.0, 1.0]])
+    rotation = np.ascontiguousarray(b_from_a[:3, :3])
+    fundamental = inverse.T @ (skew(t) @ rotation @ inverse)
+    u, v = fx * t[0] + cx * t[2], fy * t[1] + cy * t[2]
+    length = math.sqrt(u * u + v * v)
+    scale = 1.0 / t[2] if abs(t[2]) > 1e-6 * length else 1e6 / max(length, 1e-300)
+    return fundamental, np.array([scale * u, scale * v])
+
+
+@njit(cache=True)
+def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any) -> Any:
+    """Points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
+
+    Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. Coordinates of points at infinity are not finite.
+    """
+    points = np.empty((len(pixels_a), 3))
+    system = np.empty((4, 4))
+    for i in range(len(pixels_a)):
+        x, y, z, w = triangulate_pair(a_from_world, b_from_world, pixels_a[i], pixels_b[i], intrinsics, system)
+        if w != 0.0:
+            points[i, 0], points[i, 1], points[i, 2] = x / w, y / w, z / w
+        else:
+            points[i] = np.inf
+    return points
+
+
+@njit(cache=True)
+def triangulate_pair(
+    a_from_world: Any, b_from_world: Any, pixel_a: Any, pixel_b: Any, intrinsics: Any, system: Any
+) -> Any:
+    """Homogeneous coordinates of the point that two pixels show; see `triangulate`. `system` (4, 4) is overwritten."""
+    fx, fy, cx, cy = intrinsics
+    xa, ya = (pixel_a[0] - cx) / fx, (pixel_a[1] - cy) / fy
+    xb, yb = (pixel_b[0] - cx) / fx, (pixel_b[1] - cy) / fy
+    for k in range(4):
+        system[0, k] = xa * a_from_world[2, k] - a_from_world[0, k]
+        system[1, k] = ya * a_from_world[2, k] - a_from_world[1, k]
+        system[2, k] = xb * b_from_world[2, k] - b_from_world[0, k]
+        system[3, k] = yb * b_from_world[2, k] - b_from_world[1, k]
+    return _null_vector(system)
+
+
+@njit(cache=True)
+def _null_vector(system: Any) -> Any:
+    """The right singular vector of the least singular value of a (4, 4), which is overwritten.
+
+    One-sided Jacobi rotations make the columns orthogonal (Golub and Van Loan, section 8.6.3): as accurate as LAPACK's
+    decomposition, which takes ten times as long at this size.
+    """
+    turned = np.eye(4)
+    for _ in range(_MAX_SWEEPS):
+        settled = True
+        for p in range(3):
+            for q in range(p + 1, 4):
+                pp, qq, pq = 0.0, 0.0, 0.0
+                for k in range(4):
+                    pp += system[k, p] * system[k, p]
+                    qq += system[k, q] * system[k, q]
+                    pq += system[k, p] * system[k, q]
+                if abs(pq) <= 1e-15 * math.sqrt(pp * qq):
+                    continue
+                settled = False
+                zeta = (qq - pp) / (2.0 * pq)
+                tangent = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+                c = 1.0 / math.sqrt(1.0 + tangent * tangent)
+                s = c * tangent
+                for k in range(4):
+                    a, b = system[k, p], system[k, q]
+                    system[k, p], system[k, q] = c * a - s * b, s * a + c * b
+                    a, b = turned[k, p], turned[k, q]
+                    turned[k, p], turned[k, q] = c * a - s * b, s * a + c * b
+        if settled:
+            break
+    least, shortest = 0, np.inf
+    for q in range(4):
+        length = 0.0
+        for k in range(4):
+            length += system[k, q] * system[k, q]
+        if length < shortest:
+            least, shortest = q, length
+    return turned[0, least], turned[1, least], turned[2, least], turned[3, least]
+
+
+@njit(cache=True)
+def judge_points(
+    points: Any, a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any,
+    errors_a: Any, errors_b: Any, depths_a: Any, depths_b: Any, cosines: Any,
+) -> None:  # fmt: skip
+    """Fill in, for each point (N, 3), its squared reprojection errors, depths and the cosine between its two rays."""
+    fx, fy, cx, cy = intrinsics
+    a, b = a_from_world, b_from_world
+    center_a = -(a[:3, 3].copy() @ a[:3, :3].copy())
+    center_b = -(b[:3, 3].copy() @ b[:3, :3].copy())
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        depths_a[i] = a[2, 0] * x + a[2, 1] * y + a[2, 2] * z + a[2, 3]
+        depths_b[i] = b[2, 0] * x + b[2, 1] * y + b[2, 2] * z + b[2, 3]
+        za = depths_a[i] if depths_a[i] != 0.0 else 1e-12
+        zb = depths_b[i] if depths_b[i] != 0.0 else 1e-12
+        ua = fx * (a[0, 0] * x + a[0, 1] * y + a[0, 2] * z + a[0, 3]) / za + cx - pixels_a[i, 0]
+        va = fy * (a[1, 0] * x + a[1, 1] * y + a[1, 2] * z + a[1, 3]) / za + cy - pixels_a[i, 1]
+        ub = fx * (b[0, 0] * x + b[0, 1] * y + b[0, 2] * z + b[0, 3]) / zb + cx - pixels_b[i, 0]
+        vb = fy * (b[1, 0] * x + b[1, 1] * y + b[1, 2] * z + b[1, 3]) / zb + cy - pixels_b[i, 1]
+        errors_a[i], errors_b[i] = ua * ua + va * va, ub * ub + vb * vb
+        xa, ya, wa = x - center_a[0], y - center_a[1], z - center_a[2]
+        xb, yb, wb = x - center_b[0], y - center_b[1], z - center_b[2]
+        norm = math.sqrt((xa * xa + ya * ya + wa * wa) * (xb * xb + yb * yb + wb * wb))
+        cosines[i] = (xa * xb + ya * yb + wa * wb) / norm if norm > 0.0 else 1.0
+
+
+class TwoViewPoints:
+    """Points triangulated from two views, with what there is to judge them by.
+
+    `points` (N, 3) in the world; `errors_a`, `errors_b` squared reprojection errors, px^2; `depths_a`, `depths_b`;
+    `cosines` between the two rays; (N,) each. Points at infinity have depth -1 and cosine 1.
+    """
+
+    def __init__(
+        self, a_from_world: Floats, b_from_world: Floats, pixels_a: Floats, pixels_b: Floats, intrinsics: Floats
+    ) -> None:
+        points = triangulate(a_from_world, b_from_world, pixels_a, pixels_b, intrinsics)
+        far = ~np.isfinite(points).all(axis=1)
+        points[far] = 0.0
+        self.points: Floats = points
+        self.errors_a, self.errors_b, self.depths_a, self.depths_b, self.cosines = np.empty((5, len(points)))
+        judge_points(
+            points, np.ascontiguousarray(a_from_world), np.ascontiguousarray(b_from_world), pixels_a, pixels_b,
+            intrinsics, self.errors_a, self.errors_b, self.depths_a, self.depths_b, self.cosines,
+        )  # fmt: skip
+        self.depths_a[far] = self.depths_b[far] = -1.0
+        self.cosines[far] = 1.0

@@ -1,0 +1,41 @@
+"""A frame on its way through tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.slam.features.extractor import Features
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.map.map import NONE
+
+
+@dataclass
+class Frame:
+    """An image's features, the map points that they show, and its pose once known.
+
+    `points` (N,) index map points by feature, NONE where there is none; `camera_from_world` (4, 4); `reference` is the
+    keyframe that shares most points with it; `decode` gives the features of the decoded image, where keyframes are
+    coded.
+    """
+
+    index: int
+    timestamp_s: float
+    features: Features
+    points: NDArray[np.int64]
+    camera_from_world: Array
+    reference: int = NONE
+    decode: Callable[[], Features] | None = None
+
+    @classmethod
+    def of(cls, index: int, timestamp_s: float, features: Features) -> Frame:
+        """A frame that shows no map point yet."""
+        return cls(index, timestamp_s, features, np.full(len(features), NONE, np.int64), np.eye(4))
+
+    @property
+    def matched(self) -> NDArray[np.int64]:
+        """The features that show a map point."""
+        return np.nonzero(self.points >= 0)[0]

@@ -1,0 +1,126 @@
+"""Merging duplicates: points searched in a keyframe that does not see them yet (ORB-SLAM VI-C)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from codecbench.slam import thresholds
+from codecbench.slam.features.extractor import CELL_PX
+from codecbench.slam.features.hamming import hamming
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.map.map import Indices, Map
+from codecbench.slam.map.projection import project_points
+
+
+class _Points(NamedTuple):
+    """What a view of the points depends on; see PointTable."""
+
+    positions: Any
+    normals: Any
+    min_distances: Any
+    max_distances: Any
+    descriptors: Any
+    alive: Any
+
+
+class _View(NamedTuple):
+    """A keyframe's pose and features: `camera_from_world` (4, 4), `intrinsics` (4,), `bounds` (4,) of the image,
+    `scale_factors`; `points` (N,) that it sees; the rest as in Features."""
+
+    camera_from_world: Any
+    intrinsics: Any
+    bounds: Any
+    scale_factors: Any
+    points: Any
+    pixels: Any
+    octaves: Any
+    descriptors: Any
+    cell_starts: Any
+    cell_members: Any
+    grid: Any
+
+
+def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_from_world: Array) -> int:
+    """Project `points` into a keyframe: where a feature is free they are observed, where it shows another point the
+    two become one, the one that more keyframes see. Returns how many were matched.
+
+    `camera_from_world` (4, 4) may differ from the keyframe's pose: a corrected one while a loop is closed.
+    """
+    table, features = slam_map.points, slam_map.keyframes.features[keyframe]
+    shown = slam_map.keyframes.points[keyframe, : len(features)]
+    view = _View(
+        camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, shown, features.pixels,
+        features.octaves, features.descriptors, features.cell_starts, features.cell_members, features.grid,
+    )  # fmt: skip
+    columns = table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.alive
+    candidates, found = _find_duplicates(points, _Points(*columns), view)
+    others = shown[found]
+    free = others < 0
+    if free.any():
+        slam_map.observe(keyframe, found[free], candidates[free])
+    if not free.all():
+        candidates, others = candidates[~free], others[~free]
+        stronger = table.observation_counts[candidates] > table.observation_counts[others]
+        slam_map.replace_points(np.where(stronger, others, candidates), np.where(stronger, candidates, others))
+    return len(free)
+
+
+@njit(cache=True)
+def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
+    """Those of `points` (P,) that features of a view may show though it does not see them, (N,), and the features (N,).
+
+    A feature is given to the point that is nearest in Hamming distance, the first of equals.
+    """
+    points = _absent(points, table.alive, view.points)
+    kept, pixels, octaves, _ = project_points(
+        points, table.positions, table.normals, table.min_distances, table.max_distances,
+        view.camera_from_world, view.intrinsics, view.bounds, view.scale_factors, thresholds.VIEWING_COSINE,
+    )  # fmt: skip
+    points = points[kept]
+    descriptors, pixels_b, octaves_b, descriptors_b = table.descriptors, view.pixels, view.octaves, view.descriptors
+    starts, members, grid, scale_factors = view.cell_starts, view.cell_members, view.grid, view.scale_factors
+    columns, rows = int(grid[2]), int(grid[3])
+    winners = np.full(len(pixels_b), -1, np.int64)
+    distances = np.full(len(pixels_b), thresholds.HAMMING_LOW + 1, np.int64)
+    for i in range(len(points)):
+        radius = thresholds.FUSE_WINDOW_PX * scale_factors[octaves[i]]
+        x, y = pixels[i, 0] - grid[0], pixels[i, 1] - grid[1]
+        left, right = max(int((x - radius) / CELL_PX), 0), min(int((x + radius) / CELL_PX) + 1, columns)
+        best, best_distance = -1, thresholds.HAMMING_LOW + 1
+        for row in range(max(int((y - radius) / CELL_PX), 0), min(int((y + radius) / CELL_PX) + 1, rows)):
+            for f in members[starts[row * columns + left] : starts[row * columns + right]]:
+                if octaves_b[f] < octaves[i] - 1 or octaves_b[f] > octaves[i]:
+                    continue
+                dx, dy, scale = (
+                    pixels_b[f, 0] - pixels[i, 0],
+                    pixels_b[f, 1] - pixels[i, 1],
+                    scale_factors[octaves_b[f]],
+                )
+                if dx * dx + dy * dy >= thresholds.CHI2_95_2DOF * scale * scale:
+                    continue
+                distance = hamming(descriptors, points[i], descriptors_b, f)
+                if distance < best_distance:
+                    best, best_distance = f, distance
+        if best >= 0 and best_distance < distances[best]:
+            winners[best], distances[best] = points[i], best_distance
+    found = np.nonzero(winners >= 0)[0]
+    return winners[found], found
+
+
+@njit(cache=True)
+def _absent(points: Any, alive: Any, shown: Any) -> Any:
+    """Those of `points` (P,) that live and that a view does not show, (N,)."""
+    seen = np.zeros(len(alive), np.bool_)
+    for point in shown:
+        if point >= 0:
+            seen[point] = True
+    kept, count = np.empty(len(points), np.int64), 0
+    for point in points:
+        if alive[point] and not seen[point]:
+            kept[count] = point
+            count += 1
+    return kept[:count]

@@ -1,0 +1,197 @@
+"""The map: keyframes, points, and which keyframe sees which point (ORB-SLAM III-C, III-D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.map import kernels as map_kernels
+from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, grown
+from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
+
+__all__ = ["NONE", "CulledKeyframe", "Indices", "KeyframeTable", "Map", "PointTable", "grown"]
+
+
+@dataclass(frozen=True)
+class CulledKeyframe:
+    """Where a removed keyframe stays attached: to `anchor`, with the anchor's scale at that time."""
+
+    anchor: int
+    camera_from_anchor: Array
+    anchor_scale: float
+
+
+class Map:
+    """Keyframes and points with the graph between them."""
+
+    def __init__(self, index: int, scale_factors: Array, features_limit: int) -> None:
+        self.index = index
+        self.scale_factors = scale_factors
+        self.points = PointTable()
+        self.keyframes = KeyframeTable(features_limit)
+        self.culled: dict[int, CulledKeyframe] = {}
+        self.loop_edges: list[tuple[int, int]] = []
+        self._covisible: dict[int, tuple[Indices, Indices]] = {}  # until observations change
+        self._link_count = 0
+        self._links = np.empty((16384, 3), np.int32)
+
+    # Observations ---------------------------------------------------------------------------------------------
+
+    def observe(self, keyframes: int | Indices, features: Indices, points: Indices) -> None:
+        """Record that a keyframe, or keyframes[i], sees points[i] at features[i]; neither may be seen there yet."""
+        self._covisible.clear()
+        keyframes = np.full(len(points), keyframes, np.int64)
+        first = self._link_count
+        self._link_count += len(points)
+        self._links = grown(self._links, self._link_count, NONE)
+        map_kernels.add_links(
+            points, keyframes, features, first, self.points.heads, self.points.observation_counts, self._links
+        )
+        self.keyframes.points[keyframes, features] = points
+
+    @property
+    def _lists(self) -> map_kernels.Links:
+        table = self.points
+        return map_kernels.Links(table.heads, table.observation_counts, self._links, self.keyframes.points, table.alive)
+
+    def unobserve(self, keyframes: Indices, features: Indices) -> None:
+        """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
+        self._covisible.clear()
+        map_kernels.forget_observations(keyframes, features, self._lists)
+
+    def observations(self, points: Indices, among: Indices | None = None) -> tuple[Indices, Indices, Indices]:
+        """Index into `points`, keyframe and feature of each observation, (M,) each; only those by keyframes `among`."""
+        wanted = np.full(self.keyframes.count, among is None)
+        wanted[among if among is not None else []] = True
+        which, keyframes, features = map_kernels.list_observations(
+            points, wanted, self.points.observation_counts, self.points.heads, self._links
+        )
+        return which, keyframes, features
+
+    def remove_points(self, points: Indices) -> None:
+        """Let points die and forget who saw them."""
+        self._covisible.clear()
+        map_kernels.kill_points(points, self._lists)
+
+    def replace_points(self, old: Indices, new: Indices) -> None:
+        """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies. No point is in both."""
+        self._covisible.clear()
+        table = self.points
+        replacements = map_kernels.Replacements(table.replaced_by, table.found, table.visible)
+        map_kernels.replace(old, new, self._lists, replacements)
+
+    def resolve_points(self, points: Indices) -> Indices:
+        """`points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
+        resolved = points.copy()
+        while True:
+            replaced = (resolved >= 0) & (self.points.replaced_by[resolved] >= 0)
+            if not replaced.any():
+                break
+            resolved[replaced] = self.points.replaced_by[resolved[replaced]]
+        resolved[(resolved >= 0) & ~self.points.alive[resolved]] = NONE
+        return resolved
+
+    def refresh_points(self, points: Indices, descriptors: bool = True) -> None:
+        """Recompute what a point derives from its observations: normal, distances, descriptor."""
+        table, keyframes = self.points, self.keyframes
+        map_kernels.refresh_points(
+            points, table.positions, table.references, table.heads, self._links,
+            keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
+            table.normals, table.min_distances, table.max_distances, table.descriptors, descriptors,
+        )  # fmt: skip
+
+    # The graph ------------------------------------------------------------------------------------------------
+
+    def covisibility(self, points: Indices) -> Indices:
+        """How many of `points` each keyframe sees (K,); NONE is skipped."""
+        return np.asarray(map_kernels.count_covisible(points, self.keyframes.count, self.points.heads, self._links))
+
+    def neighbors(
+        self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
+    ) -> tuple[Indices, Indices]:
+        """Keyframes that share `min_points` points with `keyframe`, most first, and how many they share."""
+        if keyframe not in self._covisible:
+            self._covisible[keyframe] = self._find_covisible(keyframe)
+        keyframes, weights = self._covisible[keyframe]
+        end = np.searchsorted(-weights, -min_points, side="right") if min_points > 1 else None
+        return keyframes[:end][:limit], weights[:end][:limit]
+
+    def _find_covisible(self, keyframe: int) -> tuple[Indices, Indices]:
+        weights = self.covisibility(self.keyframes.points[keyframe])
+        weights[keyframe] = 0
+        order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+        weights = weights[order]
+        order.flags.writeable = weights.flags.writeable = False  # they are shared
+        return order, weights
+
+    def points_of(self, keyframes: Indices) -> Indices:
+        """The points that any of `keyframes` sees, ascending."""
+        return np.asarray(map_kernels.unite_points(keyframes, self.keyframes.points, self.points.count))
+
+    def is_redundant(self, keyframe: int) -> bool:
+        """Whether nearly all points of `keyframe` are seen by enough others at least as finely (ORB-SLAM VI-E)."""
+        return bool(
+            map_kernels.is_redundant(
+                self.keyframes.points[keyframe], keyframe, self.keyframes.octaves, self.points.heads, self._links
+            )
+        )  # fmt: skip
+
+    # Keyframes ------------------------------------------------------------------------------------------------
+
+    def attach(self, keyframe: int) -> None:
+        """Hang `keyframe` into the spanning tree, below the older keyframe with which it shares most points."""
+        weights = self.covisibility(self.keyframes.points[keyframe])[:keyframe]
+        if len(weights) and weights.max() > 0:
+            self.keyframes.parents[keyframe] = int(np.argmax(weights))
+        elif keyframe > 0:
+            self.keyframes.parents[keyframe] = int(np.nonzero(self.keyframes.alive[:keyframe])[0][-1])
+
+    def remove_keyframe(self, keyframe: int) -> None:
+        """Take a keyframe out; frames and children that hang on it hang on its parent from now on."""
+        table = self.keyframes
+        parent = int(table.parents[keyframe])
+        camera_from_anchor = table.camera_from_world[keyframe] @ np.linalg.inv(table.camera_from_world[parent])
+        self.culled[keyframe] = CulledKeyframe(parent, camera_from_anchor, float(table.scales[parent]))
+        seen = np.nonzero(table.points[keyframe] >= 0)[0]
+        self.unobserve(np.full(len(seen), keyframe), seen)
+        table.alive[keyframe] = False
+        for child in np.nonzero((table.parents[: table.count] == keyframe) & table.alive[: table.count])[0]:
+            self.attach(int(child))
+
+    def pose(self, keyframe: int) -> Array:
+        """camera_from_world (4, 4) of a keyframe, be it alive or culled."""
+        pose = np.eye(4)
+        while keyframe in self.culled:
+            link = self.culled[keyframe]
+            step = link.camera_from_anchor.copy()
+            step[:3, 3] *= self.keyframes.scales[link.anchor] / link.anchor_scale
+            pose, keyframe = pose @ step, link.anchor
+        return np.asarray(pose @ self.keyframes.camera_from_world[keyframe])
+
+    def scale_of(self, keyframe: int) -> float:
+        """By how much loop corrections have stretched the neighbourhood of a keyframe, be it alive or culled."""
+        scale = 1.0
+        while keyframe in self.culled:
+            link = self.culled[keyframe]
+            scale *= float(self.keyframes.scales[keyframe]) / link.anchor_scale
+            keyframe = link.anchor
+        return scale * float(self.keyframes.scales[keyframe])
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all lengths by `factor`."""
+        table = self.keyframes
+        poses = table.camera_from_world[: table.count]
+        poses[:, :3, 3] *= factor
+        table.set_pose(np.arange(table.count), poses)
+        self.points.positions *= factor
+        self.refresh_points(self.alive_points, False)
+
+    @property
+    def alive_keyframes(self) -> Indices:
+        return np.nonzero(self.keyframes.alive[: self.keyframes.count])[0]
+
+    @property
+    def alive_points(self) -> Indices:
+        return np.nonzero(self.points.alive[: self.points.count])[0]

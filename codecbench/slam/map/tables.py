@@ -1,0 +1,125 @@
+"""The tables of the map: points and keyframes, one a row, in arrays that grow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.slam.features.extractor import Features
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.map.kernels import Views
+
+Indices = NDArray[np.int64]
+NONE = -1
+"""The index of no point or no keyframe."""
+
+
+def grown(array: NDArray[Any], rows: int, fill: Any) -> NDArray[Any]:
+    """`array` with at least `rows` rows, twice as many as before when it must grow; new ones hold `fill`."""
+    if rows <= len(array):
+        return array
+    longer = np.full((max(2 * len(array), rows), *array.shape[1:]), fill, array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+class PointTable:
+    """The points, one a row: `count` rows are in use, dead ones among them (`alive`).
+
+    `positions`, `normals` (mean viewing direction) (P, 3) in the world; `min_distances`, `max_distances` at which the
+    pyramid can show the point; `descriptors` (P, 4); `visible` and `found`: frames that should see and do see it;
+    `born`: number of keyframes made before it; `references`: keyframe whose view gave its scale; `replaced_by`: the
+    point that took its place, or NONE.
+    """
+
+    def __init__(self, capacity: int = 4096) -> None:
+        self.count = 0
+        self.positions = np.zeros((capacity, 3))
+        self.normals = np.zeros((capacity, 3))
+        self.min_distances = np.zeros(capacity)
+        self.max_distances = np.zeros(capacity)
+        self.descriptors = np.zeros((capacity, 4), np.uint64)
+        self.alive = np.zeros(capacity, np.bool_)
+        self.visible = np.zeros(capacity, np.int64)
+        self.found = np.zeros(capacity, np.int64)
+        self.born = np.zeros(capacity, np.int64)
+        self.references = np.full(capacity, NONE, np.int64)
+        self.replaced_by = np.full(capacity, NONE, np.int64)
+        self.heads = np.full(capacity, NONE, np.int64)
+        self.observation_counts = np.zeros(capacity, np.int64)
+
+    def add(self, positions: Array, reference: int, born: int) -> Indices:
+        """New points at `positions` (N, 3); returns their indices (N,)."""
+        rows = self.count + len(positions)
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                fill = NONE if name in ("references", "replaced_by", "heads") else 0
+                setattr(self, name, grown(array, rows, fill))
+        added = np.arange(self.count, rows)
+        self.count = rows
+        self.positions[added] = positions
+        self.alive[added] = True
+        self.visible[added] = self.found[added] = 1
+        self.born[added], self.references[added] = born, reference
+        return added
+
+
+class KeyframeTable:
+    """The keyframes, one a row: `count` rows are in use, dead ones among them (`alive`).
+
+    `camera_from_world` (K, 4, 4); `centers_world` (K, 3); `octaves`, `pixels`, `descriptors`, `points` (K, F, ...) by
+    feature, `points` NONE where a feature has none; `frame_indices` and `parents` (in the spanning tree) (K,);
+    `scales`: by how much loop corrections have stretched the neighbourhood; `features` the Features objects.
+    """
+
+    def __init__(self, features_limit: int, capacity: int = 64) -> None:
+        self.count = 0
+        self.camera_from_world = np.tile(np.eye(4), (capacity, 1, 1))
+        self.centers_world = np.zeros((capacity, 3))
+        self.pixels = np.zeros((capacity, features_limit, 2))
+        self.octaves = np.zeros((capacity, features_limit), np.int32)
+        self.descriptors = np.zeros((capacity, features_limit, 4), np.uint64)
+        self.points = np.full((capacity, features_limit), NONE, np.int64)
+        self.feature_counts = np.zeros(capacity, np.int64)
+        self.frame_indices = np.full(capacity, NONE, np.int64)
+        self.parents = np.full(capacity, NONE, np.int64)
+        self.scales = np.ones(capacity)
+        self.alive = np.zeros(capacity, np.bool_)
+        self.features: list[Features] = []
+        self.timestamps_s: list[float] = []
+
+    def add(self, features: Features, camera_from_world: Array, frame_index: int, timestamp_s: float) -> int:
+        """A new keyframe that sees no point yet; returns its index."""
+        k = self.count
+        fills = {"points": NONE, "frame_indices": NONE, "parents": NONE, "scales": 1.0}
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                setattr(self, name, grown(array, k + 1, fills.get(name, 0)))
+        self.count = k + 1
+        n = len(features)
+        self.pixels[k, :n] = features.pixels
+        self.octaves[k, :n] = features.octaves
+        self.descriptors[k, :n] = features.descriptors
+        self.feature_counts[k] = n
+        self.alive[k] = True
+        self.frame_indices[k] = frame_index
+        self.features.append(features)
+        self.timestamps_s.append(timestamp_s)
+        self.set_pose(k, camera_from_world)
+        return k
+
+    @property
+    def views(self) -> Views:
+        """The table as compiled code reads it."""
+        return Views(
+            self.camera_from_world, self.centers_world, self.pixels, self.octaves, self.descriptors, self.points,
+            self.feature_counts,
+        )  # fmt: skip
+
+    def set_pose(self, keyframe: int | Indices, camera_from_world: Array) -> None:
+        """Set one pose (4, 4) or several (N, 4, 4)."""
+        self.camera_from_world[keyframe] = camera_from_world
+        rotations, translations = camera_from_world[..., :3, :3], camera_from_world[..., :3, 3]
+        self.centers_world[keyframe] = -np.einsum("...ji,...j->...i", rotations, translations)

@@ -1,0 +1,181 @@
+"""New points for a new keyframe: its free features are searched in its neighbours, on epipolar lines (ORB-SLAM VI-C).
+
+One compiled call does all neighbours. Nothing here checks an index.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from codecbench.slam import thresholds
+from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.matching import claim
+from codecbench.slam.geometry.two_view import fundamental_between, triangulate_pair
+from codecbench.slam.map.kernels import Views, median_depth
+from codecbench.slam.optimisation.bundle_kernels import reprojection
+
+_OCTAVES_APART = 2
+"""Most levels between two features that match (own)."""
+
+
+@njit(cache=True)
+def triangulate_features(
+    keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any
+) -> Any:
+    """Points that free features of `keyframe` show together with free features of its `neighbors`, first come first
+    served.
+
+    `positions` (P, 3) of the map's points. Returns for each new point its
+    feature in `keyframe` (N,), the neighbour (N,), the feature there (N,), and its place in the world (N, 3).
+    """
+    count = views.counts[keyframe]
+    free = views.points[keyframe, :count] < 0
+    features, partners, partner_features = np.empty((3, count), np.int64)
+    points, system, made = np.empty((count, 3)), np.empty((4, 4)), 0
+    for neighbor in neighbors:
+        depth = median_depth(views.points[neighbor], positions, views.poses[neighbor])
+        if _distance(views.centers[keyframe], views.centers[neighbor]) < thresholds.TRIANGULATION_MIN_BASELINE * depth:
+            continue
+        matches = _match_on_lines(keyframe, neighbor, free, views, camera_matrix, scale_factors)
+        for f in range(count):
+            other = matches[f]
+            if other >= 0 and _triangulate_match(
+                keyframe, f, neighbor, other, views, camera_matrix, scale_factors, system, points[made]
+            ):
+                features[made], partners[made], partner_features[made] = f, neighbor, other
+                free[f] = False
+                made += 1
+    return features[:made], partners[:made], partner_features[:made], points[:made]
+
+
+@njit(cache=True)
+def _distance(a: Any, b: Any) -> float:
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@njit(cache=True)
+def _match_on_lines(
+    keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any
+) -> Any:
+    """Match the free features of a keyframe with those of a neighbour near their epipolar lines (F,), -1 for none.
+
+    A feature of the neighbour is given to the one that is nearest in Hamming distance, the first of equals.
+    """
+    fundamental, epipole = fundamental_between(views.poses[keyframe], views.poses[neighbor], camera_matrix)
+    candidates, starts = _candidates(neighbor, epipole, views, scale_factors)
+    xs, ys = np.empty((2, len(candidates)), np.float32)
+    reaches = np.empty(len(candidates), np.float32)
+    for k, f in enumerate(candidates):
+        xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
+        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF) * scale_factors[views.octaves[neighbor, f]]
+    pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
+    descriptors_b = views.descriptors[neighbor]
+    eights = np.zeros(len(candidates) // 8 + 1, np.uint64)
+    near, hits = eights.view(np.uint8), np.empty(len(candidates) + 8, np.int64)
+    matches = np.full(len(free), -1, np.int64)
+    owners = np.full(views.counts[neighbor], -1, np.int64)
+    distances = np.full(views.counts[neighbor], thresholds.HAMMING_LOW + 1, np.int64)
+    for f in range(len(free)):
+        if not free[f]:
+            continue
+        first = starts[max(octaves[f] - _OCTAVES_APART, 0)]
+        last = starts[min(octaves[f] + _OCTAVES_APART + 1, len(starts) - 1)]
+        _mark_near_line(
+            fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
+        )
+        count = _list_marked(eights, near, last - first, hits)
+        best, best_distance = -1, thresholds.HAMMING_LOW + 1
+        for k in hits[:count]:
+            other = candidates[first + k]
+            distance = hamming(descriptors, f, descriptors_b, other)
+            if distance < best_distance:
+                best, best_distance = other, distance
+        if best >= 0:
+            claim(f, best, best_distance, matches, owners, distances)
+    return matches
+
+
+@njit(cache=True)
+def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, near: Any) -> None:
+    """Mark the places (N,) within their reach of the epipolar line of a pixel, many at once."""
+    a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
+    b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
+    c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
+    scale = 1.0 / max(math.sqrt(a * a + b * b), 1e-300)
+    p, q, r = np.float32(a * scale), np.float32(b * scale), np.float32(c * scale)
+    for k in range(len(xs)):
+        near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
+
+
+@njit(cache=True)
+def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
+    """Write the places of the nonzero among the first `length` marks; returns their number.
+
+    `eights` holds the same marks eight at a time: most lines pass by most features. No branch depends on a single mark.
+    """
+    marks[length : length + 8] = 0
+    count = 0
+    for word in range((length + 7) // 8):
+        if eights[word] != 0:
+            for k in range(8 * word, 8 * word + 8):
+                out[count] = k
+                count += marks[k]
+    return count
+
+
+@njit(cache=True)
+def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
+    """The free features of a keyframe (N,) level by level, and where each level begins (levels + 1,).
+
+    Left out are those so near to the epipole that their depth is undetermined.
+    """
+    count = views.counts[neighbor]
+    octaves = views.octaves[neighbor]
+    kept, starts, made = np.empty(count, np.int64), np.zeros(len(scale_factors) + 1, np.int64), 0
+    for octave in range(len(scale_factors)):
+        nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[octave]
+        for f in range(count):
+            if octaves[f] == octave and views.points[neighbor, f] < 0:
+                dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
+                if dx * dx + dy * dy >= nearest:
+                    kept[made] = f
+                    made += 1
+        starts[octave + 1] = made
+    return kept[:made], starts
+
+
+@njit(cache=True)
+def _triangulate_match(
+    a: int, feature_a: int, b: int, feature_b: int, views: Views, camera_matrix: Any, scale_factors: Any,
+    system: Any, point: Any,
+) -> bool:  # fmt: skip
+    """Fill in the `point` (3,) that features of keyframes a and b show; returns whether it passes every check.
+
+    It must lie in front of both, within chi-square 5.991 of both features, far enough from parallel rays, and at
+    distances whose ratio agrees with the features' scales. `system` (4, 4) is overwritten.
+    """
+    pixel_a, pixel_b = views.pixels[a, feature_a], views.pixels[b, feature_b]
+    pose_a, pose_b = views.poses[a], views.poses[b]
+    fx, fy, cx, cy = camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]
+    intrinsics = (fx, fy, cx, cy)
+    x, y, z, w = triangulate_pair(pose_a, pose_b, pixel_a, pixel_b, intrinsics, system)
+    if w == 0.0:
+        return False
+    point[0], point[1], point[2] = x / w, y / w, z / w
+    scale_a, scale_b = scale_factors[views.octaves[a, feature_a]], scale_factors[views.octaves[b, feature_b]]
+    for pose, pixel, scale in ((pose_a, pixel_a, scale_a), (pose_b, pixel_b, scale_b)):
+        if reprojection(pose, point, pixel[0], pixel[1], 1.0 / scale, intrinsics)[5] > thresholds.CHI2_95_2DOF:
+            return False
+    center_a, center_b = views.centers[a], views.centers[b]
+    distance_a, distance_b = _distance(point, center_a), _distance(point, center_b)
+    dot = 0.0
+    for k in range(3):
+        dot += (point[k] - center_a[k]) * (point[k] - center_b[k])
+    cosine = dot / max(distance_a * distance_b, 1e-24)
+    stretch = distance_b * scale_a / max(distance_a * scale_b, 1e-12)
+    limit = thresholds.SCALE_CONSISTENCY * scale_factors[min(1, len(scale_factors) - 1)]
+    return bool(0.0 < cosine < thresholds.TRIANGULATION_MAX_COSINE and 1.0 / limit < stretch < limit)

@@ -1,0 +1,1 @@
+"""Growing the map around a new keyframe, and closing loops."""

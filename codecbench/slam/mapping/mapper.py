@@ -1,0 +1,171 @@
+"""Growing and tending the map around a new keyframe (ORB-SLAM VI), in step with tracking."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codecbench.slam import thresholds
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.fusion import fuse
+from codecbench.slam.map.kernels import median_depth
+from codecbench.slam.map.map import NONE, Indices, Map
+from codecbench.slam.map.triangulation import triangulate_features
+from codecbench.slam.optimisation.bundle_adjustment import adjust
+from codecbench.slam.places.recognition import Places
+
+
+class Mapper:
+    """Inserts keyframes into one map."""
+
+    def __init__(self, slam_map: Map, camera: Camera) -> None:
+        self.map = slam_map
+        self.camera = camera
+        self.places = Places(slam_map)
+        self._probation: Indices = np.empty(0, np.int64)
+
+    def insert(self, frame: Frame) -> int:
+        """Make `frame`, whose pose and points are known, a keyframe; returns its index.
+
+        Culls points on probation, triangulates new ones, merges duplicates, adjusts the neighbourhood and culls
+        redundant keyframes; `frame` gets the keyframe's adjusted pose and points.
+        """
+        keyframe = self.add(frame)
+        self._cull_points()
+        neighbors, _ = self.map.neighbors(keyframe, thresholds.TRIANGULATION_NEIGHBORS)
+        self._triangulate(keyframe, neighbors)
+        self._fuse_neighborhood(keyframe, neighbors)
+        self.adjust_locally(keyframe)
+        self._cull_keyframes(keyframe)
+        frame.camera_from_world = self.map.keyframes.camera_from_world[keyframe].copy()
+        frame.points = self.map.keyframes.points[keyframe, : len(frame.features)].copy()
+        return keyframe
+
+    def add(self, frame: Frame) -> int:
+        """Put `frame` into the map with the points that it shows, and nothing more; returns its index."""
+        slam_map = self.map
+        keyframe = slam_map.keyframes.add(frame.features, frame.camera_from_world, frame.index, frame.timestamp_s)
+        frame.points = slam_map.resolve_points(frame.points)
+        _keep_first(frame.points)
+        matched = frame.matched
+        slam_map.observe(keyframe, matched, frame.points[matched])
+        slam_map.refresh_points(frame.points[matched])
+        slam_map.attach(keyframe)
+        self.places.add(keyframe, frame.features)
+        frame.reference = keyframe
+        return keyframe
+
+    def add_points(
+        self, keyframe: int, features: Indices, others: int | Indices, other_features: Indices, points: Array
+    ) -> None:
+        """New map points (N, 3), seen at `features` (N,) of a keyframe and `other_features` (N,) of `others` (N,)."""
+        slam_map = self.map
+        added = slam_map.points.add(points, keyframe, slam_map.keyframes.count)
+        slam_map.observe(keyframe, features, added)
+        slam_map.observe(others, other_features, added)
+        slam_map.refresh_points(added)
+        self._probation = np.concatenate([self._probation, added])
+
+    # Points ---------------------------------------------------------------------------------------------------
+
+    def _cull_points(self) -> None:
+        """Let points die that are seldom found, or that too few keyframes see after a trial (ORB-SLAM VI-B)."""
+        table = self.map.points
+        young = self._probation[table.alive[self._probation]]
+        ages = self.map.keyframes.count - table.born[young]
+        seldom = table.found[young] < thresholds.POINT_MIN_FOUND_SHARE * table.visible[young]
+        unseen = table.observation_counts[young] < thresholds.POINT_MIN_OBSERVATIONS
+        dying = seldom | ((ages >= thresholds.POINT_TRIAL_KEYFRAMES) & unseen)
+        self.map.remove_points(young[dying])
+        self._probation = young[~dying & (ages < thresholds.POINT_PROBATION_KEYFRAMES)]
+
+    def _triangulate(self, keyframe: int, neighbors: Indices) -> None:
+        """Make points of free features of a keyframe that match free features of its neighbours (ORB-SLAM VI-C)."""
+        found = triangulate_features(
+            keyframe, neighbors, self.map.keyframes.views, self.map.points.positions,
+            self.camera.matrix, self.map.scale_factors,
+        )  # fmt: skip
+        self.add_points(keyframe, *found)
+
+    def median_depth(self, keyframe: int) -> float:
+        """Median depth of the points that `keyframe` sees; 1 where it sees none."""
+        slam_map = self.map
+        pose = slam_map.keyframes.camera_from_world[keyframe]
+        return float(median_depth(slam_map.keyframes.points[keyframe], slam_map.points.positions, pose))
+
+    # Duplicates -----------------------------------------------------------------------------------------------
+
+    def _fuse_neighborhood(self, keyframe: int, neighbors: Indices) -> None:
+        """Search the keyframe's points in its neighbours and theirs in it; merge duplicates (ORB-SLAM VI-C)."""
+        targets = list(dict.fromkeys(int(n) for n in neighbors))
+        for neighbor in neighbors[:5]:
+            for second in self.map.neighbors(int(neighbor), 5)[0]:
+                if second != keyframe and int(second) not in targets:
+                    targets.append(int(second))
+        poses, own = self.map.keyframes.camera_from_world, self.map.keyframes.points[keyframe]
+        before = self.map.points.observation_counts.copy()
+        for target in targets:
+            fuse(self.map, self.camera, target, own[own >= 0], poses[target])
+        fuse(self.map, self.camera, keyframe, self.map.points_of(np.array(targets, dtype=np.int64)), poses[keyframe])
+        own = own[own >= 0]
+        self.map.refresh_points(own[self.map.points.observation_counts[own] != before[own]])
+
+    # Adjustment -----------------------------------------------------------------------------------------------
+
+    def adjust_locally(self, keyframe: int) -> None:
+        """Bundle adjustment of a keyframe, its neighbours and their points; who else sees them is held fixed."""
+        neighbors, _ = self.map.neighbors(keyframe, thresholds.LOCAL_BUNDLE_KEYFRAMES - 1)
+        free = np.concatenate([[keyframe], neighbors])
+        points = self.map.points_of(free)
+        weights = self.map.covisibility(points)
+        weights[free] = 0
+        order = np.argsort(-weights, kind="stable")
+        fixed = order[weights[order] > 0][: thresholds.LOCAL_BUNDLE_FIXED]
+        if len(fixed) == 0:  # the oldest keeps its pose; the scale is free, and damping keeps it where it was
+            fixed, free = free[free == free.min()], free[free != free.min()]
+        adjust_keyframes(self.map, self.camera, free, fixed, points, (5,), thresholds.LOCAL_BUNDLE_TOLERANCE)
+
+    def _cull_keyframes(self, keyframe: int) -> None:
+        """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
+        for neighbor in self.map.neighbors(keyframe)[0]:
+            if neighbor == 0:
+                continue
+            if self.map.is_redundant(int(neighbor)):
+                self.map.remove_keyframe(int(neighbor))
+                self.places.remove(int(neighbor))
+
+
+def _keep_first(points: Indices) -> None:
+    """Set repeated points to NONE, in place."""
+    order = np.argsort(points, kind="stable")
+    repeated = order[1:][points[order[1:]] == points[order[:-1]]]
+    points[repeated] = NONE
+
+
+def adjust_keyframes(
+    slam_map: Map,
+    camera: Camera,
+    free: Indices,
+    fixed: Indices,
+    points: Indices,
+    iterations: tuple[int, ...],
+    tolerance: float = 1e-4,
+) -> None:
+    """Bundle adjustment of `free` keyframes and `points`, with `fixed` keyframes; outliers lose their observation."""
+    table, keyframes = slam_map.points, slam_map.keyframes
+    chosen = np.concatenate([free, fixed]).astype(np.int64)
+    slots = np.full(keyframes.count, NONE, np.int64)
+    slots[chosen] = np.arange(len(chosen))
+    which, seen_by, features = slam_map.observations(points, chosen)
+    seen = seen_by * keyframes.points.shape[1] + features  # rows of the tables by feature: one index is faster than two
+    inverse_sigma2 = slam_map.scale_factors**-2.0
+    result = adjust(
+        keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
+        keyframes.pixels.reshape(-1, 2).take(seen, axis=0), inverse_sigma2[keyframes.octaves.ravel().take(seen)],
+        camera.intrinsics, np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
+    )  # fmt: skip
+    keyframes.set_pose(free, result.camera_from_world[: len(free)])
+    table.positions[points] = result.points_world
+    slam_map.unobserve(seen_by[~result.inliers], features[~result.inliers])
+    slam_map.refresh_points(points[table.alive[points]], False)

@@ -1,0 +1,143 @@
+"""The Schur complement of bundle adjustment: points eliminated, and their steps found again afterwards.
+
+Nothing here checks an index: `bundle_adjustment.adjust` has done so.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from codecbench.slam.geometry.rotations import so3_exp_into
+from codecbench.slam.geometry.vector_kernels import subtract_product
+
+MIN_DAMPING = 1e-9
+
+
+class Layout(NamedTuple):
+    """Where a camera's parameters stand: `slots` (K,), -1 if fixed; envelope of the system: `first`, `offsets`."""
+
+    slots: Any
+    first: Any
+    offsets: Any
+
+
+class Workspace(NamedTuple):
+    """Arrays that one step fills.
+
+    By the linearisation: of each point its block V (upper triangle) and gradient, `normals` (P, 9); of each
+    free camera its block U (lower triangle) and gradient, `blocks` (n, 27); of each observation the cross
+    term W, `crosses` (M, 3, 6), point by camera. By the elimination: the damped `inverses` (P, 6) of the
+    points' blocks, and the reduced camera system, `system` (a flat envelope) with its `right_side` (6 n,).
+    """
+
+    normals: Any
+    blocks: Any
+    crosses: Any
+    inverses: Any
+    system: Any
+    right_side: Any
+
+
+@njit(cache=True)
+def eliminate(seen, layout, damping, work):  # type: ignore[no-untyped-def]
+    """Fill the reduced camera system S = U - W V^-1 W^T, damped, its right side, and V^-1 of each point."""
+    slots, first, offsets = layout
+    system, right_side = work.system, work.right_side
+    system[:] = 0.0
+    for i in range(first.shape[0]):
+        stride, k, block = 6 * (i - first[i] + 1), 0, work.blocks[i]
+        for a in range(6):
+            row = offsets[i] + a * stride + stride - 6
+            for b in range(a + 1):
+                system[row + b] = block[k]
+                k += 1
+            own = system[row + a]
+            system[row + a] = own * (1.0 + damping) if own > 0.0 else 1.0
+            right_side[6 * i + a] = block[21 + a]
+    product = np.empty((6, 3))
+    for p in range(work.normals.shape[0]):
+        if _invert_damped(work.normals[p], max(damping, MIN_DAMPING), work.inverses[p]):
+            _eliminate_point(
+                work.inverses[p], work.normals[p], seen.starts[p], seen.starts[p + 1], seen.cameras,
+                seen.active, slots, first, offsets, work.crosses, system, right_side, product,
+            )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _invert_damped(normal, damping, out):  # type: ignore[no-untyped-def]
+    """Write the inverse (xx, xy, xz, yy, yz, zz) of a point's damped block; zeros and False where it has none."""
+    xy, xz, yz = normal[1], normal[2], normal[4]
+    xx, yy, zz = normal[0] * (1.0 + damping), normal[3] * (1.0 + damping), normal[5] * (1.0 + damping)
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * c0 + xy * c1 + xz * c2
+    if not determinant > 1e-16 * xx * yy * zz:
+        out[:] = 0.0
+        return False
+    out[0], out[1], out[2] = c0 / determinant, c1 / determinant, c2 / determinant
+    out[3] = (xx * zz - xz * xz) / determinant
+    out[4] = (xy * xz - xx * yz) / determinant
+    out[5] = (xx * yy - xy * xy) / determinant
+    return True
+
+
+@njit(cache=True)
+def _eliminate_point(  # type: ignore[no-untyped-def]
+    inverse, normal, start, end, cameras, active, slots, first, offsets, crosses, system, right_side, product
+):
+    """Subtract W V^-1 W^T of one point from the system, block by block, and W V^-1 g from the right side."""
+    i0, i1, i2, i3, i4, i5 = inverse[0], inverse[1], inverse[2], inverse[3], inverse[4], inverse[5]
+    g0, g1, g2 = normal[6], normal[7], normal[8]
+    for m in range(start, end):
+        slot = slots[cameras[m]]
+        if slot < 0 or not active[m]:
+            continue
+        cross, row, stride = crosses[m], offsets[slot] - 6 * first[slot], 6 * (slot - first[slot] + 1)
+        for a in range(6):
+            w0, w1, w2 = cross[0, a], cross[1, a], cross[2, a]
+            y0 = product[a, 0] = w0 * i0 + w1 * i1 + w2 * i2
+            y1 = product[a, 1] = w0 * i1 + w1 * i3 + w2 * i4
+            y2 = product[a, 2] = w0 * i2 + w1 * i4 + w2 * i5
+            right_side[6 * slot + a] -= y0 * g0 + y1 * g1 + y2 * g2
+        for n in range(start, m + 1):
+            other = slots[cameras[n]]
+            if other >= 0 and active[n]:
+                subtract_product(system, row + 6 * other, stride, product, crosses, n)
+
+
+@njit(cache=True)
+def move_cameras(poses, slots, step, out):  # type: ignore[no-untyped-def]
+    rotation = np.empty((3, 3))
+    for k in range(poses.shape[0]):
+        if slots[k] < 0:
+            continue
+        own, pose = step[6 * slots[k] :], poses[k]
+        so3_exp_into(own[3], own[4], own[5], rotation)
+        for i in range(3):
+            for j in range(4):
+                out[k, i, j] = rotation[i, 0] * pose[0, j] + rotation[i, 1] * pose[1, j] + rotation[i, 2] * pose[2, j]
+            out[k, i, 3] += own[i]
+
+
+@njit(cache=True)
+def move_points(points, seen, slots, work, out):  # type: ignore[no-untyped-def]
+    """Back substitution: each point's step is V^-1 (g - W^T step of the cameras)."""
+    cameras, starts, _, _, active, _ = seen
+    inverses, normals, crosses, steps = work.inverses, work.normals, work.crosses, work.right_side
+    for p in range(points.shape[0]):
+        inverse, normal = inverses[p], normals[p]
+        g0, g1, g2 = normal[6], normal[7], normal[8]
+        if inverse[0] != 0.0:  # else the point stays
+            for m in range(starts[p], starts[p + 1]):
+                slot = slots[cameras[m]]
+                if slot >= 0 and active[m]:
+                    cross, step = crosses[m], steps[6 * slot : 6 * slot + 6]
+                    for a in range(6):
+                        g0 -= cross[0, a] * step[a]
+                        g1 -= cross[1, a] * step[a]
+                        g2 -= cross[2, a] * step[a]
+        out[p, 0] = points[p, 0] + inverse[0] * g0 + inverse[1] * g1 + inverse[2] * g2
+        out[p, 1] = points[p, 1] + inverse[1] * g0 + inverse[3] * g1 + inverse[4] * g2
+        out[p, 2] = points[p, 2] + inverse[2] * g0 + inverse[4] * g1 + inverse[5] * g2

@@ -1,0 +1,182 @@
+"""Camera pose from points that are held fixed: motion-only bundle adjustment with outlier rejection."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from codecbench.slam.geometry.linear_systems import solve_symmetric
+from codecbench.slam.geometry.rotations import Array, orthonormalize, so3_exp_into
+from codecbench.slam.thresholds import CHI2_95_2DOF
+
+_ROUNDS = 4
+_ROBUST_ROUNDS = 2  # then the outliers are out, and Huber's kernel would only slow the convergence
+_ITERATIONS_A_ROUND = 10
+_CONVERGED_STEP = 1e-7  # radians, and translation in units of the scene's median depth
+_MIN_POINTS = 3
+
+
+def optimize_pose(
+    camera_from_world: Array,
+    points_world: Array,
+    pixels: Array,
+    inverse_sigma2: Array,
+    intrinsics: Array,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the pose that minimises the reprojection error of fixed points, and which points are inliers.
+
+    `camera_from_world` (4, 4) starts the search; `points_world` (N, 3); `pixels` (N, 2) undistorted; `inverse_sigma2`
+    (N,) in 1/px^2; `intrinsics` (4,): fx, fy, cx, cy in pixels. Returns `camera_from_world` (4, 4) and `inliers` (N,):
+    in front of the camera with a chi-square of at most 5.991. Four rounds of Levenberg-Marquardt, each over the inliers
+    of the last one (a point may come back), with Huber's kernel in the first two. When fewer than three points remain,
+    the pose of the last good round is returned with its inliers. Raises ValueError for arrays that do not fit together.
+    Source: ORB-SLAM, T-RO 31(5), 2015, section V; each round starts from the last one's pose, not from the first.
+    """
+    pose = np.array(camera_from_world, dtype=np.float64)
+    points_world = np.ascontiguousarray(points_world, dtype=np.float64)
+    pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+    weights = np.ascontiguousarray(inverse_sigma2, dtype=np.float64)
+    intrinsics = np.ascontiguousarray(intrinsics, dtype=np.float64)
+    count = len(points_world)
+    if points_world.shape != (count, 3) or pixels.shape != (count, 2) or weights.shape != (count,):
+        raise ValueError(
+            f"optimize_pose: points_world {points_world.shape}, pixels {pixels.shape} and inverse_sigma2 "
+            f"{weights.shape} must be (N, 3), (N, 2) and (N,)"
+        )
+    if pose.shape != (4, 4) or intrinsics.shape != (4,):
+        raise ValueError(f"optimize_pose: pose {pose.shape} and intrinsics {intrinsics.shape} must be (4, 4) and (4,)")
+    inliers = np.zeros(count, dtype=np.bool_)
+    _optimize(pose, points_world, pixels, weights, intrinsics, inliers)
+    pose[:3, :3] = orthonormalize(pose[:3, :3])
+    return pose, inliers
+
+
+@njit(cache=True)
+def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+    active = np.ones(len(points), dtype=np.bool_)
+    trial_active = np.empty_like(active)
+    for round_index in range(_ROUNDS):
+        if np.count_nonzero(active) < _MIN_POINTS:
+            break
+        trial = pose.copy()
+        _minimize(trial, points, pixels, weights, intrinsics, active, round_index < _ROBUST_ROUNDS)
+        _classify(trial, points, pixels, weights, intrinsics, trial_active)
+        unchanged = round_index >= _ROBUST_ROUNDS and np.array_equal(trial_active, active)
+        active[:] = trial_active
+        if np.count_nonzero(active) < _MIN_POINTS and round_index > 0:
+            break
+        pose[:] = trial
+        inliers[:] = active
+        if unchanged:
+            break
+
+
+@njit(cache=True)
+def _minimize(pose, points, pixels, weights, intrinsics, active, robust):  # type: ignore[no-untyped-def]
+    """Levenberg-Marquardt on the six parameters of one pose, in place."""
+    hessian, gradient = np.empty((6, 6)), np.empty(6)
+    trial_hessian, trial_gradient = np.empty((6, 6)), np.empty(6)
+    trial, rotation = np.empty((4, 4)), np.empty((3, 3))
+    damping = 1e-4
+    cost, depth = _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessian, gradient)
+    for _ in range(_ITERATIONS_A_ROUND):
+        step, solved = solve_symmetric(hessian, gradient, damping)
+        if not solved:
+            damping *= 10.0
+            continue
+        so3_exp_into(step[3], step[4], step[5], rotation)
+        _move(pose, rotation, step, trial)
+        trial_cost, trial_depth = _linearize(
+            trial, points, pixels, weights, intrinsics, active, robust, trial_hessian, trial_gradient
+        )
+        if trial_cost < cost:
+            pose[:] = trial
+            gain = cost - trial_cost
+            cost, depth = trial_cost, trial_depth
+            hessian, trial_hessian = trial_hessian, hessian
+            gradient, trial_gradient = trial_gradient, gradient
+            damping = max(damping * 0.1, 1e-9)
+            if gain < 1e-6 * cost:
+                break
+        else:
+            damping *= 10.0
+        size = abs(step[3]) + abs(step[4]) + abs(step[5])
+        size += (abs(step[0]) + abs(step[1]) + abs(step[2])) / max(depth, 1e-12)
+        if size < _CONVERGED_STEP:
+            break
+
+
+@njit(cache=True)
+def _move(pose, rotation, step, out):  # type: ignore[no-untyped-def]
+    """Write the left update of a pose: x' = exp(w) x + v for points x in the camera's frame."""
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = rotation[i, 0] * pose[0, j] + rotation[i, 1] * pose[1, j] + rotation[i, 2] * pose[2, j]
+        out[i, 3] += step[i]
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
+
+
+@njit(cache=True)
+def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessian, gradient):  # type: ignore[no-untyped-def]
+    """Fill the normal equations H step = gradient; return the cost and the mean depth.
+
+    An active point behind the camera has no gradient and a constant cost, high enough that no step hides a point there.
+    """
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    threshold = math.sqrt(CHI2_95_2DOF)
+    hessian[:] = 0.0
+    gradient[:] = 0.0
+    cost, depths, in_front = 0.0, 0.0, 0
+    r00, r01, r02, t0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
+    r10, r11, r12, t1 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
+    r20, r21, r22, t2 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
+    j0, j1 = np.empty(6), np.empty(6)
+    for i in range(points.shape[0]):
+        if not active[i]:
+            continue
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        z = r20 * px + r21 * py + r22 * pz + t2
+        if z <= 0.0:
+            cost += 1e6
+            continue
+        inverse_z = 1.0 / z
+        x = (r00 * px + r01 * py + r02 * pz + t0) * inverse_z
+        y = (r10 * px + r11 * py + r12 * pz + t1) * inverse_z
+        e0, e1 = pixels[i, 0] - (fx * x + cx), pixels[i, 1] - (fy * y + cy)
+        weight = weights[i]
+        chi2 = weight * (e0 * e0 + e1 * e1)
+        if robust and chi2 > CHI2_95_2DOF:
+            error = math.sqrt(chi2)
+            cost += 2.0 * threshold * error - CHI2_95_2DOF
+            weight *= threshold / error
+        else:
+            cost += chi2
+        depths += z
+        in_front += 1
+        j0[0], j0[1], j0[2] = fx * inverse_z, 0.0, -fx * x * inverse_z
+        j0[3], j0[4], j0[5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
+        j1[0], j1[1], j1[2] = 0.0, fy * inverse_z, -fy * y * inverse_z
+        j1[3], j1[4], j1[5] = -fy * (1.0 + y * y), fy * x * y, fy * x
+        for a in range(6):
+            w0, w1 = weight * j0[a], weight * j1[a]
+            gradient[a] += w0 * e0 + w1 * e1
+            for b in range(a + 1):
+                hessian[a, b] += w0 * j0[b] + w1 * j1[b]
+    return cost, depths / max(in_front, 1)
+
+
+@njit(cache=True)
+def _classify(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+        inliers[i] = False
+        if z > 0.0:
+            x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
+            y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
+            e0, e1 = pixels[i, 0] - (fx * x + cx), pixels[i, 1] - (fy * y + cy)
+            inliers[i] = weights[i] * (e0 * e0 + e1 * e1) <= CHI2_95_2DOF

@@ -1,0 +1,1 @@
+"""Which keyframes look alike: the vocabulary and the index over it."""

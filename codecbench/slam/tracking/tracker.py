@@ -1,0 +1,208 @@
+"""The pose of a frame from the map: motion model, reference keyframe, local map (ORB-SLAM V)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from codecbench.slam import thresholds
+from codecbench.slam.features.extractor import Features
+from codecbench.slam.features.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
+from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.map import NONE, Indices, Map
+from codecbench.slam.map.projection import Projections, project_ahead, project_map_points
+from codecbench.slam.optimisation.pose_optimization import optimize_pose
+
+
+class Tracker:
+    """Follows the camera through one map; `last` is the last frame whose pose is known."""
+
+    def __init__(self, slam_map: Map, camera: Camera) -> None:
+        self.map = slam_map
+        self.camera = camera
+        self.last: Frame | None = None
+        self._velocity: Array | None = None  # twist of one second; None: unknown
+        self._interval_s = 0.0
+        self._inverse_sigma2 = slam_map.scale_factors**-2.0
+
+    def start(self, frame: Frame, velocity: Array | None = None) -> None:
+        """Go on from `frame`, whose pose and points are known."""
+        self.last = frame
+        self._velocity = velocity
+
+    def track(self, frame: Frame) -> int:
+        """Find the pose and points of `frame`; returns the number of inliers, 0 when it is lost.
+
+        On success `frame` holds its pose, points and reference keyframe and is the new `last`.
+        """
+        assert self.last is not None
+        self.last.points = self.map.resolve_points(self.last.points)
+        if not (self._track_by_motion(frame) or self._track_by_keyframe(frame)):
+            return 0
+        inliers = self.track_local_map(frame)
+        if inliers < thresholds.LOCAL_MIN_INLIERS:
+            return 0
+        self._advance(frame)
+        return inliers
+
+    def _advance(self, frame: Frame) -> None:
+        assert self.last is not None
+        interval_s = frame.timestamp_s - self.last.timestamp_s
+        motion = frame.camera_from_world @ se3_inverse(self.last.camera_from_world)
+        self._velocity = se3_log(motion) / interval_s
+        self._interval_s = interval_s
+        self.last = frame
+
+    # First guesses --------------------------------------------------------------------------------------------
+
+    def _track_by_motion(self, frame: Frame) -> bool:
+        """Predict with constant velocity and search round the predictions, then in wider windows."""
+        assert self.last is not None
+        interval_s = frame.timestamp_s - self.last.timestamp_s
+        if self._velocity is None:
+            predicted = self.last.camera_from_world
+        elif interval_s <= thresholds.MAX_VELOCITY_GAP * self._interval_s:
+            predicted = se3_exp(self._velocity * interval_s) @ self.last.camera_from_world
+        else:
+            return False
+        for window in (thresholds.TRACK_WINDOW_PX, thresholds.TRACK_WINDOW_WIDE_PX):
+            frame.points[:] = NONE
+            frame.camera_from_world = predicted
+            if self._match_last(frame, window) >= thresholds.TRACK_MIN_MATCHES:
+                return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
+        return False
+
+    def _match_last(self, frame: Frame, window_px: float) -> int:
+        assert self.last is not None
+        last, camera = self.last, self.camera
+        seen = last.matched
+        points = last.points[seen]
+        ahead, pixels = project_ahead(points, self.map.points.positions, frame.camera_from_world, camera.intrinsics)
+        seen, points = seen[ahead], points[ahead]
+        octaves = last.features.octaves[seen].astype(np.int64)
+        matches = match_in_windows(
+            pixels, window_px * self.map.scale_factors[octaves], octaves - 1, octaves + 1,
+            self.map.points.descriptors[points], frame.features, np.ones(len(frame.features), np.bool_),
+            thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO,
+        )  # fmt: skip
+        keep_consistent_rotations(matches, last.features.angles[seen], frame.features.angles)
+        found = matches >= 0
+        frame.points[matches[found]] = points[found]
+        return int(found.sum())
+
+    def _track_by_keyframe(self, frame: Frame) -> bool:
+        """Match by appearance with the last frame, then with the reference keyframe; pose by P3P and RANSAC."""
+        assert self.last is not None
+        if self._track_by_appearance(frame, self.last.points, self.last.features, thresholds.KEYFRAME_RATIO):
+            return True
+        return self.guess_by_keyframe(frame, self.last.reference, thresholds.KEYFRAME_RATIO)
+
+    def guess_by_keyframe(self, frame: Frame, keyframe: int, ratio: float) -> bool:
+        """First guess of the pose from the points of one keyframe, matched by appearance."""
+        features = self.map.keyframes.features[keyframe]
+        points = self.map.keyframes.points[keyframe, : len(features)]
+        return self._track_by_appearance(frame, points, features, ratio)
+
+    def _track_by_appearance(self, frame: Frame, points: Indices, features: Features, ratio: float) -> bool:
+        seen = np.nonzero(points >= 0)[0]
+        n, m = len(seen), len(frame.features)
+        if n < thresholds.KEYFRAME_MIN_MATCHES or m < thresholds.KEYFRAME_MIN_MATCHES:
+            return False
+        matches = match_by_appearance(
+            features.descriptors[seen], np.zeros(n, np.int64), np.ones(n, np.bool_),
+            frame.features.descriptors, np.zeros(m, np.int64), np.ones(m, np.bool_),
+            thresholds.HAMMING_LOW, ratio,
+        )  # fmt: skip
+        keep_consistent_rotations(matches, features.angles[seen], frame.features.angles)
+        found = np.nonzero(matches >= 0)[0]
+        return self.solve_pose(frame, points[seen[found]], matches[found])
+
+    def solve_pose(self, frame: Frame, points: Indices, features: Indices) -> bool:
+        """Pose of `frame` from matches of which some are wrong, by P3P and RANSAC, then by optimisation."""
+        if len(points) < thresholds.KEYFRAME_MIN_MATCHES:
+            return False
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            self.map.points.positions[points], frame.features.pixels[features], self.camera.matrix, None,
+            iterationsCount=thresholds.RELOCALIZATION_ITERATIONS, reprojectionError=thresholds.PNP_ERROR_PX,
+            confidence=0.999, flags=cv2.SOLVEPNP_P3P,
+        )  # fmt: skip
+        if not ok or inliers is None or len(inliers) < thresholds.TRACK_MIN_INLIERS:
+            return False
+        frame.camera_from_world = np.eye(4)
+        frame.camera_from_world[:3, :3] = cv2.Rodrigues(rotation)[0]
+        frame.camera_from_world[:3, 3] = translation.ravel()
+        frame.points[:] = NONE
+        frame.points[features[inliers.ravel()]] = points[inliers.ravel()]
+        return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
+
+    # Refinement -----------------------------------------------------------------------------------------------
+
+    def optimize(self, frame: Frame) -> int:
+        """Optimise the pose of `frame` over its points; outliers lose their match. Returns the inliers."""
+        matched = frame.matched
+        if len(matched) < 4:
+            return 0
+        pose, inliers = optimize_pose(
+            frame.camera_from_world,
+            self.map.points.positions[frame.points[matched]],
+            frame.features.pixels[matched],
+            self._inverse_sigma2[frame.features.octaves[matched]],
+            self.camera.intrinsics,
+        )
+        frame.camera_from_world = pose
+        frame.points[matched[~inliers]] = NONE
+        return int(inliers.sum())
+
+    def track_local_map(self, frame: Frame) -> int:
+        """Match `frame` with the local map and optimise its pose; returns the inliers."""
+        local = self._local_points(frame)
+        table = self.map.points
+        shown = frame.points[frame.points >= 0]
+        unseen = np.ones(table.count, np.bool_)
+        unseen[shown] = False
+        projections = project_map_points(
+            self.map, local[unseen[local]], frame.camera_from_world, self.camera, thresholds.VIEWING_COSINE
+        )
+        table.visible[projections.points] += 1
+        table.visible[shown] += 1
+        match_projections(self.map, frame, projections, 1.0)
+        inliers = self.optimize(frame)
+        table.found[frame.points[frame.points >= 0]] += 1
+        return inliers
+
+    def _local_points(self, frame: Frame) -> Indices:
+        """Points of the keyframes that share points with `frame` and of their neighbours; sets the reference."""
+        weights = self.map.covisibility(frame.points)
+        order = np.argsort(-weights, kind="stable")
+        first = order[weights[order] > 0][: thresholds.LOCAL_KEYFRAMES]
+        if len(first) == 0:
+            return np.empty(0, np.int64)
+        frame.reference = int(first[0])
+        keyframes = list(first)
+        chosen = set(keyframes)
+        for keyframe in first[:10]:
+            if len(keyframes) >= thresholds.LOCAL_KEYFRAMES:
+                break
+            for neighbor in self.map.neighbors(int(keyframe), 5)[0]:
+                if neighbor not in chosen:
+                    chosen.add(neighbor)
+                    keyframes.append(neighbor)
+                    break
+        return self.map.points_of(np.array(keyframes))
+
+
+def match_projections(slam_map: Map, frame: Frame, projections: Projections, widen: float) -> int:
+    """Match projected points with the features of `frame` that show none yet; returns how many matched."""
+    frontal = projections.cosines > thresholds.FRONTAL_COSINE
+    radii = np.where(frontal, thresholds.LOCAL_WINDOW_FRONTAL_PX, thresholds.LOCAL_WINDOW_PX) * widen
+    matches = match_in_windows(
+        projections.pixels, radii * slam_map.scale_factors[projections.octaves],
+        projections.octaves - 1, projections.octaves, slam_map.points.descriptors[projections.points],
+        frame.features, frame.points < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO,
+    )  # fmt: skip
+    found = matches >= 0
+    frame.points[matches[found]] = projections.points[found]
+    return int(found.sum())
