@@ -23,7 +23,6 @@ from typing import Any, overload
 
 import numba
 from numba.core import types
-from numba.core.dispatcher import Dispatcher
 
 from codecbench.core.counting import checking, costs, expressions, operations
 from codecbench.core.counting import rewriting as counting
@@ -31,8 +30,8 @@ from codecbench.core.counting.checking import CountingCompiler, counted
 from codecbench.core.counting.expressions import COUNTED, UncountableError
 from codecbench.core.counting.operations import new_counters
 from codecbench.core.counting.rewriting import counting_tree
-from codecbench.core.kernels.cache import KernelCache
-from codecbench.core.kernels.source import SourceError, fingerprint, function_tree
+from codecbench.core.kernels.compiled import compiled, kept
+from codecbench.core.kernels.source import fingerprint, function_tree
 
 
 class Kernel:
@@ -70,11 +69,7 @@ class Kernel:
 
     @cached_property
     def fast(self) -> Any:
-        dispatcher = numba.njit(**self.options)(self.python)
-        try:
-            return self._cached(dispatcher, "fast", "")
-        except SourceError:
-            return dispatcher  # typed at a prompt or edited since: compiled for this process alone
+        return compiled(**self.options)(self.python)
 
     def counting(self, counters: Any, *arguments: Any) -> Any:
         """Run the counting build: what the kernel returns, with its operations added to `counters`.
@@ -89,7 +84,7 @@ class Kernel:
         dispatcher = numba.njit(pipeline_class=CountingCompiler, **self.options)(function)
         for name, callee in callees.items():
             function.__globals__[name] = dispatcher if callee is self else callee.counting_build
-        return self._cached(dispatcher, "counting", _rewriting_digest())
+        return kept(dispatcher, self.python, self.options, "counting", _rewriting_digest())
 
     @cached_property
     def counting_source(self) -> str:
@@ -104,13 +99,6 @@ class Kernel:
         function.__defaults__ = self.python.__defaults__
         function.__qualname__ = f"{self.python.__qualname__}__counting"
         return function, callees
-
-    def _cached(self, dispatcher: Any, build: str, rewriting: str) -> Any:
-        if isinstance(dispatcher, Dispatcher):  # not where NUMBA_DISABLE_JIT is set
-            name = f"{self.python.__module__}.{self.python.__qualname__}.{build}"
-            cache = KernelCache(name, f"{build}{rewriting}:{self.fingerprint}")
-            dispatcher._cache = cache  # type: ignore[attr-defined]
-        return dispatcher
 
 
 @functools.cache

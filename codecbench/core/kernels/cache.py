@@ -12,6 +12,8 @@ import os
 import pickle
 import platform
 import tempfile
+from collections.abc import Callable
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ import numba
 from numba.core import caching, compiler, serialize, sigutils
 
 from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.source import SourceError
 
 # numba is typed in part and differently in each version; what it does is checked by the tests of this module.
 _settings: Any = numba.config
@@ -33,19 +36,30 @@ _DIGEST_BYTES = 32
 class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     """The cache of one build of one kernel, in the form that a numba dispatcher uses.
 
-    name: for people who look into the folder. fingerprint: of everything that the source depends on.
-    A folder that cannot be written to costs compile time, nothing else.
+    name: for people who look into the folder. fingerprint: gives a digest of everything that the source depends on;
+    asked once, when the first signature is wanted and all that the source names is defined. Where there is no source
+    to go by (typed at a prompt, edited since it was imported), nothing is kept. A folder that cannot be written to
+    costs compile time, nothing else.
     """
 
-    def __init__(self, name: str, fingerprint: str) -> None:
+    def __init__(self, name: str, fingerprint: Callable[[], str]) -> None:
         self._name = "".join(letter for letter in name if letter.isalnum() or letter in "._-")
-        self._fingerprint = fingerprint
+        self._compute = fingerprint
+
+    @cached_property
+    def _fingerprint(self) -> str | None:
+        try:
+            return self._compute()
+        except SourceError:
+            return None
 
     @property
     def cache_path(self) -> str:
         return str(cache_folder() / "kernels")
 
-    def _file(self, signature: Any, codegen: Any) -> Path:
+    def _file(self, signature: Any, codegen: Any) -> Path | None:
+        if self._fingerprint is None:
+            return None
         arguments, result = _arguments(signature)
         versions = (numba.__version__, version("llvmlite"), platform.python_version(), platform.machine())
         settings = (_settings.OPT, _settings.BOUNDSCHECK, _settings.LOOP_VECTORIZE)
@@ -55,8 +69,11 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled signature, or None where it is not there, damaged or made by other versions."""
         target_context.refresh()
+        file = self._file(sig, target_context.codegen())
+        if file is None:
+            return None
         try:
-            content = self._file(sig, target_context.codegen()).read_bytes()
+            content = file.read_bytes()
         except OSError:
             return None
         digest, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
@@ -68,8 +85,10 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
         """Keep a compiled signature, unless its code holds addresses of this very process."""
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
-        payload = _serialize.dumps(data._reduce())
         file = self._file(sig, data.codegen)
+        if file is None:
+            return
+        payload = _serialize.dumps(data._reduce())
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as unfinished:

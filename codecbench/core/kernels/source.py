@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import dis
+import functools
 import hashlib
 import inspect
 import textwrap
@@ -92,16 +93,37 @@ def resolve(node: ast.expr, function: FunctionType) -> Any:
     raise KeyError(ast.unparse(node))
 
 
-def fingerprint(function: FunctionType, options: dict[str, Any], callers: tuple[FunctionType, ...] = ()) -> str:
+def fingerprint(function: FunctionType, options: dict[str, Any]) -> str:
     """Hex digest of a kernel's code, of its options, of every constant that it reads and every kernel it calls.
 
     It changes with anything that can change the compiled code, in whichever file that stands, and not with
-    comments or with where the function stands in its file.
+    comments or with where the function stands in its file. Functions that write machine code themselves (numba's
+    intrinsics) are covered by the whole file that they stand in.
     """
+    digest = hashlib.sha256()
+    reached = {function: _spelled(options)}
+    for next_function in (waiting := [function]):
+        own, callees = _own_digest(next_function, reached[next_function])
+        digest.update(own)
+        for callee, spelled in callees:
+            if callee not in reached:
+                reached[callee] = spelled
+                waiting.append(callee)
+    return digest.hexdigest()
+
+
+def _spelled(options: dict[str, Any]) -> str:
+    return repr(sorted(options.items()))
+
+
+@functools.cache
+def _own_digest(function: FunctionType, options: str) -> tuple[bytes, tuple[tuple[FunctionType, str], ...]]:
+    """Digest of a function and the constants that it reads, and the compiled functions that it calls by name."""
     tree = function_tree(function)
     digest = hashlib.sha256(ast.dump(tree).encode())
-    digest.update(repr((sorted(options.items()), function.__defaults__)).encode())
+    digest.update(repr((options, function.__defaults__)).encode())
     seen: set[str] = set()
+    callees = []
     for node in ast.walk(tree):
         if not isinstance(node, ast.Name | ast.Attribute) or (name := ast.unparse(node)) in seen:
             continue
@@ -110,26 +132,28 @@ def fingerprint(function: FunctionType, options: dict[str, Any], callers: tuple[
             value = resolve(node, function)
         except (KeyError, AttributeError):
             continue
-        digest.update(f"{name}={_describe(value, name, (*callers, function))};".encode())
-    return digest.hexdigest()
+        digest.update(f"{name}={_describe(value, name, function)};".encode())
+        compiled = getattr(value, "py_func", None)  # a numba dispatcher, or a kernel, which offers the same name
+        if isinstance(compiled, FunctionType):
+            callee_options = getattr(value, "options", None) or getattr(value, "targetoptions", {})
+            callees.append((compiled, _spelled(dict(callee_options))))
+    return digest.digest(), tuple(callees)
 
 
-def _describe(value: Any, name: str, callers: tuple[FunctionType, ...]) -> str:
+def _describe(value: Any, name: str, reader: FunctionType) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.dtype.str}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
     if isinstance(value, tuple):
-        return f"({','.join(_describe(part, name, callers) for part in value)})"
+        return f"({','.join(_describe(part, name, reader) for part in value)})"
     if isinstance(value, bool | int | float | complex | str | bytes | np.generic | np.dtype) or value is None:
         return f"{type(value).__name__}:{value!r}"
     if isinstance(value, ModuleType):
         return value.__name__
-    compiled = getattr(value, "py_func", None)  # a numba dispatcher, or a kernel, which offers the same name
-    if isinstance(compiled, FunctionType):
-        options = getattr(value, "options", None) or getattr(value, "targetoptions", {})
-        return "recursion" if compiled in callers else fingerprint(compiled, dict(options), callers)
+    if isinstance(writer := getattr(value, "_defn", None), FunctionType):  # an intrinsic
+        return hashlib.sha256(inspect.getsource(inspect.getmodule(writer) or writer).encode()).hexdigest()
     if isinstance(value, type | BuiltinFunctionType | FunctionType | np.ufunc) or callable(value):
         return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__name__)}"
     raise SourceError(
-        f"kernel {callers[-1].__qualname__} reads the global {name}, a {type(value).__name__}; allowed are numbers, "
+        f"kernel {reader.__qualname__} reads the global {name}, a {type(value).__name__}; allowed are numbers, "
         f"arrays, tuples of these and kernels"
     )

@@ -13,13 +13,13 @@ from typing import Annotated, Any, ClassVar, Final
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, Metric, SequenceEvaluator
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.hamming import hamming
 
 LEVELS: Final = 8
@@ -159,7 +159,7 @@ def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], 
     return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
 
 
-@njit(cache=True)
+@compiled
 def _matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray[np.int64]:
     """For each descriptor its nearest in the other frame, or -1 where that is not mutual or beyond `match_bits`.
 
@@ -181,7 +181,7 @@ def _matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray
     return nearest
 
 
-@njit(cache=True)
+@compiled
 def _nearest_places(
     places: NDArray[np.float64], others: NDArray[np.float64], tolerance_px: float, scale_factor: float
 ) -> NDArray[np.int64]:

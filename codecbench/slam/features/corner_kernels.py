@@ -10,24 +10,25 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from codecbench.core.kernels.compiled import compiled
 
 _RADIUS = 3
 
 
-@njit(cache=True)
+@compiled
 def _least(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
     """The greater minimum of the two runs of nine that share the eight pixels a..h."""
     return min(min(min(min(a, b), min(c, d)), min(min(e, f), min(g, h))), max(before, after))
 
 
-@njit(cache=True)
+@compiled
 def _greatest(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
     """The smaller maximum of the two runs of nine that share the eight pixels a..h."""
     return max(max(max(max(a, b), max(c, d)), max(max(e, f), max(g, h))), min(before, after))
 
 
-@njit(cache=True)
+@compiled
 def score_corners(level: Any, scores: Any) -> None:
     """Fill `scores` (height, width) uint8 with the FAST score of each pixel of `level`; 0 within three of the border.
 
@@ -81,7 +82,7 @@ def score_corners(level: Any, scores: Any) -> None:
             out[x] = max(np.uint8(max(bright, c) - c), np.uint8(c - min(dark, c)))
 
 
-@njit(cache=True)
+@compiled
 def list_corners(scores: Any, threshold: int) -> Any:
     """Corners x, y (N, 2) at a threshold, and their scores (N,): those that beat their eight neighbours, by row."""
     height, width = scores.shape
@@ -104,7 +105,7 @@ def list_corners(scores: Any, threshold: int) -> Any:
     return corners[:count].copy(), found[:count].copy()
 
 
-@njit(cache=True)
+@compiled
 def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any) -> None:
     """Fill `peaks` (width,) with the scores of `row` above the threshold and all eight neighbours, 0 elsewhere."""
     limit = np.uint8(threshold)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from codecbench.core.kernels.compiled import compiled
 
 
 def _bits_of_word(typing_context: Any, word: Any) -> Any:
@@ -20,7 +22,7 @@ def _bits_of_word(typing_context: Any, word: Any) -> Any:
 _count_bits: Any = intrinsic(_bits_of_word)
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def hamming(descriptors_a: Any, i: int, descriptors_b: Any, j: int) -> int:
     """Bits that differ between row i of `descriptors_a` (N, 4) and row j of `descriptors_b` (M, 4), both uint64."""
     return int(

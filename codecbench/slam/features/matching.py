@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.extractor import CELL_PX, Features
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.thresholds import ROTATION_BINS, ROTATION_PEAKS
@@ -48,7 +48,7 @@ def match_in_windows(
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compiled
 def _match_in_windows(
     pixels: Any, radii: Any, octaves_low: Any, octaves_high: Any, descriptors: Any,
     feature_pixels: Any, feature_octaves: Any, feature_descriptors: Any,
@@ -88,7 +88,7 @@ def _match_in_windows(
     return matches
 
 
-@njit(cache=True)
+@compiled
 def claim(query: int, feature: int, distance: int, matches: Any, owners: Any, distances: Any) -> None:
     """Give `feature` to `query` if its owner so far, who then loses it, is further away; updates all in place.
 
@@ -100,7 +100,7 @@ def claim(query: int, feature: int, distance: int, matches: Any, owners: Any, di
         owners[feature], distances[feature], matches[query] = query, distance, feature
 
 
-@njit(cache=True)
+@compiled
 def match_by_appearance(
     descriptors_a: Any, nodes_a: Any, usable_a: Any, descriptors_b: Any, nodes_b: Any, usable_b: Any,
     max_distance: int, ratio: float,
@@ -136,7 +136,7 @@ def match_by_appearance(
     return matches
 
 
-@njit(cache=True)
+@compiled
 def keep_consistent_rotations(matches: Any, angles_a: Any, angles_b: Any) -> Any:
     """Set to -1, in place, the matches whose turn (angle a minus angle b) is not among the histogram's peaks.
 

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.orb_pattern import ORB_PATTERN
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.thresholds import BLUR_SIGMA_PX, PATCH_RADIUS_PX
@@ -23,7 +23,7 @@ _SIDE = tuple(np.uint16(w) for w in np.rint(256.0 * _GAUSSIAN[:3] / _GAUSSIAN.su
 _CENTER = np.uint16(256 - 2 * sum(int(w) for w in _SIDE))
 
 
-@njit(cache=True)
+@compiled
 def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height: int, width: int, border: int) -> Any:
     """Indices of at most `quota` corners (N, 2) with `scores` (N,) uint8, spread over the level, in reading order.
 
@@ -59,7 +59,7 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
     return inside[np.sort(by_rank[:quota])]
 
 
-@njit(cache=True)
+@compiled
 def orient_patches(level: Any, corners: Any) -> Any:
     """Direction (N,), radians in -pi..pi, from each corner to the intensity centroid of its disc (ORB, equation 3).
 
@@ -88,7 +88,7 @@ def orient_patches(level: Any, corners: Any) -> Any:
     return angles
 
 
-@njit(cache=True)
+@compiled
 def blur_level(level: Any) -> Any:
     """The level (height, width) uint8 smoothed by a Gaussian of seven pixels both ways, mirrored at the border.
 
@@ -109,7 +109,7 @@ def blur_level(level: Any) -> Any:
     return blurred
 
 
-@njit(cache=True, inline="always")  # a call costs as much as half a row
+@compiled(inline="always")  # a call costs as much as half a row
 def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any) -> None:
     """Fill `out` (N,) with the weighted mean of the first N values of seven rows."""
     far, middle, near = _SIDE
@@ -121,7 +121,7 @@ def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any) -> 
         out[x] = np.uint8(np.uint16(outer + inner) >> np.uint16(8))
 
 
-@njit(cache=True)
+@compiled
 def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
     """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
     descriptors = np.empty((len(corners), 32), np.uint8)
@@ -146,7 +146,7 @@ def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
     return descriptors
 
 
-@njit(cache=True)
+@compiled
 def index_cells(pixels: Any, grid: Any, cell_px: float) -> Any:
     """Starts (cells + 1,) and members (N,) of the cells of `grid`; features outside go to the nearest cell."""
     columns, rows = int(grid[2]), int(grid[3])

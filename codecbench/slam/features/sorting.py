@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from codecbench.core.kernels.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def stable_order(keys, key_count):  # type: ignore[no-untyped-def]
     """Return the stable order (M,) that sorts integer keys in 0..key_count - 1, by counting."""
     starts = np.zeros(key_count + 1, dtype=np.int64)

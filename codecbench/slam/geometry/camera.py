@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from codecbench.core.kernels.compiled import compiled
 
 Floats = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class Camera:
         return np.asarray(scaled * self.intrinsics[:2] + self.intrinsics[2:])
 
 
-@njit(cache=True)
+@compiled
 def _distort_normalized(x: float, y: float, k: Any) -> Any:
     """Distorted normalised coordinates, and the Jacobian of x_d, y_d by x, y."""
     r2 = x * x + y * y
@@ -102,7 +103,7 @@ def _distort_normalized(x: float, y: float, k: Any) -> Any:
     return xd, yd, xx, xy, yy
 
 
-@njit(cache=True)
+@compiled
 def _distort(pixels: Any, intrinsics: Any, k: Any) -> Any:
     fx, fy, cx, cy = intrinsics
     distorted = np.empty_like(pixels)
@@ -113,7 +114,7 @@ def _distort(pixels: Any, intrinsics: Any, k: Any) -> Any:
     return distorted
 
 
-@njit(cache=True)
+@compiled
 def _undistort(pixels: Any, intrinsics: Any, k: Any) -> Any:
     """Newton's method on the distortion; 20 steps are ample, most pixels need four."""
     fx, fy, cx, cy = intrinsics

@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from codecbench.core.kernels.compiled import compiled
+
 Indices = NDArray[np.int64]
 
 
-@njit(cache=True)
+@compiled
 def copy_numbers(source, target):  # type: ignore[no-untyped-def]
     """Copy an array into one of its shape; both contiguous. Assigning a slice takes seconds to compile instead."""
     source, target = source.reshape(-1), target.reshape(-1)
@@ -25,7 +26,7 @@ def copy_numbers(source, target):  # type: ignore[no-untyped-def]
         target[i] = source[i]
 
 
-@njit(cache=True)
+@compiled
 def solve_symmetric(matrix, right_side, damping):  # type: ignore[no-untyped-def]
     """Return x of (A + damping diag(A)) x = b and whether A was positive definite; reads the lower triangle only."""
     n = right_side.shape[0]
@@ -86,7 +87,7 @@ def envelope_offsets(first: Indices, block: int) -> Indices:
     return np.concatenate([[0], np.cumsum(widths * block * block)]).astype(np.int64)
 
 
-@njit(cache=True)
+@compiled
 def _dot_3x3(values, row_a, stride_a, row_b, stride_b, length, out):  # type: ignore[no-untyped-def]
     """Write the products of three rows with three rows: nine sums that share their loads."""
     s00 = s01 = s02 = s10 = s11 = s12 = s20 = s21 = s22 = 0.0
@@ -108,7 +109,7 @@ def _dot_3x3(values, row_a, stride_a, row_b, stride_b, length, out):  # type: ig
     out[2, 0], out[2, 1], out[2, 2] = s20, s21, s22
 
 
-@njit(cache=True)
+@compiled
 def _dot(values, row_a, row_b, length):  # type: ignore[no-untyped-def]
     total = 0.0
     a, b = values[row_a:], values[row_b:]
@@ -117,7 +118,7 @@ def _dot(values, row_a, row_b, length):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True)
+@compiled
 def _subtract_products(values, row_a, stride_a, row_b, stride_b, length, target, block, tile):  # type: ignore[no-untyped-def]
     """Subtract A B^T (block rows each, `length` columns) from the block at `target`, in tiles of 3 x 3."""
     whole = block - block % 3
@@ -132,7 +133,7 @@ def _subtract_products(values, row_a, stride_a, row_b, stride_b, length, target,
             values[target + i * stride_a + j] -= _dot(values, row_a + i * stride_a, row_b + j * stride_b, length)
 
 
-@njit(cache=True)
+@compiled
 def factorize_envelope(values, first, offsets, block):  # type: ignore[no-untyped-def]
     """Replace a matrix under an envelope (lower triangle, flat) by its Cholesky factor; return whether it exists.
 
@@ -156,7 +157,7 @@ def factorize_envelope(values, first, offsets, block):  # type: ignore[no-untype
     return True
 
 
-@njit(cache=True)
+@compiled
 def _solve_block(values, target, stride, diagonal, stride_diagonal, block):  # type: ignore[no-untyped-def]
     for a in range(block):
         for b in range(block):
@@ -166,7 +167,7 @@ def _solve_block(values, target, stride, diagonal, stride_diagonal, block):  # t
             values[target + a * stride + b] = value / values[diagonal + b * stride_diagonal + b]
 
 
-@njit(cache=True)
+@compiled
 def _factorize_block(values, target, stride, block):  # type: ignore[no-untyped-def]
     for a in range(block):
         for b in range(a + 1):
@@ -182,7 +183,7 @@ def _factorize_block(values, target, stride, block):  # type: ignore[no-untyped-
     return True
 
 
-@njit(cache=True)
+@compiled
 def solve_envelope(values, first, offsets, block, x):  # type: ignore[no-untyped-def]
     """Replace `x` (n block,) by the solution of L L^T x = b, for a factor from `factorize_envelope`."""
     for i in range(first.shape[0]):

@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from codecbench.core.kernels.compiled import compiled
 
 Array = NDArray[np.float64]
 
 SMALL_ANGLE_RAD = 0.3  # below it the closed forms lose digits to cancellation, and short series take over
 
 
-@njit(cache=True)
+@compiled
 def skew(vector: Array) -> Array:
     """Return the (3, 3) matrix [v]x with [v]x u = v x u."""
     out = np.zeros((3, 3))
@@ -25,7 +26,7 @@ def skew(vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def so3_exp(rotation_vector: Array) -> Array:
     """Return the (3, 3) rotation about a (3,) vector by its length in radians (Rodrigues' formula)."""
     out = np.empty((3, 3))
@@ -33,7 +34,7 @@ def so3_exp(rotation_vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def so3_exp_into(x: float, y: float, z: float, out: Array) -> None:
     """Write `so3_exp((x, y, z))` into `out` (3, 3), without allocating."""
     theta2 = x * x + y * y + z * z
@@ -51,7 +52,7 @@ def so3_exp_into(x: float, y: float, z: float, out: Array) -> None:
     out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x
 
 
-@njit(cache=True)
+@compiled
 def so3_log(rotation: Array) -> Array:
     """Return the (3,) rotation vector of a (3, 3) rotation, of length 0..pi; exact to rounding up to pi itself."""
     quaternion = quaternion_from_rotation(rotation)
@@ -61,7 +62,7 @@ def so3_log(rotation: Array) -> Array:
     return np.array([factor * x, factor * y, factor * z])
 
 
-@njit(cache=True)
+@compiled
 def quaternion_from_rotation(rotation: Array) -> Array:
     """Return the unit quaternion (x, y, z, w), w >= 0, of a (3, 3) rotation (Shepperd 1978: largest pivot)."""
     r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
@@ -90,7 +91,7 @@ def quaternion_from_rotation(rotation: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def rotation_from_quaternion(quaternion: Array) -> Array:
     """Return the (3, 3) rotation of a quaternion (x, y, z, w) of any non-zero length."""
     x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
@@ -102,7 +103,7 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def orthonormalize(rotation: Array) -> Array:
     """Return the rotation nearest to a (3, 3) matrix that rounding has taken slightly out of SO(3)."""
     return rotation_from_quaternion(quaternion_from_rotation(rotation))

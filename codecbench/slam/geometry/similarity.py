@@ -6,9 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.linear_systems import copy_numbers, solve_symmetric
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import align_points, sim3_compose, sim3_exp, sim3_from_parts, sim3_inverse
@@ -103,7 +103,7 @@ def _checked(*arrays: Array) -> Pairs:
     return Pairs(*out)
 
 
-@njit(cache=True)
+@compiled
 def _transformed(matrix, point):  # type: ignore[no-untyped-def]
     x = matrix[0, 0] * point[0] + matrix[0, 1] * point[1] + matrix[0, 2] * point[2] + matrix[0, 3]
     y = matrix[1, 0] * point[0] + matrix[1, 1] * point[1] + matrix[1, 2] * point[2] + matrix[1, 3]
@@ -111,7 +111,7 @@ def _transformed(matrix, point):  # type: ignore[no-untyped-def]
     return x, y, z
 
 
-@njit(cache=True)
+@compiled
 def _chi2(transform, point, pixel, weight, intrinsics):  # type: ignore[no-untyped-def]
     """Return the chi-square of a point brought into a camera; infinite behind it."""
     x, y, z = _transformed(transform, point)
@@ -122,7 +122,7 @@ def _chi2(transform, point, pixel, weight, intrinsics):  # type: ignore[no-untyp
     return weight * (e0 * e0 + e1 * e1)
 
 
-@njit(cache=True)
+@compiled
 def _classify(a_from_b, pairs, inliers):  # type: ignore[no-untyped-def]
     """Mark the pairs that fit in both images; return their number."""
     b_from_a, count, intrinsics = sim3_inverse(a_from_b), 0, pairs.intrinsics
@@ -134,7 +134,7 @@ def _classify(a_from_b, pairs, inliers):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True)
+@compiled
 def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
     """Fill `best` and `inliers` from samples of three; return the number of inliers."""
     total, best_count, needed = pairs.points_a.shape[0], 0, float(samples.shape[0])
@@ -174,7 +174,7 @@ def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
     return best_count
 
 
-@njit(cache=True)
+@compiled
 def _refine(pairs, similarity, inliers):  # type: ignore[no-untyped-def]
     active, trial = np.ones_like(inliers), similarity.copy()
     for _ in range(_ROUNDS):
@@ -189,7 +189,7 @@ def _refine(pairs, similarity, inliers):  # type: ignore[no-untyped-def]
             return
 
 
-@njit(cache=True)
+@compiled
 def _minimize(pairs, active, similarity):  # type: ignore[no-untyped-def]
     hessian, gradient = np.empty((7, 7)), np.empty(7)
     damping, cost = 1e-4, np.inf
@@ -217,7 +217,7 @@ def _minimize(pairs, active, similarity):  # type: ignore[no-untyped-def]
         trial = sim3_compose(sim3_exp(step), similarity)
 
 
-@njit(cache=True)
+@compiled
 def _linearize(  # type: ignore[no-untyped-def]
     pairs, active, similarity, hessian, gradient
 ):
@@ -236,7 +236,7 @@ def _linearize(  # type: ignore[no-untyped-def]
     return cost
 
 
-@njit(cache=True)
+@compiled
 def _point_motion(point, rotation, sign, out):  # type: ignore[no-untyped-def]
     """Write the derivative (3, 7) of sign * M exp(x) point by x, at x = 0; M is `rotation`, scaled."""
     x, y, z = point[0], point[1], point[2]
@@ -247,7 +247,7 @@ def _point_motion(point, rotation, sign, out):  # type: ignore[no-untyped-def]
         out[r, 6] = m0 * x + m1 * y + m2 * z
 
 
-@njit(cache=True)
+@compiled
 def _add(point, motion, pixel, weight, intrinsics, hessian, gradient):  # type: ignore[no-untyped-def]
     """Add one image's residual to the normal equations; return its robust cost."""
     z = point[2]

@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import SMALL_ANGLE_RAD, Array, skew, so3_exp, so3_log
 
 
-@njit(cache=True)
+@compiled
 def _power_integral(exponent: float, power: int) -> float:
     """Integral of tau^power exp(exponent tau) over 0..1, by its Taylor series."""
     term, total = 1.0, 1.0 / (power + 1)
@@ -30,7 +30,7 @@ def _power_integral(exponent: float, power: int) -> float:
     return total
 
 
-@njit(cache=True)
+@compiled
 def sim3_translation_factor(rotation_vector: Array, log_scale: float) -> Array:
     """Return W (3, 3) with t = W v: the integral of exp(tau (sigma I + [w]x)) over 0..1 (Strasdat 2012, appendix)."""
     theta = math.sqrt(rotation_vector[0] ** 2 + rotation_vector[1] ** 2 + rotation_vector[2] ** 2)
@@ -50,7 +50,7 @@ def sim3_translation_factor(rotation_vector: Array, log_scale: float) -> Array:
     return a * np.eye(3) + b * cross + c * (cross @ cross)
 
 
-@njit(cache=True)
+@compiled
 def sim3_exp(tangent: Array) -> Array:
     """Return the (4, 4) similarity of a (7,) tangent vector (v, w, sigma)."""
     out = np.eye(4)
@@ -63,7 +63,7 @@ def sim3_exp(tangent: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def sim3_log(similarity: Array) -> Array:
     """Return the (7,) tangent vector (v, w, sigma) of a (4, 4) similarity."""
     out = np.empty(7)
@@ -76,7 +76,7 @@ def sim3_log(similarity: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def _solve_3x3(matrix: Array, right_side: Array) -> Array:
     """Return x of A x = b for a well-conditioned A (3, 3): cross products of its rows over its determinant."""
     out, determinant = np.zeros(3), 0.0
@@ -93,13 +93,13 @@ def _solve_3x3(matrix: Array, right_side: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def sim3_scale(similarity: Array) -> float:
     """Return the scale of a (4, 4) similarity: the length of its first column."""
     return math.sqrt(similarity[0, 0] ** 2 + similarity[1, 0] ** 2 + similarity[2, 0] ** 2)
 
 
-@njit(cache=True)
+@compiled
 def sim3_from_parts(scale: float, rotation: Array, translation: Array) -> Array:
     """Return the (4, 4) similarity x -> scale rotation x + translation."""
     out = np.eye(4)
@@ -110,14 +110,14 @@ def sim3_from_parts(scale: float, rotation: Array, translation: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def sim3_to_parts(similarity: Array) -> tuple[float, Array, Array]:
     """Return scale, rotation (3, 3) and translation (3,) of a (4, 4) similarity."""
     scale = sim3_scale(similarity)
     return scale, similarity[:3, :3] / scale, similarity[:3, 3].copy()
 
 
-@njit(cache=True)
+@compiled
 def sim3_compose(a_from_b: Array, b_from_c: Array) -> Array:
     """Return `a_from_c` (4, 4), written out: twice as fast as a general product of small matrices."""
     out = np.zeros((4, 4))
@@ -130,7 +130,7 @@ def sim3_compose(a_from_b: Array, b_from_c: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def sim3_inverse(similarity: Array) -> Array:
     """Return the inverse of a (4, 4) similarity (or rigid motion)."""
     square = similarity[0, 0] ** 2 + similarity[1, 0] ** 2 + similarity[2, 0] ** 2
@@ -145,7 +145,7 @@ def sim3_inverse(similarity: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def sim3_adjoint(similarity: Array) -> Array:
     """Return Ad (7, 7) with S exp(x) = exp(Ad x) S."""
     scale, rotation, translation = sim3_to_parts(similarity)
@@ -159,7 +159,7 @@ def sim3_adjoint(similarity: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def se3_exp(tangent: Array) -> Array:
     """Return the (4, 4) rigid motion of a (6,) tangent vector (v, w)."""
     extended = np.zeros(7)
@@ -168,13 +168,13 @@ def se3_exp(tangent: Array) -> Array:
     return sim3_exp(extended)
 
 
-@njit(cache=True)
+@compiled
 def se3_log(motion: Array) -> Array:
     """Return the (6,) tangent vector (v, w) of a (4, 4) rigid motion."""
     return sim3_log(motion)[:6]
 
 
-@njit(cache=True)
+@compiled
 def se3_inverse(motion: Array) -> Array:
     """Return the inverse of a (4, 4) rigid motion, by transposition."""
     out = np.zeros((4, 4))
@@ -186,7 +186,7 @@ def se3_inverse(motion: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[float, Array, Array]:
     """Return scale, rotation, translation that minimise sum |a - (s R b + t)|^2; see `umeyama`, which checks first."""
     count = points_a.shape[0]

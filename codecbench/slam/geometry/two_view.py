@@ -11,9 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import skew
 from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose
 from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 _MAX_SWEEPS = 30
 
 
-@njit(cache=True)
+@compiled
 def normalize_pixels(pixels: Any) -> Any:
     """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the (3, 3) that does it."""
     x, y = pixels[:, 0].mean(), pixels[:, 1].mean()
@@ -35,7 +35,7 @@ def normalize_pixels(pixels: Any) -> Any:
     return normalized, normalizer
 
 
-@njit(cache=True)
+@compiled
 def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
     """Homography `b_from_a` (3, 3) of N >= 4 matches (N, 2) by the direct linear transform; normalise them first."""
     n = len(pixels_a)
@@ -49,7 +49,7 @@ def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
     return _least_vector(system, 2 * n).reshape((3, 3))
 
 
-@njit(cache=True)
+@compiled
 def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
     """Fundamental matrix (3, 3), x_b' F x_a = 0, of N >= 8 matches (N, 2), of rank two; normalise them first."""
     n = len(pixels_a)
@@ -61,7 +61,7 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
     return (u * np.array([s[0], s[1], 0.0])) @ vt
 
 
-@njit(cache=True)
+@compiled
 def _least_vector(system: Any, equations: int) -> Any:
     """The vector (9,) that a system (M, 9), whose first `equations` rows count, makes least for its length.
 
@@ -91,7 +91,7 @@ def fit_rotation(rays_a: Floats, rays_b: Floats) -> Floats:
     return np.asarray(u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt)
 
 
-@njit(cache=True)
+@compiled
 def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
     """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,)."""
     determinant = np.linalg.det(b_from_a)
@@ -109,7 +109,7 @@ def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: floa
     return score
 
 
-@njit(cache=True)
+@compiled
 def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
     x, y = pixel_a[0], pixel_a[1]
     w = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
@@ -120,7 +120,7 @@ def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
     return float(dx * dx + dy * dy)
 
 
-@njit(cache=True)
+@compiled
 def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
     """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,)."""
     a_from_b = b_from_a.T.copy()
@@ -137,7 +137,7 @@ def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: flo
     return score
 
 
-@njit(cache=True)
+@compiled
 def _line_distance2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
     x, y = pixel_a[0], pixel_a[1]
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
@@ -174,7 +174,7 @@ def _motion(rotation: Floats, translation: Floats) -> Floats:
     return motion
 
 
-@njit(cache=True)
+@compiled
 def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any) -> Any:
     """Fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,) in image b, pixels.
 
@@ -192,7 +192,7 @@ def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any
     return fundamental, np.array([scale * u, scale * v])
 
 
-@njit(cache=True)
+@compiled
 def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any) -> Any:
     """Points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
 
@@ -209,7 +209,7 @@ def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: A
     return points
 
 
-@njit(cache=True)
+@compiled
 def triangulate_pair(
     a_from_world: Any, b_from_world: Any, pixel_a: Any, pixel_b: Any, intrinsics: Any, system: Any
 ) -> Any:
@@ -225,7 +225,7 @@ def triangulate_pair(
     return _null_vector(system)
 
 
-@njit(cache=True)
+@compiled
 def _null_vector(system: Any) -> Any:
     """The right singular vector of the least singular value of a (4, 4), which is overwritten.
 
@@ -266,7 +266,7 @@ def _null_vector(system: Any) -> Any:
     return turned[0, least], turned[1, least], turned[2, least], turned[3, least]
 
 
-@njit(cache=True)
+@compiled
 def judge_points(
     points: Any, a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any,
     errors_a: Any, errors_b: Any, depths_a: Any, depths_b: Any, cosines: Any,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import CELL_PX
 from codecbench.slam.features.hamming import hamming
@@ -69,7 +69,7 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     return len(free)
 
 
-@njit(cache=True)
+@compiled
 def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
     """Those of `points` (P,) that features of a view may show though it does not see them, (N,), and the features (N,).
 
@@ -111,7 +111,7 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
     return winners[found], found
 
 
-@njit(cache=True)
+@compiled
 def _absent(points: Any, alive: Any, shown: Any) -> Any:
     """Those of `points` (P,) that live and that a view does not show, (N,)."""
     seen = np.zeros(len(alive), np.bool_)

@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 
@@ -55,7 +55,7 @@ class Views(NamedTuple):
     counts: Any
 
 
-@njit(cache=True)
+@compiled
 def add_links(points: Any, keyframes: Any, features: Any, first_link: int, heads: Any, counts: Any, links: Any) -> None:
     """Record that keyframes[i] sees points[i] at features[i], in links first_link + i."""
     for i in range(len(points)):
@@ -65,7 +65,7 @@ def add_links(points: Any, keyframes: Any, features: Any, first_link: int, heads
         counts[points[i]] += 1
 
 
-@njit(cache=True)
+@compiled
 def forget_observations(keyframes: Any, features: Any, lists: Links) -> None:
     """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
     heads, counts, links, keyframe_points, _ = lists
@@ -86,14 +86,14 @@ def forget_observations(keyframes: Any, features: Any, lists: Links) -> None:
             _kill(point, lists)
 
 
-@njit(cache=True)
+@compiled
 def kill_points(points: Any, lists: Links) -> None:
     """Let points die and forget who saw them."""
     for point in points:
         _kill(point, lists)
 
 
-@njit(cache=True)
+@compiled
 def _kill(point: int, lists: Links) -> None:
     link = lists.heads[point]
     while link >= 0:
@@ -104,7 +104,7 @@ def _kill(point: int, lists: Links) -> None:
     lists.alive[point] = False
 
 
-@njit(cache=True)
+@compiled
 def replace(old: Any, new: Any, lists: Links, table: Replacements) -> None:
     """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies."""
     for i in range(len(old)):
@@ -114,7 +114,7 @@ def replace(old: Any, new: Any, lists: Links, table: Replacements) -> None:
         table.visible[new[i]] += table.visible[old[i]]
 
 
-@njit(cache=True)
+@compiled
 def _hand_over(old: int, new: int, lists: Links) -> None:
     heads, counts, links, keyframe_points, _ = lists
     link = heads[old]
@@ -134,7 +134,7 @@ def _hand_over(old: int, new: int, lists: Links) -> None:
     _kill(old, lists)
 
 
-@njit(cache=True)
+@compiled
 def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) -> Any:
     """How many of `points` each keyframe sees (K,); negative indices are skipped."""
     counts = np.zeros(keyframe_count, np.int64)
@@ -146,7 +146,7 @@ def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) ->
     return counts
 
 
-@njit(cache=True)
+@compiled
 def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: Any) -> Any:
     """Observations of `points` by keyframes `wanted` (K,) bool: index into `points`, keyframe, feature, (M,) each."""
     total = 0
@@ -166,7 +166,7 @@ def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: 
     return which[:m], keyframes[:m], features[:m]
 
 
-@njit(cache=True)
+@compiled
 def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
     """The points that any of `keyframes` sees, ascending (P,)."""
     seen = np.zeros(point_count, np.bool_)
@@ -177,7 +177,7 @@ def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
     return np.nonzero(seen)[0]
 
 
-@njit(cache=True)
+@compiled
 def refresh_points(
     points: Any, positions: Any, references: Any, heads: Any, links: Any,
     centers_world: Any, keyframe_octaves: Any, keyframe_descriptors: Any, scale_factors: Any,
@@ -223,7 +223,7 @@ def refresh_points(
                 descriptors[p, w] = seen[best, w]
 
 
-@njit(cache=True)
+@compiled
 def _most_central(descriptors: Any, distances: Any) -> int:
     """The one of `descriptors` (N, 4) with the least median distance to the others; `distances` is overwritten."""
     count = len(descriptors)
@@ -241,7 +241,7 @@ def _most_central(descriptors: Any, distances: Any) -> int:
     return best
 
 
-@njit(cache=True)
+@compiled
 def _lower_median(values: Any) -> int:
     """The middle of a few values, the lower one of two, by insertion; sorts the lower half in place."""
     half = (len(values) - 1) // 2
@@ -257,7 +257,7 @@ def _lower_median(values: Any) -> int:
     return int(values[half])
 
 
-@njit(cache=True)
+@compiled
 def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: Any) -> bool:
     """Whether more than REDUNDANT_SHARE of a keyframe's points (F,) are seen by REDUNDANT_OBSERVATIONS others at the
     same, a finer or the next scale; so it is without points."""
@@ -277,7 +277,7 @@ def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: An
     return True
 
 
-@njit(cache=True)
+@compiled
 def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
     """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
     depths = np.empty(len(points))

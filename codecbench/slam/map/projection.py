@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.map import Indices, Map
@@ -42,7 +42,7 @@ def project_map_points(
     return Projections(points[kept], pixels, octaves, cosines)
 
 
-@njit(cache=True)
+@compiled
 def project_ahead(points: Any, positions: Any, camera_from_world: Any, intrinsics: Any) -> Any:
     """Which of `points` (N,) lie ahead of the camera, as indices into them (M,), and their pixels (M, 2)."""
     fx, fy, cx, cy = intrinsics
@@ -61,7 +61,7 @@ def project_ahead(points: Any, positions: Any, camera_from_world: Any, intrinsic
     return ahead[:count], pixels[:count]
 
 
-@njit(cache=True)
+@compiled
 def project_points(
     points: Any, positions: Any, normals: Any, min_distances: Any, max_distances: Any,
     camera_from_world: Any, intrinsics: Any, bounds: Any, scale_factors: Any, min_cosine: float,

@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.matching import claim
@@ -22,7 +22,7 @@ _OCTAVES_APART = 2
 """Most levels between two features that match (own)."""
 
 
-@njit(cache=True)
+@compiled
 def triangulate_features(
     keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any
 ) -> Any:
@@ -52,12 +52,12 @@ def triangulate_features(
     return features[:made], partners[:made], partner_features[:made], points[:made]
 
 
-@njit(cache=True)
+@compiled
 def _distance(a: Any, b: Any) -> float:
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@njit(cache=True)
+@compiled
 def _match_on_lines(
     keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any
 ) -> Any:
@@ -99,7 +99,7 @@ def _match_on_lines(
     return matches
 
 
-@njit(cache=True)
+@compiled
 def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, near: Any) -> None:
     """Mark the places (N,) within their reach of the epipolar line of a pixel, many at once."""
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
@@ -111,7 +111,7 @@ def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches
         near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
 
 
-@njit(cache=True)
+@compiled
 def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
     """Write the places of the nonzero among the first `length` marks; returns their number.
 
@@ -127,7 +127,7 @@ def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
     return count
 
 
-@njit(cache=True)
+@compiled
 def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
     """The free features of a keyframe (N,) level by level, and where each level begins (levels + 1,).
 
@@ -148,7 +148,7 @@ def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -
     return kept[:made], starts
 
 
-@njit(cache=True)
+@compiled
 def _triangulate_match(
     a: int, feature_a: int, b: int, feature_b: int, views: Views, camera_matrix: Any, scale_factors: Any,
     system: Any, point: Any,

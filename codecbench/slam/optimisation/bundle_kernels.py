@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.linear_systems import copy_numbers, factorize_envelope, solve_envelope
 from codecbench.slam.optimisation.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
@@ -36,7 +36,7 @@ class Observations(NamedTuple):
     intrinsics: Any
 
 
-@njit(cache=True)
+@compiled
 def camera_adjacency(slots, points, point_count, slot_count):  # type: ignore[no-untyped-def]
     """Return which free cameras (slot_count, slot_count) see a common point; `slots` (M,) is -1 where fixed."""
     out = np.zeros((slot_count, slot_count), dtype=np.bool_)
@@ -53,7 +53,7 @@ def camera_adjacency(slots, points, point_count, slot_count):  # type: ignore[no
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def reprojection(pose, point, u, v, weight, intrinsics):  # type: ignore[no-untyped-def]
     """Return x / z, y / z and 1 / z in the camera's frame, the error in pixels, and the chi-square up to MAX_CHI2."""
     z = pose[2, 0] * point[0] + pose[2, 1] * point[1] + pose[2, 2] * point[2] + pose[2, 3]
@@ -66,7 +66,7 @@ def reprojection(pose, point, u, v, weight, intrinsics):  # type: ignore[no-unty
     return x, y, inverse, e0, e1, min(weight * weight * (e0 * e0 + e1 * e1), MAX_CHI2)
 
 
-@njit(cache=True)
+@compiled
 def jacobians(pose, x, y, inverse, intrinsics):  # type: ignore[no-untyped-def]
     """Return the entries of the pixel's derivatives: first by the point, then by the left update (v, w) of the pose.
 
@@ -85,7 +85,7 @@ def jacobians(pose, x, y, inverse, intrinsics):  # type: ignore[no-untyped-def]
     return p00, p01, p02, p10, p11, p12, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5
 
 
-@njit(cache=True)
+@compiled
 def _count_active(active, start, end):  # type: ignore[no-untyped-def]
     count = 0
     for m in range(start, end):
@@ -94,7 +94,7 @@ def _count_active(active, start, end):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True)
+@compiled
 def classify(poses, points, seen, limit, inliers):  # type: ignore[no-untyped-def]
     """Mark the observations in front of their camera with a chi-square of at most `limit`."""
     for p in range(points.shape[0]):
@@ -103,7 +103,7 @@ def classify(poses, points, seen, limit, inliers):  # type: ignore[no-untyped-de
             inliers[m] = reprojection(pose, points[p], u, v, seen.weights[m], seen.intrinsics)[5] <= limit
 
 
-@njit(cache=True)
+@compiled
 def robust_cost(poses, points, seen, huber):  # type: ignore[no-untyped-def]
     """Return half the sum of Huber's function of the active chi-squares, of points seen at least twice."""
     huber2, total = huber * huber, 0.0
@@ -119,7 +119,7 @@ def robust_cost(poses, points, seen, huber):  # type: ignore[no-untyped-def]
     return 0.5 * total
 
 
-@njit(cache=True)
+@compiled
 def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt in place on poses (K, 3, 4) and points (P, 3); return the number of steps tried."""
     slots, first, offsets = layout
@@ -155,7 +155,7 @@ def minimize(poses, points, seen, layout, huber, limit, tolerance):  # type: ign
     return limit
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyped-def]
     """Fill the points' blocks V, the cameras' blocks U, both with gradients, and the cross terms W."""
     cameras, starts, pixels, weights, active, intrinsics = seen
@@ -197,7 +197,7 @@ def linearize(poses, points, seen, slots, huber, work):  # type: ignore[no-untyp
         normal[6], normal[7], normal[8] = gx, gy, gz
 
 
-@njit(cache=True)
+@compiled
 def _add_camera(block, a0, a2, a3, a4, a5, b1, b2, b3, b4, b5, w, e0, e1):  # type: ignore[no-untyped-def]
     """Add one observation to U (lower triangle, row by row) and to minus the gradient."""
     c0, c2, c3, c4, c5 = w * a0, w * a2, w * a3, w * a4, w * a5

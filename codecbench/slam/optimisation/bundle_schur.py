@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import so3_exp_into
 from codecbench.slam.geometry.vector_kernels import subtract_product
 
@@ -41,7 +41,7 @@ class Workspace(NamedTuple):
     right_side: Any
 
 
-@njit(cache=True)
+@compiled
 def eliminate(seen, layout, damping, work):  # type: ignore[no-untyped-def]
     """Fill the reduced camera system S = U - W V^-1 W^T, damped, its right side, and V^-1 of each point."""
     slots, first, offsets = layout
@@ -66,7 +66,7 @@ def eliminate(seen, layout, damping, work):  # type: ignore[no-untyped-def]
             )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _invert_damped(normal, damping, out):  # type: ignore[no-untyped-def]
     """Write the inverse (xx, xy, xz, yy, yz, zz) of a point's damped block; zeros and False where it has none."""
     xy, xz, yz = normal[1], normal[2], normal[4]
@@ -83,7 +83,7 @@ def _invert_damped(normal, damping, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@compiled
 def _eliminate_point(  # type: ignore[no-untyped-def]
     inverse, normal, start, end, cameras, active, slots, first, offsets, crosses, system, right_side, product
 ):
@@ -107,7 +107,7 @@ def _eliminate_point(  # type: ignore[no-untyped-def]
                 subtract_product(system, row + 6 * other, stride, product, crosses, n)
 
 
-@njit(cache=True)
+@compiled
 def move_cameras(poses, slots, step, out):  # type: ignore[no-untyped-def]
     rotation = np.empty((3, 3))
     for k in range(poses.shape[0]):
@@ -121,7 +121,7 @@ def move_cameras(poses, slots, step, out):  # type: ignore[no-untyped-def]
             out[k, i, 3] += own[i]
 
 
-@njit(cache=True)
+@compiled
 def move_points(points, seen, slots, work, out):  # type: ignore[no-untyped-def]
     """Back substitution: each point's step is V^-1 (g - W^T step of the cameras)."""
     cameras, starts, _, _, active, _ = seen

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import zeta
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.linear_systems import (
     Indices,
     copy_numbers,
@@ -114,13 +114,13 @@ def _layout(edges: Indices, fixed: NDArray[np.bool_]) -> tuple[Indices, Indices]
     return slots, first_neighbours(adjacency[np.ix_(order, order)])
 
 
-@njit(cache=True)
+@compiled
 def edge_error(j_from_i, node_i, node_j):  # type: ignore[no-untyped-def]
     """Return the error (7,) of one edge: the logarithm of j_from_i S_i S_j^-1."""
     return sim3_log(sim3_compose(sim3_compose(j_from_i, node_i), sim3_inverse(node_j)))
 
 
-@njit(cache=True)
+@compiled
 def edge_jacobians(j_from_i, error):  # type: ignore[no-untyped-def]
     """Return the derivatives (7, 7) of an edge's error by the left updates exp(x) S of its two nodes.
 
@@ -146,7 +146,7 @@ def edge_jacobians(j_from_i, error):  # type: ignore[no-untyped-def]
     return (even - 0.5 * algebra) @ sim3_adjoint(j_from_i), -(even + 0.5 * algebra)
 
 
-@njit(cache=True)
+@compiled
 def _cost(nodes, edges, measurements, weights):  # type: ignore[no-untyped-def]
     total = 0.0
     for e in range(edges.shape[0]):
@@ -156,7 +156,7 @@ def _cost(nodes, edges, measurements, weights):  # type: ignore[no-untyped-def]
     return 0.5 * total
 
 
-@njit(cache=True)
+@compiled
 def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit, tolerance):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt in place on `nodes`; return the cost before, the cost after and the steps tried."""
     count = first.shape[0]
@@ -190,7 +190,7 @@ def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit,
     return before, cost, steps
 
 
-@njit(cache=True)
+@compiled
 def _damp(system, first, offsets, damping):  # type: ignore[no-untyped-def]
     for i in range(first.shape[0]):
         stride = 7 * (i - first[i] + 1)
@@ -199,7 +199,7 @@ def _damp(system, first, offsets, damping):  # type: ignore[no-untyped-def]
             system[entry] += damping * system[entry] if system[entry] > 0.0 else 1.0
 
 
-@njit(cache=True)
+@compiled
 def _moved(nodes, slots, step):  # type: ignore[no-untyped-def]
     out = nodes.copy()
     for k in range(nodes.shape[0]):
@@ -208,7 +208,7 @@ def _moved(nodes, slots, step):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@compiled
 def _linearize(nodes, edges, measurements, weights, slots, first, offsets, system, gradient):  # type: ignore[no-untyped-def]
     """Fill the normal equations: the lower blocks of the system under its envelope, and minus the gradient."""
     system[:] = 0.0
@@ -228,7 +228,7 @@ def _linearize(nodes, edges, measurements, weights, slots, first, offsets, syste
                     _add_block(weighted @ jacobians[b], row, column, first, offsets, system)
 
 
-@njit(cache=True)
+@compiled
 def _add_block(block, row, column, first, offsets, system):  # type: ignore[no-untyped-def]
     stride = 7 * (row - first[row] + 1)
     start = offsets[row] + 7 * (column - first[row])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.linear_systems import solve_symmetric
 from codecbench.slam.geometry.rotations import Array, orthonormalize, so3_exp_into
 from codecbench.slam.thresholds import CHI2_95_2DOF
@@ -54,7 +54,7 @@ def optimize_pose(
     return pose, inliers
 
 
-@njit(cache=True)
+@compiled
 def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
     active = np.ones(len(points), dtype=np.bool_)
     trial_active = np.empty_like(active)
@@ -74,7 +74,7 @@ def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: igno
             break
 
 
-@njit(cache=True)
+@compiled
 def _minimize(pose, points, pixels, weights, intrinsics, active, robust):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt on the six parameters of one pose, in place."""
     hessian, gradient = np.empty((6, 6)), np.empty(6)
@@ -109,7 +109,7 @@ def _minimize(pose, points, pixels, weights, intrinsics, active, robust):  # typ
             break
 
 
-@njit(cache=True)
+@compiled
 def _move(pose, rotation, step, out):  # type: ignore[no-untyped-def]
     """Write the left update of a pose: x' = exp(w) x + v for points x in the camera's frame."""
     for i in range(3):
@@ -119,7 +119,7 @@ def _move(pose, rotation, step, out):  # type: ignore[no-untyped-def]
     out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@njit(cache=True)
+@compiled
 def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessian, gradient):  # type: ignore[no-untyped-def]
     """Fill the normal equations H step = gradient; return the cost and the mean depth.
 
@@ -168,7 +168,7 @@ def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessia
     return cost, depths / max(in_front, 1)
 
 
-@njit(cache=True)
+@compiled
 def _classify(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     for i in range(points.shape[0]):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
-from numba import njit
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.places.vocabulary import BowVector, Indices
 
@@ -127,7 +127,7 @@ class KeyframeDatabase:
         self._values = np.append(self._values, np.zeros(size - old))
 
 
-@njit(cache=True)
+@compiled
 def _insert(words, values, keyframe, heads, following, keyframes, posting_values, free):  # type: ignore[no-untyped-def]
     """Link one posting a word; return False, with nothing changed, when there are too few free ones."""
     available, posting = 0, free[0]
@@ -146,7 +146,7 @@ def _insert(words, values, keyframe, heads, following, keyframes, posting_values
     return True
 
 
-@njit(cache=True)
+@compiled
 def _remove(words, keyframe, heads, following, keyframes, free):  # type: ignore[no-untyped-def]
     for i in range(words.shape[0]):
         previous, posting = -1, heads[words[i]]
@@ -160,7 +160,7 @@ def _remove(words, keyframe, heads, following, keyframes, free):  # type: ignore
         free[0] = posting
 
 
-@njit(cache=True)
+@compiled
 def _accumulate(words, values, heads, following, keyframes, posting_values, scores, shared):  # type: ignore[no-untyped-def]
     """Add up min(v, w) over the words in common: the L1 score of two vectors that sum to 1."""
     for i in range(words.shape[0]):

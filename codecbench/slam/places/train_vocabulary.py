@@ -16,9 +16,9 @@ import cv2
 import matplotlib
 import numpy as np
 import skimage
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.geometry.camera import Camera
@@ -172,7 +172,7 @@ def _seed_centres(descriptors: Bits, branches: int, rng: np.random.Generator) ->
     return np.array(centres)
 
 
-@njit(cache=True)
+@compiled
 def _assign(descriptors, centres, labels):  # type: ignore[no-untyped-def]
     """Label each descriptor with its nearest centre; return how many changed."""
     moved = 0
@@ -187,7 +187,7 @@ def _assign(descriptors, centres, labels):  # type: ignore[no-untyped-def]
     return moved
 
 
-@njit(cache=True)
+@compiled
 def _vote(descriptors, labels, centres):  # type: ignore[no-untyped-def]
     """Replace each centre by the majority of its descriptors, bit by bit; a tie sets the bit."""
     sizes, votes = np.zeros(centres.shape[0], np.int64), np.zeros((centres.shape[0], 256), np.int32)

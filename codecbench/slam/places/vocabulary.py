@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.geometry.rotations import Array
 
@@ -169,7 +169,7 @@ def _default_vocabulary() -> Vocabulary:
         return Vocabulary.load(path)
 
 
-@njit(cache=True)
+@compiled
 def _descend(descriptors, nodes, first_children, child_counts, level, leaves, ancestors):  # type: ignore[no-untyped-def]
     """Walk each descriptor down the tree to the nearest child, the first one of equals."""
     for i in range(descriptors.shape[0]):

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
@@ -88,7 +88,7 @@ def start_from_two_views(
     )
 
 
-@njit(cache=True)
+@compiled
 def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
     """The best homography and fundamental matrix of the samples (S, 8), each fitted again to its own inliers."""
     normalized_a, normalizer_a = geometry.normalize_pixels(pixels_a)

@@ -11,10 +11,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
+from codecbench.core.kernels.compiled import compiled
 from codecbench.plugins.datasets.synthetic.atlas import edges_of
 from codecbench.plugins.datasets.synthetic.scene import Panel
 from codecbench.plugins.datasets.synthetic.textures import rounded
@@ -80,7 +80,7 @@ def _cosine_directions(rng: np.random.Generator) -> Floats:
     return np.asarray(points / np.sqrt((points * points).sum(axis=1, keepdims=True)))
 
 
-@njit(cache=True)
+@compiled
 def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: Any) -> Any:
     """The light (N,) on points of one surface; `nearby` are the edges that its sky rays can reach."""
     helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
@@ -106,7 +106,7 @@ def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: A
     return light
 
 
-@njit(cache=True)
+@compiled
 def _kept_off(point: Any, towards: Any, edges: Any, normals: Any) -> float:
     """How much of the light from one direction an obstacle keeps off: 1 at hand, falling to 0 at point + towards.
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.sequence import Camera
+from codecbench.core.kernels.compiled import compiled
 from codecbench.plugins.datasets.synthetic.atlas import Atlas
 
 Floats = NDArray[np.float64]
@@ -101,7 +101,7 @@ def _candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64
     return rows
 
 
-@njit(cache=True)
+@compiled
 def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
     """First column and one past the last at which a panel covers row y; empty where first >= last."""
     first, last = 0.0, width - 1.0
@@ -122,7 +122,7 @@ def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
     return int(np.ceil(first)), int(np.floor(last)) + 1
 
 
-@njit(cache=True)
+@compiled
 def _cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
     """Keep, in every pixel, the panel with the largest 1/z."""
     width = nearness.shape[1]
@@ -138,7 +138,7 @@ def _cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
                     panels[y, x] = panel
 
 
-@njit(cache=True)
+@compiled
 def _shade(planes: Any, panels: Any, texels: Any, first_level: Any, level_count: Any, levels: Any, total: Any) -> None:
     """Add the texture's colour at every covered pixel to `total`."""
     height, width = panels.shape
@@ -153,7 +153,7 @@ def _shade(planes: Any, panels: Any, texels: Any, first_level: Any, level_count:
                 _shade_run(planes[panel], y, begin, x, some, texels, total)
 
 
-@njit(cache=True)
+@compiled
 def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: Any, total: Any) -> None:
     """Add one panel's colour to the pixels begin <= x < end of row y."""
     sx, tx, nx = plane[0, 0], plane[1, 0], plane[2, 0]
@@ -172,7 +172,7 @@ def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: An
         total[y, x, 2] += np.float32(color >> np.uint64(42))
 
 
-@njit(cache=True)
+@compiled
 def _level(plane: Any, along: float, below: float, depth: float, levels: Any) -> tuple[int, int]:
     """The reduction of a texture that suits a pixel, and the share in eighths that the next one gets."""
     reach = 0.0
@@ -195,7 +195,7 @@ _FULL_WEIGHT = 8 * 32 * 32
 """What the weights of the texels in a colour add up to: 255 times this fits into 21 bits."""
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _texel(texels: Any, levels: Any, level: int, along: float, below: float) -> Any:
     """1024 times the bilinear colour of one level at (along, below) in 0..1: three numbers of 21 bits in one word.
 
@@ -215,7 +215,7 @@ def _texel(texels: Any, levels: Any, level: int, along: float, below: float) -> 
     return gv * upper + fv * lower
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _lanes(texel: Any) -> Any:
     """A texel's three bytes, 21 bits apart."""
     word = np.uint64(texel)

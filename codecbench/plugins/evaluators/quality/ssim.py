@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from codecbench.core.kernels.compiled import compiled
 
 WINDOW_RADIUS = 5
 """Pixels on each side of the centre of the 11x11 Gaussian window (Wang 2004, section III-C)."""
@@ -80,7 +81,7 @@ def multiscale_similarity(gray: NDArray[Any], other: NDArray[Any], finest: Simil
     return float(value)
 
 
-@njit(cache=True)
+@compiled
 def _halve(gray: NDArray[Any]) -> NDArray[np.float64]:
     """(H // 2, W // 2) means of the 2x2 blocks of a picture."""
     height, width = gray.shape[0] // 2, gray.shape[1] // 2
@@ -93,7 +94,7 @@ def _halve(gray: NDArray[Any]) -> NDArray[np.float64]:
     return half
 
 
-@njit(cache=True)
+@compiled
 def _mean_similarity(
     gray: NDArray[Any], other: NDArray[Any], window: NDArray[np.float64], c1: float, c2: float
 ) -> tuple[float, float, float]:
@@ -125,7 +126,7 @@ def _mean_similarity(
     return full, inner, inner_contrast
 
 
-@njit(cache=True)
+@compiled
 def _load_line(gray: NDArray[Any], other: NDArray[Any], row: int, line: NDArray[np.float64]) -> None:
     """The four quantities of a row, one after the other, each continued at both ends by WINDOW_RADIUS pixels."""
     width = gray.shape[1]
@@ -141,7 +142,7 @@ def _load_line(gray: NDArray[Any], other: NDArray[Any], row: int, line: NDArray[
         quantities[quantity, WINDOW_RADIUS + width :] = quantities[quantity, WINDOW_RADIUS + width - 1]
 
 
-@njit(cache=True)
+@compiled
 def _filter_down(
     lines: NDArray[np.float64], centre: int, window: NDArray[np.float64], filtered: NDArray[np.float64]
 ) -> None:
@@ -157,7 +158,7 @@ def _filter_down(
         filtered[i] = near + w3 * (a3[i] + b3[i]) + w4 * (a4[i] + b4[i]) + w5 * (a5[i] + b5[i])
 
 
-@njit(cache=True)
+@compiled
 def _filter_along(line: NDArray[np.float64], window: NDArray[np.float64], means: NDArray[np.float64]) -> None:
     """Weighted sum along the line; entry i of `means` is centred on entry i + WINDOW_RADIUS of `line`."""
     w0, w1, w2, w3, w4, w5 = window
@@ -168,7 +169,7 @@ def _filter_along(line: NDArray[np.float64], window: NDArray[np.float64], means:
         means[i] = near + w3 * (a3[i] + b3[i]) + w4 * (a4[i] + b4[i]) + w5 * (a5[i] + b5[i])
 
 
-@njit(cache=True)
+@compiled
 def _compare(
     means: NDArray[np.float64],
     c1: float,
