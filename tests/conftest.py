@@ -25,12 +25,14 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    for tier in reversed(TIERS):
-        if config.getoption(f"--{tier}"):
-            return  # and so run those of the shorter tiers
-        for item in items:
-            if item.get_closest_marker(tier):
-                item.add_marker(pytest.mark.skip(reason=f"takes long: marked {tier}; run with --{tier}"))
+    """Deselect the tests of tiers that were not asked for, so that a skip means that something is missing."""
+    asked = [place for place, tier in enumerate(TIERS) if config.getoption(f"--{tier}")]
+    left_out = TIERS[max(asked) + 1 :] if asked else TIERS
+    chosen, rest = [], []
+    for item in items:
+        (rest if any(item.get_closest_marker(tier) for tier in left_out) else chosen).append(item)
+    items[:] = chosen
+    config.hook.pytest_deselected(items=rest)
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,11 @@ import os
 import subprocess
 import sys
 from itertools import pairwise
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from project import GOLDEN
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
@@ -24,7 +24,7 @@ from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, LOOP_S, Ha
 from codecbench.plugins.datasets.synthetic.room import HALF_X, HALF_Y, HEIGHT
 from codecbench.plugins.datasets.synthetic.sensor import READ_NOISE, SHOT_NOISE, sensed
 
-GOLDEN = Path(__file__).parents[2] / "golden" / "synthetic"
+PICTURES = GOLDEN / "synthetic"
 
 
 @pytest.fixture(autouse=True)
@@ -199,10 +199,10 @@ def test_a_long_exposure_blurs():
 @pytest.mark.parametrize("index", [0, 130, 260])
 def test_pictures_are_those_of_this_version(index):
     """Set CODECBENCH_REGENERATE_GOLDEN to write them anew; raise the dataset's version when they change."""
-    file = GOLDEN / f"version{Synthetic.version}-{index:03d}.png"
+    file = PICTURES / f"version{Synthetic.version}-{index:03d}.png"
     image = Synthetic.create(width=160, height=120, frames=300).open().read(index).image
     if os.environ.get("CODECBENCH_REGENERATE_GOLDEN"):
-        GOLDEN.mkdir(parents=True, exist_ok=True)
+        PICTURES.mkdir(parents=True, exist_ok=True)
         file.write_bytes(png_bytes(image))
     difference = np.abs(read_image_file(file).astype(int) - image)
     assert difference.max() <= 2

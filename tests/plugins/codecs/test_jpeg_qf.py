@@ -19,6 +19,7 @@ import PIL.Image
 import pytest
 import skimage.data
 from damage import outcomes
+from project import GOLDEN
 from skimage.metrics import peak_signal_noise_ratio
 
 from codecbench import BitstreamError, ImageError, gray_from_image
@@ -38,7 +39,7 @@ SETTINGS: list[dict[str, Any]] = [
 ]
 EVERY_SETTING = pytest.mark.parametrize("setting", SETTINGS, ids=str)
 IMAGES = pytest.mark.parametrize("image", [PICTURE, GRAY], ids=["rgb", "gray"])
-GOLDEN = Path(__file__).parents[1] / "golden" / "jpeg_qf"
+STREAMS = GOLDEN / "jpeg_qf"
 
 
 def _tool(name: str) -> str:
@@ -235,7 +236,7 @@ def _golden_picture(channels: int) -> np.ndarray:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_bitstreams_and_pixels_are_the_golden_ones(channels: int, setting: dict[str, Any]) -> None:
     name = "-".join(["gray" if channels == 1 else "rgb", *(f"{key}={value}" for key, value in setting.items())])
-    file, manifest = GOLDEN / f"{name}.jpg", GOLDEN / "pixels.json"
+    file, manifest = STREAMS / f"{name}.jpg", STREAMS / "pixels.json"
     bitstream = JpegQf.create(**setting).encode(_golden_picture(channels))
     if os.environ.get("REGENERATE_GOLDEN"):
         digests = json.loads(manifest.read_text()) if manifest.exists() else {}

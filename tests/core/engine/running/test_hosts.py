@@ -19,13 +19,13 @@ import psutil
 import pytest
 from dask_cluster import Cluster, Host, cluster_elsewhere
 from engine_bench import Bench, bench_in, contents, matrix
+from project import SUPPORT
 
 pytestmark = pytest.mark.thorough
 
 pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
 
 log = logging.getLogger("hosts")
-HERE = Path(__file__).parent
 CODECS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
 HIDE = 'mount -t tmpfs none "$0" && exec "$@"'
 
@@ -100,7 +100,7 @@ def needs_namespaces() -> None:
 
 def drive(bench: Bench, host: Host, out: Path) -> subprocess.Popen[bytes]:
     """The coordinator, on a host of its own."""
-    words = [HERE / "run_driver.py", bench.folder / "matrix.yaml", out, bench.site]
+    words = [SUPPORT / "run_driver.py", bench.folder / "matrix.yaml", out, bench.site]
     return subprocess.Popen([*host.enter, sys.executable, *map(str, words)])
 
 
@@ -206,7 +206,7 @@ def test_an_ssh_cluster_finds_the_same(bench: Bench) -> None:
     keys.mkdir()
     known = set(psutil.pids())
     with ssh_server(keys) as (port, key):
-        path = os.pathsep.join([str(bench.site), str(HERE)])
+        path = os.pathsep.join([str(bench.site), str(SUPPORT)])
         options = (
             "hosts: [127.0.0.1, 127.0.0.1, 127.0.0.1], "
             f"connect_options: {{port: {port}, username: {getpass.getuser()}, "
@@ -244,7 +244,7 @@ def test_job_scripts_of_a_queue_bring_up_workers(bench: Bench, queue: str, monke
     for tool in tools.iterdir():
         tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(bench.site), str(HERE), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(bench.site), str(SUPPORT), os.environ.get("PYTHONPATH", "")]))
     options = f"cores: 1, processes: 1, memory: 1GB, interface: lo, walltime: '00:10:00', {resources}"
     executor = f"{{use: dask, params: {{cluster: {queue}, options: {{{options}}}, shared_files: true}}}}"
     plan = bench.plan(matrix(CODECS, "wandering, whole", f"workers: 2, executor: {executor}"))

@@ -6,13 +6,10 @@ import re
 from pathlib import Path
 
 import pytest
-from distributions import THIRD_PARTY
+from project import DOCS, ROOT, THIRD_PARTY
 
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.planning.matrix import read_matrix
-
-ROOT = Path(__file__).parent.parent.parent
-DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from pathlib import Path
 
 import pytest
 from multilevel_pictures import textured
+from project import GOLDEN
 
 from codecbench.plugins.codecs.multilevel import Multilevel
 
-FOLDER = Path(__file__).parents[2] / "golden" / "multilevel"
+FOLDER = GOLDEN / "multilevel"
 DIGESTS = FOLDER / "decoded_sha256.json"
 
 GOLDEN: dict[str, tuple[int, dict[str, object]]] = {

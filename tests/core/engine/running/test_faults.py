@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 import pytest
 from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+from project import SUPPORT
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.storage import atomic
@@ -285,7 +286,7 @@ def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
 def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: Bench) -> None:
     cells = "abcdefghijklmnopqrstuvwx"
     plan = bench.plan(matrix(grid("faulty", cells), "slow"))
-    command = [sys.executable, Path(__file__).parent / "run_driver.py", bench.folder / "matrix.yaml"]
+    command = [sys.executable, SUPPORT / "run_driver.py", bench.folder / "matrix.yaml"]
     first = subprocess.Popen([*map(str, command), str(bench.folder / "run"), str(bench.site)])
     deadline = time.monotonic() + 60
     while not bench.store().entries():

@@ -20,6 +20,7 @@ import psutil
 import pytest
 from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+from project import SUPPORT
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import CodecbenchError
@@ -33,7 +34,6 @@ pytest.importorskip("distributed", reason="the extra codecbench[dask] is not ins
 
 pytestmark = pytest.mark.thorough
 
-HERE = Path(__file__).parent
 CODECS = "{use: faulty, params: {step: {grid: [0, 1, 2]}}}"
 
 
@@ -278,7 +278,7 @@ def test_many_workers_killed_at_random_change_nothing(bench: Bench) -> None:
 
 def test_a_killed_coordinator_resumes(bench: Bench) -> None:
     plan = bench.plan(matrix(CODECS, "wandering, whole, slow, {use: slow, params: {fault: again}}", on_dask()))
-    arguments = [HERE / "run_driver.py", bench.folder / "matrix.yaml", bench.folder / "killed", bench.site]
+    arguments = [SUPPORT / "run_driver.py", bench.folder / "matrix.yaml", bench.folder / "killed", bench.site]
     process = subprocess.Popen([sys.executable, *map(str, arguments)])
     deadline = time.monotonic() + 60
     while len(bench.store("killed").entries()) < 2 and process.poll() is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-THIRD_PARTY = Path(__file__).parent.parent / "third_party"
+from project import THIRD_PARTY
 
 
 def install_source(site: Path, name: str, version: str, source: str) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
+from project import DOCS
 
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.plugins.evaluators import codecbench_evaluators
@@ -13,7 +13,7 @@ from codecbench.plugins.evaluators.features import Features
 from codecbench.plugins.evaluators.quality import Quality
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 
-PAGE = (Path(__file__).parent.parent.parent / "docs" / "metrics.md").read_text()
+PAGE = (DOCS / "metrics.md").read_text()
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]}
 EVALUATORS = (Quality, Features, TrajectoryEvaluator)
 

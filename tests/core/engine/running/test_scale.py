@@ -1,6 +1,6 @@
 """Many cells and many samples. The short forms check that all is there; the long forms (--slow) hold times and memory.
 
-To see the figures: pytest tests/core/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO
+To see the figures: pytest tests/core/engine/running/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import pyarrow.parquet as pq
 import pytest
 from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, write_stack
+from project import SUPPORT
 
 from codecbench.core.contracts.evaluator import Measurement, Metric
 from codecbench.core.engine.aggregate import summarise
@@ -106,7 +107,7 @@ class Process:
 
 def whole_process(*words: str | Path, site: Path) -> Process:
     """`codecbench WORDS` in a process of its own."""
-    path = os.pathsep.join([str(site), str(Path(__file__).parent)])
+    path = os.pathsep.join([str(site), str(SUPPORT)])
     command = [sys.executable, "-m", "codecbench", *map(str, words)]
     begun = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
@@ -210,7 +211,7 @@ def test_a_wide_table_of_many_samples(bench: Bench, sequences: int, codecs: int,
 def bare_s(processes: int, cpu_s: float) -> float:
     """How long so many processes without codecbench take to use so much of the cores together."""
     program = f"from scale_plugins import burn; burn({cpu_s / processes})"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": str(SUPPORT)}
     begun = time.monotonic()
     started = [subprocess.Popen([sys.executable, "-c", program], env=environment) for _ in range(processes)]
     assert [process.wait() for process in started] == [0] * processes

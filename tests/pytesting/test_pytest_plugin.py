@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from distributions import THIRD_PARTY, register
+from distributions import register
+from project import DOCS, THIRD_PARTY
 
 from codecbench.pytesting.baseline import Baseline
 
 pytestmark = pytest.mark.thorough
 
-DOCS = Path(__file__).parent.parent.parent / "docs"
 # Times are given room here, where other tests may run beside; how small a slowdown is caught is for the benchmarks.
 QUICK = "-p no:cacheprovider --benchmark-min-rounds=12 --benchmark-max-time=0.1 -k 'not TestPosterize'"
 QUICK += " --codecbench-slower=60"

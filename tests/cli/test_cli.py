@@ -13,11 +13,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from distributions import register
+from project import ROOT, SUPPORT
 
 import codecbench
 from codecbench.cli import COMMANDS
 
-ROOT = Path(__file__).parent.parent.parent
 MATRIX = """
 version: 1
 name: tiny
@@ -35,7 +35,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a matrix, and a site with the smallest plugins."""
     folder = tmp_path_factory.mktemp("cli")
     (folder / "site").mkdir()
-    shutil.copy(Path(__file__).parent / "plain_plugins.py", folder / "site")
+    shutil.copy(SUPPORT / "plain_plugins.py", folder / "site")
     register(folder / "site", "plain", "1", "plain_plugins")
     (folder / "tiny.yaml").write_text(MATRIX)
     return folder

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from distributions import install_posterize
+from project import DOCS, SUPPORT
 
 from codecbench import BitstreamError, Image, ParamsError, StoreError
 from codecbench.cli import cli
@@ -29,8 +30,6 @@ from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.pytesting.suite import CodecSuite
 
-DOCS = Path(__file__).parent.parent.parent / "docs"
-BROKEN = Path(__file__).parent.parent / "contracts"
 CORPUS_CODECS = ("raw", "png", "jpeg_qf")
 
 
@@ -41,7 +40,7 @@ def verify(*arguments: str) -> Result:
 @pytest.fixture
 def broken(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Puts a broken codec in the place of raw."""
-    monkeypatch.syspath_prepend(str(BROKEN))
+    monkeypatch.syspath_prepend(str(SUPPORT))
     import broken_codecs
 
     registry = installed()

@@ -13,6 +13,7 @@ import numpy as np
 import psutil
 import pytest
 from engine_bench import FRAMES, Bench, bench_in, contents, grid, matrix
+from project import SUPPORT
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Cell, CodingJob
@@ -136,7 +137,7 @@ def test_a_clock_that_goes_backwards_harms_nothing(bench: Bench, monkeypatch: py
 
 def interrupted_run(bench: Bench, name: str, number: signal.Signals, after_s: float) -> float:
     """Start the matrix in a process, send it a signal, and return how long it took to end."""
-    driver = Path(__file__).parent / "run_driver.py"
+    driver = SUPPORT / "run_driver.py"
     command = [
         sys.executable,
         str(driver),
