@@ -76,9 +76,11 @@ def test_the_first_map_is_exact_and_of_unit_depth(rng: np.random.Generator) -> N
     slam_map, mapper = started
     assert slam_map.keyframes.count == 2
     assert mapper.median_depth(0) == pytest.approx(1.0)
-    scale = np.linalg.norm(views.b_from_a[:3, 3]) / np.linalg.norm(second.camera_from_world[:3, 3])
-    shown = first.matched
-    points = slam_map.points.positions[first.points[shown]] * scale
+    assert second.reference == 1
+    scale = np.linalg.norm(views.b_from_a[:3, 3]) / np.linalg.norm(slam_map.pose(1)[:3, 3])
+    seen = slam_map.keyframes.points[0]
+    shown = np.nonzero(seen >= 0)[0]
+    points = slam_map.points.positions[seen[shown]] * scale
     assert len(shown) > 250
     assert np.abs(points - views.points[shown]).max() < 1e-3
 
