@@ -133,7 +133,7 @@ def _cases(text: str) -> list[CodecCase]:
     for plugin in registry.plugins("codec") if name == ALL else [None]:
         if plugin is not None and plugin.missing is not None:
             continue
-        chosen = plugin.offer.name if plugin is not None else name
+        chosen = plugin.spec.name if plugin is not None else name
         try:
             cls = registry.load("codec", chosen)
             for example in [setting_from_text(rest)] if rest else cls.examples:

@@ -26,14 +26,12 @@ class Capabilities:
     lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
     counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
     thread_safe: one instance may encode and decode from several threads at once.
-    in_memory: False for codecs that must go through files.
     """
 
     channels: tuple[int, ...] = (1, 3)
     lossless: bool = False
     counts_operations: bool = False
     thread_safe: bool = True
-    in_memory: bool = True
 
 
 class Codec(ABC, Generic[P]):

@@ -166,7 +166,7 @@ class Evaluator(ABC, Generic[P]):
         return ()
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
-        """The parameters that determine one repeat.
+        """The parameters that determine one repeat; the engine leaves out those at their default.
 
         Override where a parameter lists the repeats, so that a longer list recomputes nothing.
         """

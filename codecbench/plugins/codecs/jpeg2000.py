@@ -72,7 +72,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     name = "jpeg2000"
     version = "1"
     params_type = Jpeg2000Params
-    capabilities = Capabilities(thread_safe=False, in_memory=False)
+    capabilities = Capabilities(thread_safe=False)
     examples = ({"ratio": 8}, {"psnr_db": 35}, {"lossless": True}, {"cr_percent": 60, "irreversible": False})
 
     def __init__(self, params: Jpeg2000Params) -> None:

@@ -88,7 +88,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
         previous: FrameKeypoints | None = None
         for position, frame in enumerate(coded):
-            original = frame.original.fact(("orb_keypoints", self.params.keypoints), detect)
+            original = frame.original.cached(("orb_keypoints", self.params.keypoints), detect)
             decoded = detect(frame.decoded)
             found_at = _nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
             current = FrameKeypoints(original, decoded, found_at)

@@ -139,10 +139,10 @@ def test_black_frames_are_never_initialised() -> None:
 
 
 def test_both_backends_are_offered() -> None:
-    offers = {offer.name: offer for offer in codecbench_slam_backends()}
-    assert list(offers) == ["orb", "orbslam3"]
-    assert offers["orbslam3"].extra == "codecbench[orbslam3]"
-    assert offers["orb"].target.endswith(f":{Orb.__name__}")
+    specs = {spec.name: spec for spec in codecbench_slam_backends()}
+    assert list(specs) == ["orb", "orbslam3"]
+    assert specs["orbslam3"].extra == "codecbench[orbslam3]"
+    assert specs["orb"].target.endswith(f":{Orb.__name__}")
 
 
 @pytest.mark.real

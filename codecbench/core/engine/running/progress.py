@@ -58,7 +58,7 @@ class Pace:
 
     def remaining_s(self) -> float | None:
         """Seconds to the end; kinds of work that have not been seen yet are taken to cost the mean."""
-        seconds = sum(one for one, _ in self._spent.values())
+        seconds = sum(spent for spent, _ in self._spent.values())
         frames = sum(count for _, count in self._spent.values())
         if not frames:
             return None
