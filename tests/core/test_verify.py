@@ -27,7 +27,7 @@ from codecbench.core.conformance.suite import CHECKS
 from codecbench.core.engine.registry import installed
 from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.codecs.raw import Raw
-from codecbench.pytesting.suite import CodecSuite
+from codecbench.pytesting import CodecSuite
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 BROKEN = Path(__file__).parent.parent / "contracts"
