@@ -71,6 +71,15 @@ class Codec(ABC, Generic[P]):
         Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
         """
 
+    def prepared(self, image: Image) -> Self:
+        """This setting with all found that `encode` would search for on this image: the rate that reaches a size, say.
+
+        `codec.prepared(image).encode(image)` gives the bytes of `codec.encode(image)` by one encoding, which is what
+        is timed. It is for that image alone; this instance stays as it is. A codec that searches for nothing returns
+        itself. Raises what `encode` raises.
+        """
+        return self
+
     def is_lossless(self) -> bool:
         """Whether this setting returns the very pixels that went in."""
         return self.capabilities.lossless

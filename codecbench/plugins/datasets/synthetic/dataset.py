@@ -95,7 +95,7 @@ class SyntheticSequence(Sequence):
         count = len(_OFFSETS_PX)
         shares = (np.arange(count) + 0.5) / count - 0.5
         times_s = time_s + shares * self._params.motion_blur / FRAME_RATE_HZ
-        return np.array([self._path.world_from_camera(one) for one in times_s])
+        return np.array([self._path.world_from_camera(time_s) for time_s in times_s])
 
 
 def room_camera(width: int, height: int) -> Camera:

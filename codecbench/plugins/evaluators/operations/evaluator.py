@@ -71,7 +71,7 @@ class Operations(CodecEvaluator[OperationsParams]):
     """Operations per frame, by stage (`encode/dct`), with the totals of `encode` and `decode`."""
 
     name = "operations"
-    version = "1"
+    version = "2"
     params_type = OperationsParams
     metrics: ClassVar[tuple[Metric, ...]] = tuple(
         Metric(
@@ -116,7 +116,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     def _count(self, family: Family, codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
-            return _with_totals(*source_counts(codec, image))
+            return _with_totals(*source_counts(codec.prepared(image), image))
         if family == "model":
             return _with_totals(*self._modelled(codec, image))
         return machine.executed(codec, image)
