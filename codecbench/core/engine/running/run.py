@@ -22,6 +22,7 @@ from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
+from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
 from codecbench.core.engine.running.work import (
     CellDone,
     CellOrder,
@@ -77,8 +78,9 @@ def run_plan(
     store = Store(folder)
     setting = plan.run.executor
     with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
-        executor: Executor[Any] = (registry or installed()).create("executor", setting.name, setting.params)
-        run = _Run(plan, store, executor, workers or plan.run.workers, listener or (lambda _: None))
+        registry = registry or installed()
+        executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
+        run = _Run(plan, store, executor, workers or plan.run.workers, listener or (lambda _: None), registry)
         try:
             run.perform(interruption)
         except StoreError as error:
@@ -92,8 +94,11 @@ def run_plan(
 class _Run:
     """The state of one run."""
 
-    def __init__(self, plan: Plan, store: Store, executor: Executor[Any], workers: int, listener: Listener) -> None:
+    def __init__(
+        self, plan: Plan, store: Store, executor: Executor[Any], workers: int, listener: Listener, registry: Registry
+    ) -> None:
         self.plan, self.store, self.executor, self.workers, self.listener = plan, store, executor, workers, listener
+        self.registry, self.warm_up = registry, WarmUp()
         store.write_plan(plan)
         sound, self.damaged = store.sound_entries(cell.id for cell in plan.cells)
         for cell_id, reason in self.damaged.items():
@@ -124,7 +129,9 @@ class _Run:
                 self._record(cell, "unsupported", cell.unsupported)
         if not len(self.schedule):
             return
-        self.executor.start(min(self.workers, len(self.schedule)), prepare_worker)
+        self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
+        self.executor.start(min(self.workers, len(self.schedule) + len(self.warm_up)), prepare_worker)
+        self.warm_up.begin(self.executor, meanwhile=self._hand_out)
         while len(self.schedule) and not interruption.requested:
             self._hand_out()
             finished = self.executor.next_finished(_POLL_S)
@@ -164,6 +171,9 @@ class _Run:
         return Task(work.id, perform_cell, CellOrder(work, coded, cache_bytes), exclusive=work.exclusive, **limits)  # type: ignore[arg-type]
 
     def _take_back(self, finished: Finished) -> None:
+        if self.warm_up.took(finished):
+            self._tell()
+            return
         work = self.under_way.pop(finished.task_id)
         if isinstance(work, CodingJob):
             self._coded(work, finished)
@@ -229,6 +239,7 @@ class _Run:
                 jobs_total=self.jobs_total,
                 jobs_done=self.jobs_done,
                 not_ok=self.not_ok,
+                compiling=self.warm_up.progress,
                 elapsed_s=self.pace.elapsed_s,
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,
