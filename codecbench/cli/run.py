@@ -89,7 +89,7 @@ class _Display:
         left = "" if progress.remaining_s is None else f"{_clock(progress.remaining_s)} left"
         failed = f"{progress.not_ok} without a result" if progress.not_ok else ""
         note = ", ".join(filter(None, (left, failed)))
-        self._bar.update(self._task, description="cells", completed=done, total=total, note=note)
+        self._bar.update(self._task, description=progress.compiling or "cells", completed=done, total=total, note=note)
         record, cell = progress.record, progress.cell
         if record is None or cell is None or record.status in ("ok", "unsupported"):
             return

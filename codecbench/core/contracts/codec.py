@@ -39,7 +39,8 @@ class Codec(ABC, Generic[P]):
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
-    settings on which the conformance kit and the benchmarks exercise this codec.
+    settings on which the conformance kit and the benchmarks exercise this codec; `kernels`, the packages and modules
+    whose listed kernels it calls, which a run compiles ahead.
     """
 
     name: ClassVar[str]
@@ -47,6 +48,7 @@ class Codec(ABC, Generic[P]):
     params_type: ClassVar[type[Params]]
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""

@@ -112,11 +112,15 @@ class Sequence(ABC):
 
 
 class Dataset(ABC, Generic[P]):
-    """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened."""
+    """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened.
+
+    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
+    """
 
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         self.params = params

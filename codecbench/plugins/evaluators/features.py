@@ -72,6 +72,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     name = "features"
     version = "1"
+    kernels = ("codecbench.plugins.evaluators.features",)
     params_type = FeaturesParams
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric("keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again"),

@@ -47,6 +47,7 @@ class Orb(SlamBackend[OrbParams]):
     params_type = OrbParams
     deterministic = True
     architectures = frozenset({"cta", "atc"})
+    kernels = ("codecbench.slam",)
 
     def run(
         self,

@@ -273,14 +273,8 @@ def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: An
     return True
 
 
-@compiled
 def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
     """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
-    depths = np.empty(len(points))
-    count = 0
+    seen = positions[points[points >= 0]]
     x, y, z, offset = camera_from_world[2]
-    for p in points:
-        if p >= 0:
-            depths[count] = x * positions[p, 0] + y * positions[p, 1] + z * positions[p, 2] + offset
-            count += 1
-    return float(np.median(depths[:count])) if count else 1.0
+    return float(np.median(x * seen[:, 0] + y * seen[:, 1] + z * seen[:, 2] + offset)) if len(seen) else 1.0

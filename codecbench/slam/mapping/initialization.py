@@ -14,6 +14,7 @@ from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.linear_systems import copy_numbers
 from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
@@ -110,14 +111,14 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
             score = geometry.score_homography(fitted, pixels_a, pixels_b, 1.0, trial)
             if score > score_h:
                 homography, score_h = fitted, score
-                inliers_h[:] = trial
+                copy_numbers(trial, inliers_h)
         if len(chosen_f) >= 8:
             fitted = geometry.fit_fundamental(normalized_a[chosen_f], normalized_b[chosen_f])
             fitted = normalizer_b.T @ fitted @ normalizer_a
             score = geometry.score_fundamental(fitted, pixels_a, pixels_b, 1.0, trial)
             if score > score_f:
                 fundamental, score_f = fitted, score
-                inliers_f[:] = trial
+                copy_numbers(trial, inliers_f)
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 

@@ -108,7 +108,7 @@ def huber(squares: np.ndarray) -> np.ndarray:
 
 
 def test_the_normal_equations_are_those_of_the_cost(rng: np.random.Generator) -> None:
-    """Against differences of Huber's cost over small steps; a point behind the camera and an inactive one lie between."""
+    """Against differences of Huber's cost; a point behind the camera and an inactive one lie between the others."""
     points, pixels, weights = view(rng, 30, noise_px=1.5)
     near = se3_exp(np.array([0.004, -0.003, 0.005, 0.001, 0.002, -0.001])) @ TRUTH
     points[5] = moved(np.linalg.inv(near), np.array([[0.2, 0.1, -3.0]]))

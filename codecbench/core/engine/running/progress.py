@@ -16,7 +16,8 @@ class Progress:
     """A moment of a run.
 
     Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate,
-    None before there is anything to base one on. cell and record: what just ended, None for a coding job.
+    None before there is anything to base one on. compiling: how many kernels are compiled ahead so far, in words,
+    empty when they all are. cell and record: what just ended, None for a coding job.
     """
 
     cells_total: int
@@ -27,6 +28,7 @@ class Progress:
     not_ok: int
     elapsed_s: float
     remaining_s: float | None
+    compiling: str = ""
     cell: Cell | None = None
     record: Record | None = None
 

@@ -19,6 +19,7 @@ from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
+from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
 from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
@@ -71,7 +72,9 @@ def run_plan(
     with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
         executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
         resumption = resume(plan, store, registry, recompute)
-        run = _Run(plan, store, executor, resumption, workers or plan.run.workers, listener or (lambda _: None))
+        run = _Run(
+            plan, store, executor, registry, resumption, workers or plan.run.workers, listener or (lambda _: None)
+        )
         try:
             run.perform(interruption)
         except StoreError as error:
@@ -90,11 +93,13 @@ class _Run:
         plan: Plan,
         store: Store,
         executor: Executor[Any],
+        registry: Registry,
         resumption: Resumption,
         workers: int,
         listener: Listener,
     ) -> None:
         self.plan, self.store, self.executor, self.workers, self.listener = plan, store, executor, workers, listener
+        self.registry, self.warm_up = registry, WarmUp()
         store.write_plan(plan)
         self.resumption = resumption
         self.kept = resumption.kept
@@ -121,7 +126,9 @@ class _Run:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
             return
-        self.executor.start(min(self.workers, len(self.schedule)), prepare_worker)
+        self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
+        self.executor.start(min(self.workers, len(self.schedule) + len(self.warm_up)), prepare_worker)
+        self.warm_up.begin(self.executor, meanwhile=self._hand_out)
         while len(self.schedule) and not interruption.requested:
             self._hand_out()
             finished = self.executor.next_finished(_POLL_S)
@@ -164,6 +171,9 @@ class _Run:
         return None if isinstance(work, CodingJob) else path.read_bytes()
 
     def _take_back(self, finished: Finished) -> None:
+        if self.warm_up.took(finished):
+            self._tell()
+            return
         work = self.under_way.pop(finished.task_id)
         outcome: Record | BitstreamDamage = finished.value or Record(
             work.id, finished.status, finished.reason, finished.traceback
@@ -221,6 +231,7 @@ class _Run:
                 jobs_total=self.jobs_total,
                 jobs_done=self.jobs_done,
                 not_ok=self.not_ok,
+                compiling=self.warm_up.progress,
                 elapsed_s=self.pace.elapsed_s,
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,

@@ -33,6 +33,7 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
+    kernels = ("codecbench.plugins.codecs.dct", "codecbench.plugins.codecs.multilevel")
     examples = (
         {},
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},

@@ -45,6 +45,7 @@ class Synthetic(Dataset[SyntheticParams]):
 
     name: ClassVar[str] = "synthetic"
     version: ClassVar[str] = "1"
+    kernels = ("codecbench.plugins.datasets.synthetic",)
     params_type = SyntheticParams
 
     def open(self) -> Sequence:

@@ -85,6 +85,10 @@ class Operations(CodecEvaluator[OperationsParams]):
         for name in _names(family)
     )
 
+    @property
+    def counts_operations(self) -> bool:
+        return "source" in self.params.families
+
     def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
         families = self._available(codec)
         for index in evenly_spread(len(sequence), self.params.frames):
