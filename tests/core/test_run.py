@@ -60,7 +60,7 @@ def test_records_say_what_where_and_when(bench: Bench) -> None:
         assert record.duration_s > 0
         assert record.worker["pid"] > 0
     (whole,) = [record for cell, record in bench.records(plan).values() if cell.evaluator.name == "whole"]
-    assert whole.artifacts == ["total.txt"]
+    assert list(whole.files) == ["total.txt"]
     size = FRAMES * (3 + 16 * 24)
     assert bench.store().read_file(whole, "total.txt") == f"{size}\n".encode()
     assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
