@@ -107,16 +107,16 @@ CONTENT = {"top/rgb.txt": b"list", "top/rgb/1.png": b"picture" * 4000, "top/dept
 
 def test_an_archive_is_fetched_and_unpacked(server, own_cache):
     server.files["some.tgz"] = tar_of(CONTENT)
-    told = []
-    one = entry(server, inside="top", leave_out=("*/depth/*",))
-    assert not one.is_there
-    folder = fetch_entry(one, lambda name, done, total: told.append((name, done, total)))
+    progress = []
+    wanted = entry(server, inside="top", leave_out=("*/depth/*",))
+    assert not wanted.is_there
+    folder = fetch_entry(wanted, lambda name, done, total: progress.append((name, done, total)))
     assert folder == own_cache / "data" / "some"
     assert {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()} == {"rgb.txt", "rgb/1.png"}
     assert (folder / "rgb/1.png").read_bytes() == CONTENT["top/rgb/1.png"]
     size = len(server.files["some.tgz"])
-    assert told[-1] == ("some.tgz", size, size)
-    fetch_entry(one)
+    assert progress[-1] == ("some.tgz", size, size)
+    fetch_entry(wanted)
     assert len(server.asked) == 1
     assert not list(own_cache.rglob("*.tgz*"))
 
