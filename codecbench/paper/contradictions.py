@@ -138,8 +138,8 @@ def _rounding(measured: Measured) -> str:
 
 
 def _real_jpeg(measured: Measured) -> str:
-    quality = measured.run.of("quality")
-    rates = bd_rates(quality, quality, measured.run.curves, "psnr_gray_db")
+    column = measured.run.columns.get("quality.psnr_gray_db.mean")
+    rates = {} if column is None else bd_rates(measured.run, column)
     found = [
         f"{curve} on {sequence}: {rate}" for (sequence, curve), rate in rates.items() if curve.startswith("multilevel")
     ]

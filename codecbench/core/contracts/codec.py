@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 P = TypeVar("P", bound=Params)
+
+Reference = Literal["", "baseline", "anchor"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Codec(ABC, Generic[P]):
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
-    settings on which the conformance kit and the benchmarks exercise this codec.
+    settings on which the conformance kit and the benchmarks exercise this codec; `reference`, what it is to
+    others: the `baseline` that a task without compression is judged by, or the `anchor` of BD-rates.
     """
 
     name: ClassVar[str]
@@ -49,6 +52,7 @@ class Codec(ABC, Generic[P]):
     params_type: ClassVar[type[Params]]
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
+    reference: ClassVar[Reference] = ""
 
     def __init__(self, params: P) -> None:
         """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""

@@ -137,6 +137,8 @@ class _Curve:
 
     def fault(self, method: Method) -> str:
         """Why no curve can be drawn through these points, or nothing."""
+        if np.isnan(self.rates).any():
+            return f"the {self.side} curve has a setting whose rate is not known"
         if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
             return f"the {self.side} curve has an infinite value (a lossless setting has no place on it)"
         if len(self.rates) < _LEAST_POINTS[method]:

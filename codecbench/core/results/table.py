@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.aggregate import aggregate
-from codecbench.core.engine.planning.model import Cell, PluginSetting
+from codecbench.core.engine.planning.model import Cell
 
 if TYPE_CHECKING:
     import pyarrow
@@ -32,10 +34,11 @@ _OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
 class CellResult:
     """A cell beside what became of it, as tables need it.
 
-    measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
+    measurements: those that belong to no frame, with those that compare with the baseline codec. summaries:
     aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
     declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
     folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
+    drawing: makes the picture of what it left, where its evaluator offers one.
     """
 
     cell: Cell
@@ -47,16 +50,12 @@ class CellResult:
     samples: Callable[[], pyarrow.Table]
     folder: Path
     duration_s: float = 0.0
+    drawing: Callable[[], Drawing | None] = lambda: None
 
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""
         frames: pd.DataFrame = self.samples().to_pandas()
         return frames
-
-
-def shown(setting: PluginSetting) -> str:
-    """What tables call a setting of an evaluator: its name, and its label where it has several settings."""
-    return f"{setting.name}({setting.label})" if setting.label else setting.name
 
 
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
@@ -109,7 +108,7 @@ def _rows(result: CellResult) -> dict[str, Any]:
         "sequence": cell.sequence.name,
         "codec": cell.codec.name,
         "setting": cell.codec.label,
-        "evaluator": shown(cell.evaluator),
+        "evaluator": cell.evaluator.title,
         "status": result.status,
     }
     nothing, count = count == 0, max(count, 1)
@@ -168,7 +167,7 @@ def _verdict(members: list[CellResult]) -> dict[str, str]:
         return {"status": "ok", "reason": ""}
     counts: dict[str, int] = {}
     for member in bad:
-        word = f"{shown(member.cell.evaluator)} {member.status}"
+        word = f"{member.cell.evaluator.title} {member.status}"
         counts[word] = counts.get(word, 0) + 1
     status = ", ".join(word if count == 1 else f"{word} ({count} repeats)" for word, count in counts.items())
     return {"status": status, "reason": bad[0].reason}
@@ -179,7 +178,7 @@ def _summarised(members: list[CellResult]) -> dict[str, float]:
     by_evaluator: dict[str, list[CellResult]] = defaultdict(list)
     for member in members:
         if member.status == "ok":
-            by_evaluator[shown(member.cell.evaluator)].append(member)
+            by_evaluator[member.cell.evaluator.title].append(member)
     columns: dict[str, float] = {}
     for evaluator, repeats in by_evaluator.items():
         for name, value in _over_repeats(repeats):

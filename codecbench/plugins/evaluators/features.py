@@ -73,12 +73,21 @@ class Features(SequenceEvaluator[FeaturesParams]):
     name = "features"
     version = "1"
     params_type = FeaturesParams
+    typical_ms_per_frame = 25.0
     metrics: ClassVar[tuple[Metric, ...]] = (
-        Metric("keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again"),
-        Metric("descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again"),
-        Metric("matches_kept", "1", "higher", "share of matches with the previous frame that survive coding"),
-        Metric("inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix"),
-    )
+        Metric(
+            "keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again",
+            role="task", headline=True, label="features kept", brief="features",
+        ),
+        Metric(
+            "descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again",
+            role="task", label="descriptor distance",
+        ),
+        Metric(
+            "matches_kept", "1", "higher", "share of matches with the previous frame that survive coding", role="task"
+        ),
+        Metric("inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix", role="task"),
+    )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         detector = cv2.ORB.create(self.params.keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=BORDER_PX)

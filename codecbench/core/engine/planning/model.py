@@ -25,6 +25,11 @@ class PluginSetting:
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
 
+    @property
+    def title(self) -> str:
+        """What tables call the setting of an evaluator: its name, and its label where it has several settings."""
+        return f"{self.name}({self.label})" if self.label else self.name
+
     def identity(self) -> list[Any]:
         return [self.kind, self.name, self.version, self.params]
 
@@ -87,7 +92,10 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a matrix asks for, in the order in which tables show it."""
+    """What a matrix asks for, in the order in which tables show it.
+
+    declared: what its plugins said of their meaning when the plan was made; see `planning.declared`.
+    """
 
     name: str
     matrix_text: str
@@ -95,6 +103,7 @@ class Plan:
     sequences: tuple[SequenceEntry, ...]
     jobs: tuple[CodingJob, ...]
     cells: tuple[Cell, ...]
+    declared: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """The plan as JSON types; `plan_from_json` reads it back.
@@ -120,6 +129,7 @@ class Plan:
             "settings": [asdict(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
+            "declared": self.declared,
         }
 
 
@@ -138,4 +148,5 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
             Cell(id_, sequences[at], settings[codec], settings[evaluator], *rest)
             for id_, at, codec, evaluator, *rest in value["cells"]
         ),
+        declared=value.get("declared", {}),
     )

@@ -9,6 +9,7 @@ from typing import Any
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator
 from codecbench.core.engine.identity import digest, seed_from
+from codecbench.core.engine.planning.declared import declared
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
 from codecbench.core.engine.registry import Registry, installed
@@ -54,6 +55,9 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         sequences=tuple(sequences),
         jobs=tuple(jobs.values()),
         cells=tuple(cells.values()),
+        declared=declared(
+            (codec.instance for codec in codecs), ((side.setting.title, side.instance) for side in evaluators)
+        ),
     )
 
 

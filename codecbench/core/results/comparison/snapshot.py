@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import StoreError
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.collect import open_run
 from codecbench.core.results.export import json_value
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.table import CellResult, shown
+from codecbench.core.results.table import CellResult
 
 FORMAT: Final = 1
 
@@ -23,7 +24,8 @@ class Series:
     """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order.
 
     Per-frame metrics are aggregated by the first aggregate that the metric declares. status and reason: of the
-    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values.
+    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values. unit,
+    confirmed_by, in_units_of: as the metric declares; empty in baseline files of earlier versions.
     """
 
     sequence: str
@@ -37,6 +39,9 @@ class Series:
     status: str
     reason: str
     fingerprint: str
+    unit: str = ""
+    confirmed_by: str = ""
+    in_units_of: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
@@ -57,7 +62,7 @@ def snapshot_of(run: RunResult) -> Snapshot:
     cells: dict[tuple[str, str, str, str], list[CellResult]] = defaultdict(list)
     for result in run.results:
         cell = result.cell
-        cells[cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator)].append(result)
+        cells[cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title].append(result)
     series = tuple(one for members in cells.values() for one in _series(members))
     return Snapshot(run.plan.name, tuple(sorted(map(_machine, run.environments.values()))), series)
 
@@ -78,12 +83,15 @@ def _series(members: list[CellResult]) -> list[Series]:
         values["status"] = []
     found = []
     for name, numbers in values.items():
-        metric = metrics.get(name.partition(".")[0])
+        measured, _, stage = name.partition(".")
+        metric = metrics.get(measured) or Metric(measured, "", "neither", "")
+        confirmed_by = f"{metric.confirmed_by}.{stage}" if metric.confirmed_by and stage else metric.confirmed_by
         found.append(
             Series(
-                cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator), name,
-                metric.better if metric else "neither", metric.repeatable if metric else True, tuple(numbers),
+                cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title, name,
+                metric.better, metric.repeatable, tuple(numbers),
                 bad.status if bad else "ok", bad.reason if bad else "", cell.sequence.fingerprint,
+                metric.unit, confirmed_by, metric.in_units_of,
             )
         )  # fmt: skip
     return found
