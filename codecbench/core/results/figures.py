@@ -12,6 +12,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.figure import Figure
 
 from codecbench.core.contracts.view import Drawing
@@ -26,6 +27,8 @@ _STYLE: Final[Any] = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False,
     "figure.constrained_layout.use": True, "svg.hashsalt": "codecbench", "legend.frameon": False,
 }  # fmt: skip
+
+_HATCHES: Final = ("", "////", "....", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
@@ -48,7 +51,9 @@ def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
                 yield _file_name(entry.name, "rate", view.y.metric.name, view.y.evaluator.label), figure
     yield from map_figures(run)
     for bars in bars_views(run):
-        yield _file_name(bars.name), bars_figure(run, bars)
+        drawn = bars_figure(run, bars)
+        if drawn is not None:
+            yield _file_name(bars.name), drawn
 
 
 def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figure | None:
@@ -67,20 +72,30 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
     if not lines:
         return None
     figure, axes = plt.subplots(figsize=(5.2, 4.0))
+    handles = []
     for curve, points in lines.items():
         points.sort()
         style = run.styles[curve]
         across, values, below, above = zip(*points, strict=True)
-        axes.errorbar(
-            across, values, (below, above), label=curve, color=style.colour, marker=style.marker, markersize=4,
-            linewidth=1.2, elinewidth=0.6, capsize=2,
+        drawn = axes.errorbar(
+            across, values, (below, above) if ends else None, label=curve, color=style.colour, marker=style.marker,
+            markersize=4, linewidth=1.2, elinewidth=0.6, capsize=2,
         )  # fmt: skip
-    axes.set_xscale(view.x.metric.scale)
-    axes.set_yscale(view.y.metric.scale)
+        handles.append(drawn.lines[0])
+    _scale(axes.xaxis, view.x)
+    _scale(axes.yaxis, view.y)
     axes.set(xlabel=view.x.heading, ylabel=view.y.heading, title=entry.name)
-    axes.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
-    figure.legend(loc="outside lower center", ncols=2, fontsize=7)
+    figure.legend(handles, list(lines), loc="outside lower center", ncols=2, fontsize=7)
     return figure
+
+
+def _scale(axis: Any, column: Column) -> None:
+    """The scale that a metric declares; logarithmic axes are labelled with plain numbers, at 1, 2 and 5."""
+    if column.metric.scale == "log":
+        getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
+        axis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
+        axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
 def _shown(row: dict[Any, Any], column: Column) -> float:
@@ -126,22 +141,60 @@ def _draw(axes: Any, name: str, drawing: Drawing) -> None:
     axes.tick_params(labelsize=6)
 
 
-def bars_figure(run: RunResult, bars: Bars) -> Figure:
-    """Totals over stages, one picture a metric and direction, of the first sequence."""
+def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
+    """Stages stacked, of the first sequence: a row of pictures a metric, one a direction; None where it has none."""
     sequence = run.plan.sequences[0].name
-    totals: dict[tuple[str, str], dict[str, float]] = {}
+    stacks: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     for part in bars.parts:
         if part.sequence == sequence:
-            found = totals.setdefault((part.choice, part.direction), {})
-            found[part.setting] = found.get(part.setting, 0.0) + part.value
-    height = 0.17 * max(map(len, totals.values()), default=1) + 1.2
-    figure, grid = plt.subplots(1, max(1, len(totals)), figsize=(3.4 * len(totals), height), squeeze=False)
-    for axes, ((choice, direction), values) in zip(grid.flat, sorted(totals.items()), strict=True):
-        axes.barh(list(values), list(values.values()), color=PALETTE[0])
-        axes.invert_yaxis()
-        axes.tick_params(labelsize=6)
-        axes.set(title=f"{choice}, {direction}", xlabel=f"{bars.unit} a frame")
+            stages = stacks.setdefault(part.choice, {}).setdefault(part.direction, {})
+            stages.setdefault(part.stage, {})[part.setting] = part.value
+    if not stacks:
+        return None
+    names = list(dict.fromkeys(part.stage for part in bars.parts))
+    directions = list(dict.fromkeys(part.direction for part in bars.parts))
+    settings = {
+        choice: list(
+            dict.fromkeys(setting for found in pictures.values() for stage in found.values() for setting in stage)
+        )
+        for choice, pictures in stacks.items()
+    }
+    heights = [0.16 * len(known) + 0.7 for known in settings.values()]
+    figure, grid = plt.subplots(
+        len(stacks), len(directions), figsize=(2.0 + 2.8 * len(directions), sum(heights) + 0.25 * len(names) / 4 + 0.4),
+        squeeze=False, sharey="row", height_ratios=heights,
+    )  # fmt: skip
+    for row, (choice, pictures) in zip(grid, stacks.items(), strict=True):
+        for axes, direction in zip(row, directions, strict=True):
+            _stack(axes, settings[choice], pictures.get(direction, {}), names)
+            axes.set_title(f"{choice}, {direction}", fontsize=8)
+            axes.set_xlabel(f"{bars.unit} a frame", fontsize=7)
+        row[0].invert_yaxis()
+    swatches = [matplotlib.patches.Patch(**_fill(at)) for at in range(len(names))]
+    figure.legend(swatches, names, loc="outside lower center", ncols=4, fontsize=7)
     return figure
+
+
+def _stack(axes: Any, settings: list[str], stages: dict[str, dict[str, float]], names: list[str]) -> None:
+    starts = np.zeros(len(settings))
+    for at, name in enumerate(names):
+        values = np.array([stages.get(name, {}).get(setting, 0.0) for setting in settings])
+        axes.barh(settings, values, left=starts, **_fill(at))
+        starts += values
+    axes.tick_params(labelsize=6)
+    axes.grid(visible=False, axis="y")
+    axes.set_axisbelow(True)
+
+
+def _fill(at: int) -> dict[str, Any]:
+    """Colour and pattern of a stage: patterns tell apart those that share a colour."""
+    turns, colour = divmod(at, len(PALETTE))
+    return {
+        "facecolor": PALETTE[colour],
+        "hatch": _HATCHES[turns % len(_HATCHES)],
+        "edgecolor": "white",
+        "linewidth": 0,
+    }
 
 
 def _file_name(*parts: str) -> str:

@@ -40,7 +40,7 @@ class LineStyle:
 
 
 STROKES: Final[dict[Stroke, LineStyle]] = {
-    "truth": LineStyle("#8a8f98", "-", "solid", 2.6),
+    "truth": LineStyle("#8a8f98", "-", "solid", 3.6),
     "before": LineStyle(PALETTE[4], "--", "dot", 1.2),
     "after": LineStyle(PALETTE[0], "-", "solid", 1.4),
 }

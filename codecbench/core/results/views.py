@@ -65,13 +65,14 @@ def curve_views(run: RunResult) -> list[CurveView]:
     """Curves that are offered first.
 
     Quality and tasks over the rate, then what evaluators declare, then the first quality over times, then one task
-    over another evaluator's.
+    over another evaluator's; where that is nothing, any headline over another.
     """
     rate, qualities, tasks = run.rate, run.headlines("quality"), run.headlines("task")
     pairs: list[tuple[str, Column, Column]] = [] if rate is None else [("", rate, y) for y in (*qualities, *tasks)]
     pairs += list(_declared_curves(run))
     pairs += [("", time, qualities[0]) for time in run.headlines("time") if qualities]
     pairs += [("", x, y) for x, y in combinations(tasks, 2) if x.evaluator.name != y.evaluator.name]
+    pairs = pairs or [("", x, y) for x, y in combinations(run.headlines(), 2)]
     return [CurveView(title or _title(x, y), x, y) for title, x, y in pairs]
 
 

@@ -186,7 +186,8 @@ function bars(view, id) {
     const settings = [...new Set(chosen.map((bar) => bar.setting))];
     const stages = [...new Set(chosen.map((bar) => bar.stage))];
     draw(`${id}-plot`, stages.map((stage, i) => ({
-      name: stage, type: "bar", orientation: "h", y: settings, marker: { color: DATA.palette[i % DATA.palette.length] },
+      name: stage, type: "bar", orientation: "h", y: settings, marker: { color: DATA.palette[i % DATA.palette.length],
+        pattern: { shape: ["", "/", ".", "x"][Math.floor(i / DATA.palette.length) % 4], fillmode: "overlay", fgcolor: "#fff" } },
       x: settings.map((setting) => chosen.filter((bar) => bar.setting === setting && bar.stage === stage)
         .reduce((sum, bar) => sum + bar.value, 0)),
       hovertemplate: `${stage}: %{x:.4s} ${view.unit}<extra>%{y}</extra>`,

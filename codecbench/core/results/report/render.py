@@ -83,11 +83,12 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     failed, unsupported = len(run.failed), sum(result.status == "unsupported" for result in run.results)
     settings = {(result.cell.codec.name, result.cell.codec.label) for result in run.results}
     evaluators = sorted({result.cell.evaluator.title for result in run.results})
+    codecs = _counted(len({codec for codec, _ in settings}), "codec")
     cards = [
         {"title": "Cells computed", "value": f"{done} of {len(run.plan.cells)}", "tone": "good" if not failed else "",
          "note": f"{failed} failed, {unsupported} unsupported, {run.missing} not yet run"},
         {"title": "Codec settings", "value": str(len(settings)), "tone": "",
-         "note": f"{len({codec for codec, _ in settings})} codecs on {len(run.plan.sequences)} sequences"},
+         "note": f"{codecs} on {_counted(len(run.plan.sequences), 'sequence')}"},
         {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
     ]  # fmt: skip
     known = {
@@ -97,6 +98,10 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     several = f"{len(machines)} machines: do not compare times"
     note = "times hold for this machine alone" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _failures(run: RunResult) -> list[list[str]]:
