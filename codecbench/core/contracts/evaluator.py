@@ -20,7 +20,7 @@ from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric as Metric
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.contracts.view import Drawing, View

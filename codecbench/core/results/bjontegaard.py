@@ -132,7 +132,7 @@ class _Curve:
 
     def hull(self) -> _Curve:
         best = np.maximum.accumulate(np.concatenate([[-np.inf], self.qualities[:-1]]))
-        keep = self.qualities > best
+        keep = (self.qualities > best) | np.isnan(self.rates)
         return _Curve(self.side, self.rates[keep], self.qualities[keep], self.failures)
 
     def fault(self, method: Method) -> str:

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, Metric, SequenceEvaluator
+from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.hamming import hamming

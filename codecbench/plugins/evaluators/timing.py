@@ -20,8 +20,9 @@ import cv2
 from pydantic import Field
 
 from codecbench.core.contracts.codec import Codec
-from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.plugins.evaluators.sampling import evenly_spread

@@ -7,6 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from codecbench.core.contracts.evaluator import Evaluator
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import View
 
 
 def declared(codecs: Iterable[Any], evaluators: Iterable[tuple[str, Any]]) -> dict[str, Any]:
@@ -22,7 +24,11 @@ def declared(codecs: Iterable[Any], evaluators: Iterable[tuple[str, Any]]) -> di
 
 def _evaluator(instance: Evaluator[Any]) -> dict[str, Any]:
     return {
-        "metrics": [asdict(metric) for metric in instance.metrics],
-        "views": [asdict(view) for view in instance.views],
+        "metrics": [_json(metric) for metric in instance.metrics],
+        "views": [_json(view) for view in instance.views],
         "typical_ms_per_frame": instance.typical_ms_per_frame,
     }
+
+
+def _json(part: Metric | View) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(part).items()}

@@ -33,7 +33,7 @@ class _Judged:
 
 
 def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
-    """A table for each sequence as the template takes it, and the name of the anchor."""
+    """A table for each sequence as the template takes it, and the name of the anchor of its BD-rates, if it has any."""
     rates = {column: bd_rates(run, column) for column in run.headlines("quality", "task")}
     judged = _Judged(
         {column: found for column, found in rates.items() if found},
@@ -66,7 +66,7 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
         words = _in_words(entry.name, anchor, judged, run.rate)
         tables.append({"sequence": entry.name, "heads": heads, "rows": rows, "note": note, "words": words})
-    return tables, anchor
+    return tables, anchor if judged.rates else ""
 
 
 def _in_words(sequence: str, anchor: str, judged: _Judged, rate: Column | None) -> list[str]:

@@ -16,8 +16,9 @@ from pydantic import AfterValidator, Field
 
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.view import View

@@ -6,15 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import ClassVar
 
-from codecbench.core.contracts.evaluator import (
-    CodedFrame,
-    CodedSequence,
-    Context,
-    Measurement,
-    Metric,
-    SequenceEvaluator,
-)
+from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.image import channel_count, gray_from_image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
 from codecbench.plugins.evaluators.quality.ssim import (

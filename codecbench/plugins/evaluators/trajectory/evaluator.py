@@ -14,11 +14,11 @@ from codecbench.core.contracts.evaluator import (
     CodedSequence,
     Context,
     Measurement,
-    Metric,
     Outcome,
     PluginUse,
     SequenceEvaluator,
 )
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View

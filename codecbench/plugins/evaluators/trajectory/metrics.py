@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from codecbench.core.contracts.evaluator import Metric
+from codecbench.core.contracts.metric import Metric
 
 _SPREAD = ("median", "iqr", "ci95_low", "ci95_high")
 _MIDDLE = ("median",)
