@@ -32,7 +32,11 @@ _FAILING = {
     "--fail-on", type=click.Choice(list(_FAILING)), default="worse", show_default=True, help="Exit with status 1."
 )
 @click.option(
-    "--time-tolerance", type=float, default=0.05, show_default=True, help="Relative change of a time not claimed."
+    "--time-tolerance",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="Relative change of a time that counts as none.",
 )
 @click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
 @click.option("--all", "everything", is_flag=True, help="Also rows that are the same.")
@@ -46,8 +50,8 @@ def compare(
     """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
 
     Sizes, quality and counts are compared exactly; times statistically over repeats (five at least), in units of a
-    yardstick that was timed beside them; a time by the clock on the wall is judged only where processor time agrees,
-    and no change below 10 microseconds a frame is claimed. Another machine is a warning, not a verdict.
+    yardstick that was timed beside them. A time by the clock on the wall is judged only where processor time agrees,
+    and a change of less than 10 microseconds a frame counts as none. Another machine is a warning, not a verdict.
     """
     from codecbench.core.results.comparison.compare import compare as compared
     from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
@@ -61,31 +65,38 @@ def compare(
         raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
     second = read_snapshot(after)
     if set(first.machines) != set(second.machines):
-        machines = " | ".join("; ".join(one.machines) for one in (first, second))
+        machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
         warning = f"warning: other machines ({machines}): times cannot be judged"
         click.echo(warning, err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     _print(found, format_, everything)
-    if any(one.verdict in _FAILING[fail_on] for one in found):
+    if any(comparison.verdict in _FAILING[fail_on] for comparison in found):
         sys.exit(1)
 
 
 def _print(found: list[Comparison], format_: str, everything: bool) -> None:
-    rows = [one for one in found if everything or one.verdict != "same"]
-    counts = Counter(one.verdict for one in found)
+    rows = [comparison for comparison in found if everything or comparison.verdict != "same"]
+    counts = Counter(comparison.verdict for comparison in found)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
     if format_ == "json":
         from codecbench.core.results.export import json_value
 
-        values = [dict(zip(_HEADS, map(json_value, _row(one)), strict=True)) for one in rows]
+        values = [dict(zip(_HEADS, map(json_value, _row(comparison)), strict=True)) for comparison in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
     from codecbench.core.results.markdown import table
 
     if rows:
-        click.echo(table(_HEADS, [_row(one) for one in rows]))
+        click.echo(table(_HEADS, [_row(comparison) for comparison in rows]))
     click.echo(verdicts)
 
 
-def _row(one: Comparison) -> list[object]:
-    return [*one.key, one.before, one.after, one.change, one.verdict, one.note]
+def _row(comparison: Comparison) -> list[object]:
+    return [
+        *comparison.key,
+        comparison.before,
+        comparison.after,
+        comparison.change,
+        comparison.verdict,
+        comparison.note,
+    ]

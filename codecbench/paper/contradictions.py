@@ -79,9 +79,9 @@ def _header(measured: Measured) -> str:
 def _levels(measured: Measured) -> str:
     found = []
     for qf in (5.0, 20.0, 100.0):
-        one, two = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
+        single, double = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
         for sequence in measured.sequences:
-            sizes = [measured.size_kib(sequence, setting) for setting in (one, two)]
+            sizes = [measured.size_kib(sequence, setting) for setting in (single, double)]
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
                 found.append(f"QF {qf:g} on {sequence}: two levels change the size by {change:+.1f} %")

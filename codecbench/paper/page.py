@@ -44,8 +44,8 @@ def write_page(runs: list[RunResult], path: Path) -> list[Path]:
     figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
     parts = [*_introduction(runs), *quality_tables(measured[0]), *operation_tables(measured[0])]
     parts += _limits_introduction(runs)
-    for one in measured:
-        parts += _trajectories(one)
+    for of_run in measured:
+        parts += _trajectories(of_run)
     parts += [*_figures(figures, path), *_contradictions(measured), *_closing()]
     write_file(path, "\n".join(parts).encode())
     return [path, *figures]
@@ -86,7 +86,7 @@ def _introduction(runs: list[RunResult]) -> Iterator[str]:
 
 def _provenance(run: RunResult) -> str:
     """Where a run was computed, how much of it, and what it took."""
-    machines = sorted({str(one.get("machine", {}).get("cpu")) for one in run.environments.values()})
+    machines = sorted({str(known.get("machine", {}).get("cpu")) for known in run.environments.values()})
     done = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
     machine = ", ".join(machines) or "an unknown machine"

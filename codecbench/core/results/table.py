@@ -118,14 +118,14 @@ def _rows(result: CellResult) -> dict[str, Any]:
         blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
         columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
         return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
-    metric = _chained(_codes([one.metric for one in own]), samples, "metric")
+    metric = _chained(_codes([measured.metric for measured in own]), samples, "metric")
     codes, names = metric
     columns["metric"] = metric
     columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
-    columns["stage"] = _chained(_codes([one.stage for one in own]), samples, "stage")
-    columns["reason"] = _chained(_codes([one.reason for one in own]), samples, "reason")
+    columns["stage"] = _chained(_codes([measured.stage for measured in own]), samples, "stage")
+    columns["reason"] = _chained(_codes([measured.reason for measured in own]), samples, "reason")
     columns["frame"] = np.full(len(own), np.nan)
-    columns["value"] = np.array([one.value for one in own], dtype=np.float64)
+    columns["value"] = np.array([measured.value for measured in own], dtype=np.float64)
     if samples is not None:
         for name in ("frame", "value"):
             columns[name] = np.concatenate([columns[name], samples[name].to_numpy()])
@@ -193,8 +193,8 @@ def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
     for repeat in repeats:
         for key, value in repeat.summaries.items():
             per_repeat[key].append(value)
-        for one in repeat.measurements:
-            single[one.metric, one.stage or ""].append(one.value)
+        for measured in repeat.measurements:
+            single[measured.metric, measured.stage or ""].append(measured.value)
     for (name, stage, how), values in per_repeat.items():
         yield _column(name, stage, how), _of_repeats(_OVER_REPEATS.get(how, "median"), values)
     for (name, stage), values in single.items():

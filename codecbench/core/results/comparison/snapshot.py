@@ -63,7 +63,7 @@ def snapshot_of(run: RunResult) -> Snapshot:
     for result in run.results:
         cell = result.cell
         cells[cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title].append(result)
-    series = tuple(one for members in cells.values() for one in _series(members))
+    series = tuple(series for members in cells.values() for series in _series(members))
     return Snapshot(run.plan.name, tuple(sorted(map(_machine, run.environments.values()))), series)
 
 
@@ -77,8 +77,9 @@ def _series(members: list[CellResult]) -> list[Series]:
         for (name, stage, how), value in result.summaries.items():
             if name in metrics and how == metrics[name].aggregates[0]:
                 values[f"{name}.{stage}" if stage else name].append(value)
-        for one in result.measurements:
-            values[f"{one.metric}.{one.stage}" if one.stage else one.metric].append(one.value)
+        for measured in result.measurements:
+            name = f"{measured.metric}.{measured.stage}" if measured.stage else measured.metric
+            values[name].append(measured.value)
     if not values:
         values["status"] = []
     found = []
@@ -104,7 +105,10 @@ def _machine(environment: dict[str, Any]) -> str:
 
 def write_snapshot(snapshot: Snapshot, path: Path) -> None:
     """Keep a snapshot as JSON, one line a series, so that version control shows what changed."""
-    lines = [json.dumps({**asdict(one), "values": [json_value(v) for v in one.values]}) for one in snapshot.series]
+    lines = [
+        json.dumps({**asdict(series), "values": [json_value(value) for value in series.values]})
+        for series in snapshot.series
+    ]
     head = json.dumps({"format": FORMAT, "name": snapshot.name, "machines": snapshot.machines})
     write_file(path, ("\n".join([head, *lines]) + "\n").encode())
 

@@ -32,7 +32,7 @@ def frame_pictures(run: RunResult, budget_bytes: int) -> dict[str, Any]:
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     for entry in run.plan.sequences:
-        views = [(one, rate, view) for one, rate in _chosen(run, entry) if (view := _view(run, entry, one))]
+        views = [(setting, rate, view) for setting, rate in _chosen(run, entry) if (view := _view(run, entry, setting))]
         views = _thinned(views, share)
         for setting, rate, view in views:
             name = f"{setting.name} {setting.label}".strip()

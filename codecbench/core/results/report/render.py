@@ -92,7 +92,8 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
         {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
     ]  # fmt: skip
     known = {
-        json.dumps(one.get("machine", {}), sort_keys=True): one.get("machine", {}) for one in run.environments.values()
+        json.dumps(found.get("machine", {}), sort_keys=True): found.get("machine", {})
+        for found in run.environments.values()
     }
     machines = [str(machine.get("cpu") or "unknown processor") for machine in known.values()]
     several = f"{len(machines)} machines: do not compare times"
