@@ -32,7 +32,11 @@ _FAILING = {
     "--fail-on", type=click.Choice(list(_FAILING)), default="worse", show_default=True, help="Exit with status 1."
 )
 @click.option(
-    "--time-tolerance", type=float, default=0.05, show_default=True, help="Relative change of a time not claimed."
+    "--time-tolerance",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="Relative change of a time that counts as none.",
 )
 @click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
 @click.option("--all", "everything", is_flag=True, help="Also rows that are the same.")
@@ -46,8 +50,8 @@ def compare(
     """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
 
     Sizes, quality and counts are compared exactly; times statistically over repeats (five at least), in units of a
-    yardstick that was timed beside them; a time by the clock on the wall is judged only where processor time agrees,
-    and no change below 10 microseconds a frame is claimed. Another machine is a warning, not a verdict.
+    yardstick that was timed beside them. A time by the clock on the wall is judged only where processor time agrees,
+    and a change of less than 10 microseconds a frame counts as none. Another machine is a warning, not a verdict.
     """
     from codecbench.core.results.comparison.compare import compare as compared
     from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
