@@ -1,0 +1,179 @@
+"""Tables of README.md and docs/ are made by docs/tables.py, from a run, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from project import DOCS, ROOT
+from scipy.stats import spearmanr
+
+import codecbench
+
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("**/*.md"))]
+SMALL = "{use: synthetic, name: %s, params: {stop: 2, width: 96, height: 72, seed: %d}}"
+MATRIX = f"""
+version: 1
+name: real
+sequences: [{SMALL % ("kodak", 1)}, {SMALL % ("fr3_office_100", 2)}]
+codecs: [raw, {{use: jpeg, params: {{quality: {{grid: [5, 40, 95]}}}}}}]
+evaluators: [quality, features]
+run: {{workers: 1}}
+"""
+
+
+def command(*words: str | Path, status: int = 0) -> str:
+    """Standard output of a program of this Python, after checking its exit status."""
+    found = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, timeout=300)
+    assert found.returncode == status, found.stdout + found.stderr
+    return found.stdout
+
+
+def table_rows(text: str) -> list[list[str]]:
+    """Cells of the rows of a Markdown table, heads first."""
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def block(page: Path, name: str) -> str:
+    (content,) = re.findall(f"<!-- {name}: begin -->(.*?)<!-- {name}: end -->", page.read_text(), re.DOTALL)
+    return str(content)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a few small frames, named as the sequences that the README shows."""
+    folder = tmp_path_factory.mktemp("tables")
+    (folder / "matrix.yaml").write_text(MATRIX)
+    command("-m", "codecbench", "run", folder / "matrix.yaml", "--out", folder / "run", "--quiet")
+    return folder / "run"
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A copy of the pages that a test may rewrite."""
+    (tmp_path / "docs").mkdir()
+    for page in PAGES:
+        if page.parent in (ROOT, DOCS):
+            shutil.copy(page, tmp_path / page.relative_to(ROOT))
+    return tmp_path
+
+
+def test_the_readme_s_table_is_made_from_a_run(run: Path, root: Path) -> None:
+    options = ("--root", root, "--run", f"real={run}")
+    assert "README.md: real: differs" in command(DOCS / "tables.py", "--check", *options, status=1)
+    command(DOCS / "tables.py", *options)
+    assert "differs" not in command(DOCS / "tables.py", "--check", *options)
+
+    heads, *rows = table_rows(block(root / "README.md", "real"))
+    wide = codecbench.open_run(run).wide
+    office, stills = (wide[wide["sequence"] == name].reset_index() for name in ("fr3_office_100", "kodak"))
+    assert [row[:2] for row in rows] == office[["codec", "setting"]].to_numpy().tolist()
+    assert len(rows) == 4
+    columns = {
+        "bit/px": office["quality.rate_bpp.mean"],
+        "PSNR dB": office["quality.psnr_gray_db.mean"],
+        "SSIM": office["quality.ssim_matlab.mean"],
+        "features kept": office["features.keypoint_repeatability.mean"],
+        "Kodak: bit/px": stills["quality.rate_bpp.mean"],
+        "Kodak: features kept": stills["features.keypoint_repeatability.mean"],
+    }
+    for head, expected in columns.items():
+        shown = pd.Series([float(row[heads.index(head)].replace("∞", "inf")) for row in rows])
+        pd.testing.assert_series_equal(shown, expected, rtol=5e-4, atol=5e-4, check_names=False)
+    assert {row[heads.index("encode ms")] for row in rows} == {"–"}, "what was not measured is a dash"
+
+
+def test_the_claim_beside_the_table_is_computed_from_it(run: Path, root: Path) -> None:
+    command(DOCS / "tables.py", "--root", root, "--run", f"real={run}")
+    text = block(root / "README.md", "real")
+    wide = codecbench.open_run(run).wide
+    lossy = wide[(wide["sequence"] == "fr3_office_100") & (wide["codec"] != "raw")]
+    rho = spearmanr(lossy["quality.psnr_gray_db.mean"], lossy["features.keypoint_repeatability.mean"]).statistic
+    assert f"Spearman's ρ {rho:.3f}" in text
+    assert "here 2 frames" in text
+    assert "2 photographs" in text
+
+
+def test_the_claim_in_the_readme_follows_from_the_readme_s_table() -> None:
+    text = block(ROOT / "README.md", "real")
+    heads, *rows = table_rows(text)
+    psnr, kept = (
+        [float(row[heads.index(head)]) for row in rows if row[heads.index("PSNR dB")] != "∞"]
+        for head in ("PSNR dB", "features kept")
+    )
+    (stated,) = re.findall(r"Spearman's ρ (\d\.\d+)", text)
+    assert float(stated) == pytest.approx(spearmanr(psnr, kept).statistic, abs=2e-3)
+
+
+def test_every_marked_block_has_a_generator_with_its_columns() -> None:
+    known = json.loads(command(DOCS / "tables.py", "--list"))
+    marked = {name: page for page in PAGES for name in re.findall(r"<!-- ([\w-]+): begin -->", page.read_text())}
+    assert {name: str(page.relative_to(ROOT)) for name, page in marked.items()} == {
+        name: entry["page"] for name, entry in known.items()
+    }
+    for name, page in marked.items():
+        heads = [line for line in block(page, name).splitlines() if line.startswith("| ")]
+        rules = block(page, name).count("\n|---")
+        assert rules >= 1, name
+        assert heads.count("| " + " | ".join(known[name]["columns"]) + " |") == rules, name
+
+
+def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) -> None:
+    printed = tmp_path / "processes.txt"
+    printed.write_text("begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n")
+    command(DOCS / "tables.py", "--root", root, "--printed", f"processes={printed}")
+    rows = table_rows(block(root / "docs" / "performance.md", "processes"))
+    assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
+    printed.write_text("nothing\n")
+    command(DOCS / "tables.py", "--root", root, "--printed", f"processes={printed}", status=1)
+
+
+def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
+    """From a file as pytest-benchmark writes it, cut down to what is read."""
+
+    def entry(file: str, name: str, median_s: float, **params: object) -> dict[str, object]:
+        stage = name.partition("[")[2].rstrip("]") or None
+        return {
+            "name": name, "fullname": f"tests/benchmarks/{file}.py::{name}", "param": stage, "params": params or None,
+            "stats": {"median": median_s}, "extra_info": {"setting": "q=7"} if name.startswith("test_encode[") else {},
+        }  # fmt: skip
+
+    found = [
+        entry("test_slam_solvers", "test_pose_graph[150]", 0.0781),
+        entry("test_evaluators", "test_ms_ssim", 0.002),
+    ]
+    for number, (way, picture) in enumerate([(w, p) for w in ("encode", "decode") for p in ("gray", "rgb")]):
+        found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), picture=picture, codec="x"))
+    for levels in (1, 2):
+        for qf in (5, 20, 100):
+            name = "test_encode_and_decode[x]"
+            found.append(entry("test_multilevel", name, qf * levels / 1e3, picture="gray", levels=levels, qf=qf))
+    for build, stages in (("fast", (1e-3, 2e-3)), ("counting", (4e-3, 5e-3))):
+        for number, seconds in enumerate(stages):
+            stage = ("x/encode/dct", "x/decode/idct")[number]
+            found.append(entry("test_kernels", f"test_stage[{stage}-{build}]", seconds, build=build))
+    (tmp_path / "found.json").write_text(json.dumps({"benchmarks": found}))
+    command(DOCS / "tables.py", "--root", root, "--benchmarks", tmp_path / "found.json")
+    page = root / "docs" / "performance.md"
+    assert table_rows(block(page, "solvers"))[1:] == [["pose graph, 150", "78.1 ms"]]
+    assert table_rows(block(page, "evaluators"))[1:] == [["ms ssim", "2 ms"]]
+    assert table_rows(block(page, "codecs"))[1:] == [["`x`, q=7", "1 / 3", "2 / 4"]]
+    assert table_rows(block(page, "multilevel"))[2] == ["gray, levels 2", "10.0 ms", "40.0 ms", "200.0 ms"]
+    assert table_rows(block(page, "kernels"))[1:] == [["`x`", "3.0 ms", "9.0 ms", "3.0"]]
+
+
+def test_pages_are_as_they_were_where_nothing_is_given() -> None:
+    before = {page: page.read_bytes() for page in PAGES}
+    assert (
+        "name at least one"
+        in subprocess.run([sys.executable, DOCS / "tables.py"], capture_output=True, text=True, env=os.environ).stderr
+    )
+    assert {page: page.read_bytes() for page in PAGES} == before
