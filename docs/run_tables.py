@@ -39,6 +39,12 @@ CODING = {
     "counted Mops": Column("operations.source_total.encode.mean", 1e-6),
     "paper's model Mops": Column("operations.model_total.encode.mean", 1e-6),
 }
+SLAM = (
+    Column("trajectory.slam_ms_per_frame.median"),
+    Column("trajectory.keyframes.median"),
+    Column("trajectory.tracked_fraction.median"),
+    Column("trajectory.ate_rmse_m.median", 1e3),
+)
 SETTING = ("codec", "setting")
 MAIN, STILLS = "fr3_office_100", "kodak"
 """The sequences of examples/real.yaml that the README shows: a video, and photographs beside it."""
@@ -123,8 +129,7 @@ def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:
     rows = []
     for entry in run.plan.sequences:
         (row,) = (row for row in rows_of(run, entry.name) if row["codec"] == "raw")
-        names = ("slam_ms_per_frame", "keyframes", "tracked_fraction", "ate_rmse_m")
-        values = [Column(f"trajectory.{name}.median").shown(row) for name in names]
+        values = [column.shown(row) for column in SLAM]
         rows.append([entry.name, entry.frames, *values])
     yield table(heads, rows)
 

@@ -49,7 +49,7 @@ BLOCKS = {
     "sequences": Block("docs/real.md", "run", "real", CODING, run_tables.every_sequence),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "slam": Block(
-        TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE m"),
+        TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),
         run_tables.slam_times,
     ),
     "codecs": Block(TIMES, "benchmarks", "", ("codec", "gray", "RGB"), benchmark_tables.codecs),

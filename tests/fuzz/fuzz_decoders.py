@@ -105,7 +105,8 @@ def _follow_coverage(name: str, arguments: argparse.Namespace) -> NoReturn:
 
     signal.signal(signal.SIGALRM, _give_up)
     folder = Path(tempfile.mkdtemp(prefix="codecbench-fuzz-"))
-    print(f"coverage of {name} for {arguments.seconds} s", flush=True)
+    sys.stdout.write(f"coverage of {name} for {arguments.seconds} s\n")
+    sys.stdout.flush()
     for number, data in enumerate(target.seeds(_SMALL_SHAPES) + _kept(name)):
         (folder / f"seed-{number}").write_bytes(data)
     options = [f"-max_total_time={arguments.seconds}", f"-max_len={_MAX_BYTES}", f"-seed={arguments.seed}"]

@@ -111,7 +111,7 @@ def test_the_largest_pictures_stay_within_the_limits(
     name: str, setting: dict[str, Any], shape: tuple[int, ...], rng: np.random.Generator
 ) -> None:
     """Few bytes that stand for as many pixels as a decoder takes. Logs the rows of the table in docs/reliability.md."""
-    label = f"`{name}` " + " ".join(f"{key}={value}" for key, value in setting.items())
+    label = " ".join([f"`{name}`", *(f"{key}={value}" for key, value in setting.items())])
     image = np.full(shape, 100, np.uint8)
     image[:200, :200] = rng.integers(0, 256, (200, 200, *shape[2:]))
     codec = TARGETS[name].codec_class().create(**setting)
