@@ -1,4 +1,4 @@
-"""The tables of README.md and docs/, made from run folders, benchmarks, and rows that a command printed.
+"""The tables of README.md and docs/, made from run folders, pictures, benchmarks, and rows that a command printed.
 
 python docs/tables.py --run real=runs/real --benchmarks benchmarks.json --printed processes=processes.txt
 
@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import benchmark_tables
+import multilevel_table
 import run_tables
 
 import codecbench
 
 ROOT = Path(__file__).parents[1]
-Kind = Literal["run", "benchmarks", "printed"]
+Kind = Literal["run", "pictures", "benchmarks", "printed"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ BLOCKS = {
         TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),
         run_tables.slam_times,
     ),
+    "sizes": Block(
+        "docs/multilevel.md", "pictures", "",
+        ("QF", "KiB", "of which tables", "the paper, KiB", "two levels", "two levels, by frequency", "without header"),
+        multilevel_table.sizes,
+    ),
     "codecs": Block(TIMES, "benchmarks", "", ("codec", "gray", "RGB"), benchmark_tables.codecs),
     "multilevel": Block(
         TIMES, "benchmarks", "", ("`multilevel`", "qf 5", "qf 20", "qf 100"), benchmark_tables.multilevel
@@ -64,6 +70,7 @@ BLOCKS = {
     ),
     "solvers": Block(TIMES, "benchmarks", "", ("solvers", "median"), benchmark_tables.medians("test_slam_solvers")),
     "processes": Block(TIMES, "printed", "processes", ("what", "measured"), benchmark_tables.printed),
+    "runs": Block(TIMES, "printed", "runs", ("command", "time"), benchmark_tables.printed),
     "scale": Block("docs/scaling.md", "printed", "scale", ("what", "measured"), benchmark_tables.printed),
     "fuzz": Block(
         "docs/reliability.md", "printed", "fuzz",
@@ -96,6 +103,8 @@ def sources(chosen: argparse.Namespace) -> dict[tuple[Kind, str], Any]:
         given["run", name] = codecbench.open_run(folder)
     for name, file in map(named, chosen.printed):
         given["printed", name] = Path(file).read_text()
+    if chosen.pictures:
+        given["pictures", ""] = chosen.pictures
     if chosen.benchmarks:
         given["benchmarks", ""] = json.loads(chosen.benchmarks.read_text())["benchmarks"]
     known = {(block.kind, block.source) for block in BLOCKS.values()}
@@ -114,6 +123,7 @@ def named(text: str) -> tuple[str, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", action="append", default=[], metavar="NAME=FOLDER")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="PNG files for the sizes of `multilevel`")
     parser.add_argument("--benchmarks", type=Path, metavar="FILE", help="what `pytest --benchmark-json FILE` wrote")
     parser.add_argument("--printed", action="append", default=[], metavar="NAME=FILE")
     parser.add_argument("--root", type=Path, default=ROOT, help="the folder of README.md and docs/")
@@ -125,7 +135,7 @@ def main() -> None:
         return
     given = sources(chosen)
     if not given:
-        parser.error("name at least one --run, --benchmarks or --printed")
+        parser.error("name at least one --run, --pictures, --benchmarks or --printed")
     differing = 0
     for name, block in BLOCKS.items():
         if (block.kind, block.source) in given:

@@ -10,12 +10,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pandas as pd
 import pytest
 from project import DOCS, ROOT
 from scipy.stats import spearmanr
 
 import codecbench
+from codecbench.plugins.codecs.multilevel import Multilevel
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("**/*.md"))]
 SMALL = "{use: synthetic, name: %s, params: {stop: 2, width: 96, height: 72, seed: %d}}"
@@ -126,6 +129,24 @@ def test_every_marked_block_has_a_generator_with_its_columns() -> None:
         assert heads.count("| " + " | ".join(known[name]["columns"]) + " |") == rules, name
 
 
+def test_campaigns_of_fuzzing_become_a_table(root: Path, tmp_path: Path) -> None:
+    """From what libFuzzer and the mutating fuzzer print, cut down."""
+    log = tmp_path / "fuzz.txt"
+    log.write_text(
+        "coverage of png for 40 s\n#2\tINITED cov: 12 ft: 13\n#900\tDONE   cov: 66 ft: 90 corp: 9/1Kb\n"
+        "stat::number_of_executed_units: 1900\ncoverage of raw for 20 s\n#9\tDONE   cov: 26 ft: 9\n"
+        'stat::number_of_executed_units: 23312\n{\n "codec": "png",\n "seconds": 60,\n "cpu_seconds": 55,\n'
+        ' "seed": 1,\n "inputs": 14166,\n "pool": 3\n}\n'
+    )
+    command(DOCS / "tables.py", "--root", root, "--printed", f"fuzz={log}")
+    rows = table_rows(block(root / "docs" / "reliability.md", "fuzz"))[1:]
+    assert rows == [
+        ["`png`", "40 s, 1,900, 66", "60 s, 14,166"],
+        ["`raw`", "20 s, 23,312, 26", "–"],
+        ["together", "60 s, 25,212", "60 s, 14,166"],
+    ]
+
+
 def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) -> None:
     printed = tmp_path / "processes.txt"
     printed.write_text("begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n")
@@ -134,6 +155,30 @@ def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) 
     assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
     printed.write_text("nothing\n")
     command(DOCS / "tables.py", "--root", root, "--printed", f"processes={printed}", status=1)
+
+
+@pytest.mark.thorough
+def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_path: Path) -> None:
+    pictures = [np.random.default_rng(seed).integers(0, 256, (40, 56, 3), np.uint8) for seed in range(2)]
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.ascontiguousarray(picture[..., ::-1]))
+    command(DOCS / "tables.py", "--root", root, "--pictures", tmp_path)
+    heads, *rows = table_rows(block(root / "docs" / "multilevel.md", "sizes"))
+    assert [row[0] for row in rows] == ["5", "10", "15", "20", "50", "75", "100"]
+    for row in rows:
+        one, two = (Multilevel.create(qf=float(row[0]), levels=levels) for levels in (1, 2))
+        sizes = [sum(len(codec.encode(picture)) for picture in pictures) for codec in (one, two)]
+        assert row[heads.index("KiB")] == f"{sizes[0] / 2048:.1f}"
+        assert row[heads.index("two levels")] == f"{100 * (sizes[1] / sizes[0] - 1):+.1f} %"
+
+
+def test_commands_are_timed(tmp_path: Path) -> None:
+    program = ROOT / "tests" / "benchmarks" / "processes.py"
+    out = command(program, "--time", f"{sys.executable} -c pass", "--time", f"{sys.executable} --version")
+    heads, *rows = table_rows(out)
+    assert heads == ["command", "time"]
+    assert [row[0] for row in rows] == [f"`{sys.executable} -c pass`", f"`{sys.executable} --version`"]
+    assert all(re.fullmatch(r"0 min \d+ s", row[1]) for row in rows)
 
 
 def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
