@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
 if TYPE_CHECKING:
     from codecbench.core.contracts.codec import Capabilities, Codec
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
         SequenceEvaluator,
     )
     from codecbench.core.contracts.executor import Executor, Finished, Task
-    from codecbench.core.contracts.hooks import Offer, hookimpl
+    from codecbench.core.contracts.hooks import PluginSpec, hookimpl
     from codecbench.core.contracts.image import Image, check_image, gray_from_image
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
@@ -61,7 +62,7 @@ _HOMES = {
         "Measurement", "Metric", "Outcome", "PluginUse", "SequenceEvaluator",
     ),
     _CONTRACTS + "executor": ("Executor", "Finished", "Task"),
-    _CONTRACTS + "hooks": ("Offer", "hookimpl"),
+    _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
     _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Sequence", "Trajectory"),
@@ -76,7 +77,13 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 
 
+_RENAMED = {"Offer": "PluginSpec"}
+
+
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        warn(f"codecbench.{name} is now called codecbench.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        return __getattr__(_RENAMED[name])
     if name not in _HOME_OF:
         raise AttributeError(f"module 'codecbench' has no attribute {name!r}")
     value = getattr(import_module(_HOME_OF[name]), name)

@@ -19,6 +19,7 @@ COMMANDS = {
     "status": ("codecbench.cli.status:status", "Say how far a run is, also while it is running."),
     "reproduce": ("codecbench.paper.command:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
+    "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile ahead the kernels that runs will need."),
     "verify": ("codecbench.cli.verify:verify", "Check that codecs keep the contract; write and check corpora."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }

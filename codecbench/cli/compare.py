@@ -61,31 +61,31 @@ def compare(
         raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
     second = read_snapshot(after)
     if set(first.machines) != set(second.machines):
-        machines = " | ".join("; ".join(one.machines) for one in (first, second))
+        machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
         warning = f"warning: other machines ({machines}): times cannot be judged"
         click.echo(warning, err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     _print(found, format_, everything)
-    if any(one.verdict in _FAILING[fail_on] for one in found):
+    if any(comparison.verdict in _FAILING[fail_on] for comparison in found):
         sys.exit(1)
 
 
 def _print(found: list[Comparison], format_: str, everything: bool) -> None:
-    rows = [one for one in found if everything or one.verdict != "same"]
-    counts = Counter(one.verdict for one in found)
+    rows = [comparison for comparison in found if everything or comparison.verdict != "same"]
+    counts = Counter(comparison.verdict for comparison in found)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
     if format_ == "json":
         from codecbench.core.results.export import json_value
 
-        values = [dict(zip(_HEADS, map(json_value, _row(one)), strict=True)) for one in rows]
+        values = [dict(zip(_HEADS, map(json_value, _cells(row)), strict=True)) for row in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
     from codecbench.core.results.markdown import table
 
     if rows:
-        click.echo(table(_HEADS, [_row(one) for one in rows]))
+        click.echo(table(_HEADS, [_cells(row) for row in rows]))
     click.echo(verdicts)
 
 
-def _row(one: Comparison) -> list[object]:
-    return [*one.key, one.before, one.after, one.change, one.verdict, one.note]
+def _cells(row: Comparison) -> list[object]:
+    return [*row.key, row.before, row.after, row.change, row.verdict, row.note]

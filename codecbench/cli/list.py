@@ -26,9 +26,9 @@ def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
         return
     for kind, found in plugins.items():
         click.secho(f"{kind.replace('_', ' ')}s", bold=True)
-        width = max((len(plugin.offer.name) for plugin in found), default=0)
+        width = max((len(plugin.spec.name) for plugin in found), default=0)
         for plugin in found:
-            click.echo(f"  {plugin.offer.name:<{width}}  {plugin.offer.summary}{_remark(plugin)}")
+            click.echo(f"  {plugin.spec.name:<{width}}  {plugin.spec.summary}{_remark(plugin)}")
         if not found:
             click.echo("  none")
     for problem in registry.problems:
@@ -45,9 +45,9 @@ def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, An
     rows: dict[str, Any] = {
         f"{kind}s": [
             {
-                "name": plugin.offer.name,
-                "summary": plugin.offer.summary,
-                "target": plugin.offer.target,
+                "name": plugin.spec.name,
+                "summary": plugin.spec.summary,
+                "target": plugin.spec.target,
                 "distribution": plugin.distribution,
                 "missing": plugin.missing,
             }

@@ -21,32 +21,43 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     from codecbench.core.engine.planning.estimate import estimate
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
 
     made = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / made.name
     store = Store(folder)
     entries = store.entries() if folder.exists() else {}
-    done = {cell.id for cell in made.cells if cell.id in entries and entries[cell.id].status == "ok"}
+    outdated = outdated_cells(made, entries, store, installed())
+    kept = kept_cells(made, {id_: entry for id_, entry in entries.items() if id_ not in outdated})
+    done = {id_ for id_, status in kept.items() if status == "ok"}
     unsupported = [cell for cell in made.cells if cell.unsupported is not None]
     missing = [cell for cell in made.cells if cell.id not in done and cell.unsupported is None]
     wanted = {cell.job_id for cell in missing if cell.job_id is not None}
     coded = {job.id for job in made.jobs if store.coded_path(job.id).exists()}
     to_code = [job for job in made.jobs if job.id in wanted - coded]
     click.echo(f"{made.name}: {len(made.sequences)} sequences, run folder {folder}")
-    for entry in made.sequences:
-        facts = [f"{entry.frames} frames", "gray" if entry.channels == 1 else "colour"]
-        facts += [word for word, has in (("camera", entry.has_camera), ("ground truth", entry.has_ground_truth)) if has]
-        click.echo(f"  {entry.name}: {', '.join(facts)}")
+    _list_sequences(made)
     click.echo(f"coding jobs: {len(made.jobs)}, of which {len(coded)} are coded and {len(to_code)} are to do")
     click.echo(f"cells: {len(made.cells)}: {len(done)} done, {len(missing)} to do, {len(unsupported)} unsupported")
     for reason, count in Counter(cell.unsupported for cell in unsupported).items():
         click.echo(f"  unsupported ({count}): {reason}")
+    for reason, count in Counter(outdated.values()).items():
+        click.echo(f"  done before, to do again ({count}): {reason}")
     if cells:
         _list_all(made, done, coded)
     guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})
     basis = f"{guess.measured} cells from measured durations, {guess.typical} from typical costs"
     click.echo(f"estimated time: {_spoken(guess.seconds)} with {made.run.workers} workers ({basis})")
+
+
+def _list_sequences(made: Plan) -> None:
+    for entry in made.sequences:
+        camera = ["camera"] if entry.has_camera else []
+        truth = ["ground truth"] if entry.has_ground_truth else []
+        layout = "gray" if entry.channels == 1 else "colour"
+        click.echo(f"  {entry.name}: {', '.join([f'{entry.frames} frames', layout, *camera, *truth])}")
 
 
 def _list_all(made: Plan, done: set[str], coded: set[str]) -> None:

@@ -23,10 +23,21 @@ LEVELS = ("debug", "info", "warning", "error")
 @click.argument("matrix", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/NAME.")
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; default as the matrix says.")
+@click.option(
+    "--recompute", multiple=True, metavar="NAME", help="Compute all cells of a codec, evaluator or sequence again."
+)
 @click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Go on after a cell that fails.")
 @click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
 @click.option("--quiet", is_flag=True, help="No progress and no table: only what failed, and the run folder.")
-def run(matrix: Path, out: Path | None, workers: int | None, keep_going: bool, log_level: str, quiet: bool) -> None:
+def run(
+    matrix: Path,
+    out: Path | None,
+    workers: int | None,
+    recompute: tuple[str, ...],
+    keep_going: bool,
+    log_level: str,
+    quiet: bool,
+) -> None:
     """Run a MATRIX: every codec setting on every sequence, evaluated.
 
     Goes on where an earlier run in the same folder stopped. Exit status 0 only if no cell failed; 130 if stopped.
@@ -40,7 +51,12 @@ def run(matrix: Path, out: Path | None, workers: int | None, keep_going: bool, l
     console = Console(stderr=True, quiet=quiet)
     with _Display(console, keep_going) as display:
         summary = run_plan(
-            plan, folder, workers=workers, listener=display.show, log_level=logging.getLevelName(log_level.upper())
+            plan,
+            folder,
+            workers=workers,
+            recompute=recompute,
+            listener=display.show,
+            log_level=logging.getLevelName(log_level.upper()),
         )
     _report(summary, quiet)
 
@@ -73,7 +89,7 @@ class _Display:
         left = "" if progress.remaining_s is None else f"{_clock(progress.remaining_s)} left"
         failed = f"{progress.not_ok} without a result" if progress.not_ok else ""
         note = ", ".join(filter(None, (left, failed)))
-        self._bar.update(self._task, description="cells", completed=done, total=total, note=note)
+        self._bar.update(self._task, description=progress.compiling or "cells", completed=done, total=total, note=note)
         record, cell = progress.record, progress.cell
         if record is None or cell is None or record.status in ("ok", "unsupported"):
             return

@@ -27,8 +27,8 @@ def status(run: Path, as_json: bool, failed: bool) -> None:
         click.echo(json.dumps({"name": plan.name, "running": running, "cells": len(cells), "counts": counts}))
         return
     state = "running" if running else "not running"
-    told = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-    click.echo(f"{plan.name}: {state}; {len(cells)} cells: {told}")
+    tally = ", ".join(f"{count} {word}" for word, count in counts.most_common())
+    click.echo(f"{plan.name}: {state}; {len(cells)} cells: {tally}")
     if failed:
         for cell, entry in cells:
             if entry is not None and entry.status not in ("ok", "unsupported"):

@@ -91,7 +91,7 @@ def _cases(codecs: tuple[str, ...], settings: tuple[str, ...], report: _Report) 
     plugins = [registry.find("codec", name) for name in codecs] or registry.plugins("codec")
     cases: list[_Case] = []
     for plugin in plugins:
-        name = plugin.offer.name
+        name = plugin.spec.name
         try:
             codec_class = _load(name)
             for setting in [setting_from_text(text) for text in settings] or codec_class.examples:

@@ -1,1 +1,22 @@
-"""The pytest side: benchmarks of codecs, their baseline, and the conformance checks as a test class."""
+"""The pytest side: benchmarks of codecs, their baseline, and the conformance checks as a test class.
+
+`CodecSuite` is loaded when it is first used, because every pytest run of whoever has codecbench installed imports this
+package with the plugin.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from codecbench.pytesting.suite import CodecSuite
+
+__all__ = ["CodecSuite"]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "CodecSuite":
+        raise AttributeError(f"module 'codecbench.pytesting' has no attribute {name!r}")
+    from codecbench.pytesting.suite import CodecSuite
+
+    return CodecSuite

@@ -18,6 +18,8 @@ from typing import Any, Final, overload
 import numpy as np
 
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
+_ROUNDING_DB: Final = 1e-9
+"""How much two computations of one PSNR may differ."""
 _LEAST_PAIRS: Final = 40
 _MOST_S: Final = 8.0
 _SAME_SPEED: Final = 0.1
@@ -47,7 +49,7 @@ class Baseline:
             return ""
         if facts["size_bytes"] > before["size_bytes"]:
             return f"{name}: {facts['size_bytes']} bytes; the baseline has {before['size_bytes']}"
-        if facts["psnr_db"] < before["psnr_db"]:
+        if facts["psnr_db"] < before["psnr_db"] - _ROUNDING_DB:
             return f"{name}: PSNR {facts['psnr_db']} dB; the baseline has {before['psnr_db']} dB"
         for key in ("encode_operations", "decode_operations"):
             if facts.get(key, 0) > before.get(key, np.inf):

@@ -3,10 +3,11 @@
     pytest --codecbench "mine quality=50" --benchmark-autosave --benchmark-compare --benchmark-compare-fail=min:5%
 
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
-installed codec at its example settings). Size, PSNR, operation counts and the codec's version go into `extra_info` of
-pytest-benchmark, and with `--codecbench-baseline FILE` all are compared as well: a larger file, a loss of quality or
-one operation more fails the test whatever the clock says, and so does a time, in units of a yardstick timed in
-between, that is more than `--codecbench-slower` per cent longer. Settings that the file lacks are added to it.
+installed codec at its example settings); what a codec searches for on the picture is found before. Size, PSNR,
+operation counts and the codec's version go into `extra_info` of pytest-benchmark, and with `--codecbench-baseline
+FILE` all are compared as well: a larger file, a loss of quality or one operation more fails the test whatever the
+clock says, and so does a time, in units of a yardstick timed in between, that is more than `--codecbench-slower` per
+cent longer. Settings that the file lacks are added to it.
 
 A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,11 +39,17 @@ class CodecCase:
     codec: Codec[Any]
     image: Image
 
+    @cached_property
+    def prepared(self) -> Codec[Any]:
+        """The codec with what it searches for on this picture already found."""
+        return self.codec.prepared(self.image)
+
     def facts(self) -> dict[str, Any]:
         """What is recorded beside the times: version, size, PSNR, and operation counts where the codec counts them."""
         from codecbench.core.counting.trace import CountingTrace
+        from codecbench.plugins.evaluators.quality.psnr import psnr_db
 
-        bitstream = self.codec.encode(self.image)
+        bitstream = self.prepared.encode(self.image)
         facts: dict[str, Any] = {
             "codec": self.name,
             "version": self.codec.version,
@@ -49,8 +57,8 @@ class CodecCase:
             "psnr_db": psnr_db(self.image, self.codec.decode(bitstream)),
         }
         if self.codec.capabilities.counts_operations:
-            for direction, work in (("encode", lambda t: self.codec.encode(self.image, trace=t)),
-                                    ("decode", lambda t: self.codec.decode(bitstream, trace=t))):  # fmt: skip
+            for direction, work in (("encode", lambda trace: self.prepared.encode(self.image, trace=trace)),
+                                    ("decode", lambda trace: self.codec.decode(bitstream, trace=trace))):  # fmt: skip
                 trace = CountingTrace()
                 work(trace)
                 facts[f"{direction}_operations"] = int(sum(counts.total for counts in trace.counts.values()))
@@ -111,14 +119,6 @@ def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
     baseline.save()
 
 
-def psnr_db(first: Image, second: Image) -> float:
-    """Peak signal-to-noise ratio over all samples, in dB; infinite for equal images."""
-    import numpy as np
-
-    error = float(np.mean((first.astype(np.float64) - second) ** 2))
-    return float("inf") if error == 0 else float(10 * np.log10(255.0**2 / error))
-
-
 def _cases(text: str) -> list[CodecCase]:
     """The cases of one `--codecbench` value. Raises pytest.UsageError for what cannot be understood."""
     from pydantic import ValidationError
@@ -133,7 +133,7 @@ def _cases(text: str) -> list[CodecCase]:
     for plugin in registry.plugins("codec") if name == ALL else [None]:
         if plugin is not None and plugin.missing is not None:
             continue
-        chosen = plugin.offer.name if plugin is not None else name
+        chosen = plugin.spec.name if plugin is not None else name
         try:
             cls = registry.load("codec", chosen)
             for example in [setting_from_text(rest)] if rest else cls.examples:

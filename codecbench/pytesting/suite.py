@@ -1,6 +1,6 @@
 """The conformance checks as a pytest suite, to be inherited in a codec author's repository.
 
-    from codecbench.pytesting.suite import CodecSuite
+    from codecbench.pytesting import CodecSuite
     from my_package import MyCodec
 
     class TestMyCodec(CodecSuite):

@@ -7,13 +7,13 @@
         system.process(image, timestamp_s)
     result = system.finish()
 
-`image` is gray (height, width) or blue-green-red (height, width, 3), uint8. Same frames and seed, same result to the
+`image` is gray (height, width) or RGB (height, width, 3), uint8. Same frames and seed, same result to the
 last bit. Nothing here knows codecs or ground truth.
 """
 
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
+from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, Result
 from codecbench.slam.system import System
-from codecbench.slam.trajectory import FrameState, LoopEvent, MapResult, Result, Trajectory
 
-__all__ = ["Camera", "FrameState", "LoopEvent", "MapResult", "Options", "Result", "System", "Trajectory"]
+__all__ = ["Camera", "ClosedLoop", "FrameState", "FrameTrajectory", "MapResult", "Options", "Result", "System"]

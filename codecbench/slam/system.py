@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import FeatureExtractor, Features
 from codecbench.slam.geometry.camera import Camera
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.mapping.decoded_keyframes import use_decoded
+from codecbench.slam.mapping.initialization import Initializer
 from codecbench.slam.options import Options
-from codecbench.slam.session import Session
-from codecbench.slam.tracking.decoded_keyframes import use_decoded
-from codecbench.slam.tracking.initialization import Initializer
-from codecbench.slam.trajectory import FrameState, LoopEvent, Result, State, summarize
+from codecbench.slam.result import ClosedLoop, FrameState, Result, State
+from codecbench.slam.tracked_map import TrackedMap
 
 ImageArray = NDArray[np.uint8]
 KeyframeImage = Callable[[ImageArray], ImageArray]
@@ -39,17 +39,17 @@ class System:
         self._rng = np.random.default_rng(seed)
         factors = self._extractor.scale_factors
         self._initializer = Initializer(camera, factors, self.options.features, self._rng)
-        self._sessions: list[Session] = []
-        self._active: Session | None = None
+        self._maps: list[TrackedMap] = []
+        self._active: TrackedMap | None = None
         self._frames: list[FrameState] = []
-        self._loops: list[LoopEvent] = []
+        self._loops: list[ClosedLoop] = []
         self._lost_since_s = math.inf
         self._last_s = -math.inf
 
     def process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None = None) -> FrameState:
         """Look at one frame and say what became of it.
 
-        `image` (height, width) gray or (height, width, 3) blue-green-red, uint8; `timestamp_s` above the last one's.
+        `image` (height, width) gray or (height, width, 3) RGB, uint8; `timestamp_s` above the last one's.
         With `keyframe_image`, tracking sees `image`, and what becomes a keyframe is replaced by
         `keyframe_image(image)`: its features serve mapping, relocalisation and loop closing. Returns the frame's state;
         "refused" with the reason for an image or a time that cannot be used. Raises TypeError for images that are not
@@ -66,9 +66,9 @@ class System:
 
     def finish(self) -> Result:
         """The result of all frames so far, after a last adjustment of each map where the options ask for it."""
-        for session in self._sessions:
-            session.finish(self.options.final_bundle_adjustment)
-        return summarize(self._frames, self._loops, [(s.map, s.poses) for s in self._sessions])
+        maps = [tracked_map.finish(self.options.final_bundle_adjustment) for tracked_map in self._maps]
+        maps.sort(key=lambda result: (-len(result.trajectory), result.index))
+        return Result(tuple(self._frames), tuple(self._loops), tuple(maps))
 
     def _process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None) -> FrameState:
         index = len(self._frames)
@@ -77,7 +77,7 @@ class System:
         if refusal:
             return FrameState(index, timestamp_s, "refused", reason=refusal)
         self._last_s = timestamp_s
-        frame = Frame.of(index, timestamp_s, self._extractor.extract(gray))
+        frame = TrackingFrame.of(index, timestamp_s, self._extractor.extract(gray))
         if keyframe_image is not None:
             frame.decode = lambda: self._extract_decoded(keyframe_image(image))
         if self._active is not None:
@@ -85,9 +85,9 @@ class System:
             if inliers or (inliers := self._active.relocalize(frame)):
                 return self._tracked(frame, inliers)
             return self._lose(frame, self._active)
-        for session in reversed(self._sessions):
-            if inliers := session.relocalize(frame):
-                self._active = session
+        for tracked_map in reversed(self._maps):
+            if inliers := tracked_map.relocalize(frame):
+                self._active = tracked_map
                 self._initializer.restart()
                 return self._tracked(frame, inliers)
         return self._initialize(frame)
@@ -101,20 +101,19 @@ class System:
             return f"timestamp {timestamp_s} s is not after the last one, {self._last_s} s"
         return ""
 
-    def _initialize(self, frame: Frame) -> FrameState:
-        started = self._initializer.add(frame, len(self._sessions))
+    def _initialize(self, frame: TrackingFrame) -> FrameState:
+        started = self._initializer.add(frame, len(self._maps))
         if isinstance(started, str):
-            state: State = "lost" if self._sessions else "not_initialized"
+            state: State = "lost" if self._maps else "not_initialized"
             return FrameState(frame.index, frame.timestamp_s, state, reason=started)
         slam_map, mapper = started
-        self._active = Session(slam_map, mapper, self.camera, self._rng)
-        self._sessions.append(self._active)
+        self._active = TrackedMap(slam_map, mapper, self.camera, self._rng)
+        self._maps.append(self._active)
         self._active.start(frame)
-        self._active.record(frame)
         inliers = len(frame.matched)
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, True, slam_map.index)
 
-    def _tracked(self, frame: Frame, inliers: int) -> FrameState:
+    def _tracked(self, frame: TrackingFrame, inliers: int) -> FrameState:
         assert self._active is not None
         self._lost_since_s = math.inf
         keyframe = self._active.wants_keyframe(frame, inliers)
@@ -127,18 +126,18 @@ class System:
         index = self._active.map.index
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, index)
 
-    def _lose(self, frame: Frame, session: Session) -> FrameState:
+    def _lose(self, frame: TrackingFrame, tracked_map: TrackedMap) -> FrameState:
         """Note that the frame is lost, and give the map up when it is too small or has been lost too long."""
         self._lost_since_s = min(self._lost_since_s, frame.timestamp_s)
         lost_s = frame.timestamp_s - self._lost_since_s
         reason = f"lost for {lost_s:.2f} s: {len(frame.features)} features, too few of them match the map"
-        small = len(session.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES
+        small = len(tracked_map.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES
         if small or lost_s >= thresholds.LOST_FOR_GOOD_S:
             self._active = None
             self._lost_since_s = math.inf
             self._initializer.restart()
             reason += "; a new map will be started"
-        return FrameState(frame.index, frame.timestamp_s, "lost", 0, False, session.map.index, reason)
+        return FrameState(frame.index, frame.timestamp_s, "lost", 0, False, tracked_map.map.index, reason)
 
     def _extract_decoded(self, image: ImageArray) -> Features:
         gray = to_gray(image)
@@ -151,7 +150,7 @@ class System:
 
 
 def to_gray(image: NDArray[Any]) -> ImageArray:
-    """The image in gray (height, width), by BT.601 where it has three channels, blue first.
+    """The image in gray (height, width), by BT.601 where it has three channels, red first.
 
     Raises TypeError for what is not a uint8 array (height, width) or (height, width, 1 or 3).
     """
@@ -162,5 +161,5 @@ def to_gray(image: NDArray[Any]) -> ImageArray:
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     if image.ndim == 3 and image.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     raise TypeError(f"image: got shape {image.shape}; expected (height, width) or (height, width, 3)")

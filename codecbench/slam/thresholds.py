@@ -100,6 +100,8 @@ FRONTAL_COSINE: Final = 0.998
 """Cosine between viewing ray and mean viewing ray above which a point is seen as before (own)."""
 VIEWING_COSINE: Final = 0.5
 """Cosine between viewing ray and mean viewing ray below which a point is not searched: 60 degrees (ORB-SLAM V-D)."""
+DISTANCE_MARGIN: Final = 1.2
+"""Times: how far a point's distance may leave the range that the pyramid covers (ORB-SLAM V-D; the margin is own)."""
 LOCAL_RATIO: Final = 0.8
 """Best over second-best distance, where both lie on one level, of a local map match (own)."""
 LOCAL_KEYFRAMES: Final = 80
@@ -135,6 +137,8 @@ TRIANGULATION_NEIGHBORS: Final = 10
 """Keyframes: covisible ones in which a new keyframe's free features are searched (own)."""
 TRIANGULATION_MAX_COSINE: Final = 0.9998
 """Cosine between two rays above which their point is too uncertain: 1.15 degrees (own)."""
+TRIANGULATION_OCTAVES_APART: Final = 2
+"""Levels: most between two features that match (own)."""
 TRIANGULATION_MIN_BASELINE: Final = 0.01
 """Of the median depth: shorter baselines are not used (own)."""
 EPIPOLE_RADIUS_PX: Final = 10.0
@@ -149,6 +153,8 @@ POINT_TRIAL_KEYFRAMES: Final = 2
 """Keyframes: see POINT_MIN_OBSERVATIONS (ORB-SLAM VI-B)."""
 POINT_PROBATION_KEYFRAMES: Final = 3
 """Keyframes: age at which a point is no longer on probation (ORB-SLAM VI-B)."""
+DESCRIPTORS_COMPARED: Final = 12
+"""Descriptors: most that a point's representative one is chosen from, the newest ones (own; keeps a step bounded)."""
 FUSE_WINDOW_PX: Final = 3.0
 """Pixels at the finest level: search radius for duplicates of a point (own)."""
 REDUNDANT_SHARE: Final = 0.9
@@ -163,6 +169,14 @@ LOCAL_BUNDLE_FIXED: Final = 30
 """Keyframes: fixed ones in a local bundle adjustment, those that see most of its points (own)."""
 LOCAL_BUNDLE_TOLERANCE: Final = 1e-3
 """Of the cost: a round of a local adjustment ends with a step that gains less; the next one goes on (own)."""
+
+# Place recognition ----------------------------------------------------------------------------------------------------
+SHARED_WORDS_SHARE: Final = 0.8
+"""Of the most words that any keyframe shares with an image: a keyframe with no more is not scored (own)."""
+GROUP_SCORE_SHARE: Final = 0.75
+"""Of the best group's score: a group with no more gives no candidate (ORB-SLAM VI-C)."""
+GROUP_NEIGHBORS: Final = 10
+"""Keyframes: best covisible ones whose scores are added to a keyframe's (own)."""
 
 # Relocalisation and loops ---------------------------------------------------------------------------------------------
 RELOCALIZATION_CANDIDATES: Final = 8
@@ -181,8 +195,8 @@ LOOP_MIN_GAP_KEYFRAMES: Final = 10
 """Keyframes: no loop is closed so soon after another one (own)."""
 LOOP_MIN_MATCHES: Final = 20
 """Matches: fewer with a candidate and no similarity is sought (ORB-SLAM VII-B)."""
-LOOP_MIN_INLIERS: Final = 20
-"""Matches: inliers that a similarity needs (ORB-SLAM VII-B)."""
+LOOP_MIN_INLIERS: Final = 10
+"""Matches: inliers that a similarity needs (own; ORB-SLAM VII-B asks for enough of them)."""
 LOOP_WINDOW_PX: Final = 7.5
 """Pixels at the finest level: search radius for points projected by a similarity (own)."""
 LOOP_RATIO: Final = 0.75

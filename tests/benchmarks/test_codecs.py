@@ -18,7 +18,7 @@ def picture(request: pytest.FixtureRequest) -> np.ndarray:
     return np.ascontiguousarray(image if request.param == "rgb" else image[..., 1])
 
 
-@pytest.fixture(scope="module", params=[plugin.offer.name for plugin in installed().plugins("codec")])
+@pytest.fixture(scope="module", params=[plugin.spec.name for plugin in installed().plugins("codec")])
 def codec(request: pytest.FixtureRequest) -> Any:
     missing = installed().find("codec", request.param).missing
     if missing is not None:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "slam"))
-
 from solver_scenes import INTRINSICS, corridor, disturbed, moved, project
 
 from codecbench.slam.geometry.similarity import estimate_similarity, optimize_similarity

@@ -167,7 +167,7 @@ def test_a_failing_cell_is_a_row_and_an_exit_status(place: Path) -> None:
         "        raise RuntimeError('broken on purpose')\n"
         "@hookimpl\n"
         "def codecbench_codecs():\n"
-        "    return [Offer('failing', 'failing:Failing', 'raises')]\n"
+        "    return [PluginSpec('failing', 'failing:Failing', 'raises')]\n"
         "del codecbench_evaluators, codecbench_datasets\n"
     )
     register(place / "site", "failing", "1", "failing")

@@ -28,7 +28,7 @@ from codecbench.core.conformance.suite import CHECKS
 from codecbench.core.engine.registry import installed
 from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.codecs.raw import Raw
-from codecbench.pytesting.suite import CodecSuite
+from codecbench.pytesting import CodecSuite
 
 CORPUS_CODECS = ("raw", "png", "jpeg_qf")
 

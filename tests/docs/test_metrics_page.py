@@ -38,9 +38,9 @@ def test_every_file_is_named() -> None:
 
 
 def test_offers_lead_to_the_classes_that_they_name() -> None:
-    offers = {offer.name: offer for offer in codecbench_evaluators()}
+    specs = {spec.name: spec for spec in codecbench_evaluators()}
     for evaluator in EVALUATORS:
-        module, _, name = offers[evaluator.name].target.partition(":")
+        module, _, name = specs[evaluator.name].target.partition(":")
         assert evaluator.__name__ == name
         assert evaluator.__module__.startswith(module)
 

@@ -23,7 +23,7 @@ def test_a_desk_filmed_by_hand_is_followed_to_a_centimetre(data_folder: Path) ->
     for seconds, name in rows[:FRAMES]:
         image = cv2.imread(str(folder / name))
         assert image is not None
-        system.process(np.asarray(image, dtype=np.uint8), float(seconds))
+        system.process(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8), float(seconds))
     result = system.finish()
     states = [frame.state for frame in result.frames]
     first = states.index("tracked")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Room, looking, position_error
 
+from codecbench.core.contracts.image import gray_from_image
 from codecbench.slam import Camera, Options, Result, System
 
 pytestmark = pytest.mark.thorough
@@ -85,19 +87,27 @@ def test_runs_are_equal_to_the_last_bit_in_any_process(film: list[NDArray[np.uin
     expected = digest(run(film))
     assert digest(run(film)) == expected
     program = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import cv2; cv2.setNumThreads(2)\n"
         "from test_system import *\n"
         "room = Room()\n"
         "print(digest(run([room.image(path_pose(i)) for i in range(STEPS)])))\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300)
+    folders = Path(__file__).parent, Path(__file__).parents[1] / "support"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))},
+    )  # fmt: skip
     assert done.stdout.split()[-1] == expected
 
 
-def test_colour_is_read_as_gray(film: list[NDArray[np.uint8]]) -> None:
-    colour = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in film]
-    assert digest(run(colour)) == digest(run([cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in colour]))
+def test_colour_is_rgb_and_seen_as_its_luma(film: list[NDArray[np.uint8]]) -> None:
+    """The film under a light that turns from reddish to bluish: read with blue first, its luma would be another."""
+    tint = np.linspace(1.0, 0.3, CAMERA.width)
+    colour = [np.stack([image * tint, image * 0.9, image * tint[::-1]], axis=-1).astype(np.uint8) for image in film]
+    expected = digest(run([gray_from_image(image) for image in colour]))
+    assert len(run(colour).trajectory) >= 30
+    assert digest(run(colour)) == expected
+    assert digest(run([np.ascontiguousarray(image[:, :, ::-1]) for image in colour])) != expected
 
 
 def test_lens_distortion_is_undone() -> None:

@@ -86,6 +86,28 @@ class ReturnsFloats(_Broken):
         return super().decode(bitstream).astype(np.float32)
 
 
+class PreparesAnotherSetting(_Broken):
+    """The prepared instance writes a longer bitstream than the one that it was made from."""
+
+    padding = b""
+
+    def prepared(self, image: Image) -> PreparesAnotherSetting:
+        prepared = type(self)(self.params)
+        prepared.padding = b"more"
+        return prepared
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return super().encode(image) + self.padding
+
+
+class IsChangedByPreparing(PreparesAnotherSetting):
+    """What is found is kept in the instance that was asked, not in the one that is handed out."""
+
+    def prepared(self, image: Image) -> IsChangedByPreparing:
+        self.padding = b"more"
+        return type(self)(self.params)
+
+
 class NotLossless(_Broken):
     def decode(self, bitstream: bytes, **_: Any) -> Image:
         return super().decode(bitstream) & np.uint8(0xFE)

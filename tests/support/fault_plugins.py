@@ -32,9 +32,9 @@ from codecbench import (
     Measurement,
     Metric,
     NoParams,
-    Offer,
     Params,
     PathParam,
+    PluginSpec,
     Sequence,
     SequenceEvaluator,
     Trace,
@@ -278,20 +278,20 @@ _HERE = "fault_plugins:"
 
 
 @hookimpl
-def codecbench_datasets() -> list[Offer]:
-    return [Offer("stack", _HERE + "Stack", "frames in one file")]
+def codecbench_datasets() -> list[PluginSpec]:
+    return [PluginSpec("stack", _HERE + "Stack", "frames in one file")]
 
 
 @hookimpl
-def codecbench_codecs() -> list[Offer]:
-    return [Offer("faulty", _HERE + "Faulty", "goes wrong as told")]
+def codecbench_codecs() -> list[PluginSpec]:
+    return [PluginSpec("faulty", _HERE + "Faulty", "goes wrong as told")]
 
 
 @hookimpl
-def codecbench_evaluators() -> list[Offer]:
+def codecbench_evaluators() -> list[PluginSpec]:
     return [
-        Offer("wandering", _HERE + "Wandering", "yields what it should not"),
-        Offer("whole", _HERE + "Whole", "looks at all frames"),
-        Offer("alone", _HERE + "Alone", "runs alone"),
-        Offer("slow", _HERE + "Slow", "takes a while"),
+        PluginSpec("wandering", _HERE + "Wandering", "yields what it should not"),
+        PluginSpec("whole", _HERE + "Whole", "looks at all frames"),
+        PluginSpec("alone", _HERE + "Alone", "runs alone"),
+        PluginSpec("slow", _HERE + "Slow", "takes a while"),
     ]

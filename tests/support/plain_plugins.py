@@ -24,8 +24,8 @@ from codecbench import (
     Measurement,
     Metric,
     NoParams,
-    Offer,
     Params,
+    PluginSpec,
     Sequence,
     Trace,
     Unsupported,
@@ -146,23 +146,23 @@ class Stopwatch(CodecEvaluator[RoundsParams]):
 
 
 @hookimpl
-def codecbench_codecs() -> list[Offer]:
+def codecbench_codecs() -> list[PluginSpec]:
     return [
-        Offer("shift", "plain_plugins:Shift", "drops lower bits"),
-        Offer("absent", "plain_plugins:Absent", "its library is missing"),
-        Offer("uninstalled", "nothing_here:Codec", "needs a module", requires=("nothing_here",), extra="nothing"),
+        PluginSpec("shift", "plain_plugins:Shift", "drops lower bits"),
+        PluginSpec("absent", "plain_plugins:Absent", "its library is missing"),
+        PluginSpec("uninstalled", "nothing_here:Codec", "needs a module", requires=("nothing_here",), extra="nothing"),
     ]
 
 
 @hookimpl
-def codecbench_evaluators() -> list[Offer]:
+def codecbench_evaluators() -> list[PluginSpec]:
     return [
-        Offer("error", "plain_plugins:ErrorEvaluator", "largest difference"),
-        Offer("camera", "plain_plugins:CameraEvaluator", "needs a camera"),
-        Offer("stopwatch", "plain_plugins:Stopwatch", "runs alone"),
+        PluginSpec("error", "plain_plugins:ErrorEvaluator", "largest difference"),
+        PluginSpec("camera", "plain_plugins:CameraEvaluator", "needs a camera"),
+        PluginSpec("stopwatch", "plain_plugins:Stopwatch", "runs alone"),
     ]
 
 
 @hookimpl
-def codecbench_datasets() -> list[Offer]:
-    return [Offer("ramp", "plain_plugins:Ramp", "ramps")]
+def codecbench_datasets() -> list[PluginSpec]:
+    return [PluginSpec("ramp", "plain_plugins:Ramp", "ramps")]

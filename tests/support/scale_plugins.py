@@ -19,8 +19,8 @@ from codecbench import (
     Image,
     Measurement,
     Metric,
-    Offer,
     Params,
+    PluginSpec,
     Sequence,
     Trace,
     hookimpl,
@@ -95,14 +95,14 @@ _HERE = "scale_plugins:"
 
 
 @hookimpl
-def codecbench_codecs() -> list[Offer]:
-    return [Offer("idle", _HERE + "Idle", "does nothing")]
+def codecbench_codecs() -> list[PluginSpec]:
+    return [PluginSpec("idle", _HERE + "Idle", "does nothing")]
 
 
 @hookimpl
-def codecbench_evaluators() -> list[Offer]:
+def codecbench_evaluators() -> list[PluginSpec]:
     return [
-        Offer("noop", _HERE + "Noop", "measures nothing"),
-        Offer("burn", _HERE + "Burn", "computes for half a second"),
-        Offer("sampled", _HERE + "Sampled", "many samples"),
+        PluginSpec("noop", _HERE + "Noop", "measures nothing"),
+        PluginSpec("burn", _HERE + "Burn", "computes for half a second"),
+        PluginSpec("sampled", _HERE + "Sampled", "many samples"),
     ]

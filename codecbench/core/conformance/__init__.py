@@ -4,5 +4,5 @@
     for result in run_checks(MyCodec, MyCodec.params_type()):
         print(result)
 
-`codecbench verify` runs them from the command line, `codecbench.pytesting.suite.CodecSuite` under pytest.
+`codecbench verify` runs them from the command line, `codecbench.pytesting.CodecSuite` under pytest.
 """

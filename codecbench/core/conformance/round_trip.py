@@ -109,6 +109,20 @@ def one_instance_keeps_no_state(codec_class: CodecClass, params: Params, images:
         require_equal(f"decode({image.name}) again, in another order", codec.decode(bitstream), pixels)
 
 
+def preparing_changes_nothing(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:
+    """Instances prepared for each image write the bytes of the instance that they come from, which stays as it is."""
+    codec = codec_class(params)
+    first = list(encoded(codec, images))
+    prepared = [codec.prepared(image.pixels) for image, _ in first]
+    for ready, (image, bitstream) in zip(prepared, first, strict=True):
+        if type(ready) is not codec_class or ready.params != params:
+            raise ConformanceFailure(f"prepared({image.name})", ready, f"{codec_class.__name__} of the same parameters")
+        if ready.encode(image.pixels) != bitstream:
+            raise ConformanceFailure(f"prepared({image.name}).encode({image.name})", "other bytes", "those of encode")
+        if codec.encode(image.pixels) != bitstream:
+            raise ConformanceFailure(f"encode({image.name}) after prepared({image.name})", "other bytes", "equal bytes")
+
+
 def lossless_means_lossless(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:
     codec = codec_class(params)
     if not codec.is_lossless():

@@ -50,6 +50,9 @@ CHECKS: tuple[Check, ...] = (
     Check("shape", "decoded images are uint8, of the shape that went in", round_trip.shape_and_type_return),
     Check("untouched", "encoding leaves the image alone, however it lies in memory", round_trip.input_is_untouched),
     Check("stateless", "order and instance make no difference", round_trip.one_instance_keeps_no_state),
+    Check(
+        "prepared", "what a codec finds on an image beforehand changes no byte", round_trip.preparing_changes_nothing
+    ),
     Check("lossless", "settings that claim to be lossless are", round_trip.lossless_means_lossless),
     Check("bad_images", "what is no image of a declared layout is refused", round_trip.bad_images_are_refused),
     Check("libraries", "foreign libraries are named with their versions", round_trip.libraries_are_named),

@@ -26,14 +26,12 @@ class Capabilities:
     lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
     counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
     thread_safe: one instance may encode and decode from several threads at once.
-    in_memory: False for codecs that must go through files.
     """
 
     channels: tuple[int, ...] = (1, 3)
     lossless: bool = False
     counts_operations: bool = False
     thread_safe: bool = True
-    in_memory: bool = True
 
 
 class Codec(ABC, Generic[P]):
@@ -41,7 +39,8 @@ class Codec(ABC, Generic[P]):
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
-    settings on which the conformance kit and the benchmarks exercise this codec.
+    settings on which the conformance kit and the benchmarks exercise this codec; `kernels`, the packages and modules
+    whose listed kernels it calls, which a run compiles ahead.
     """
 
     name: ClassVar[str]
@@ -49,6 +48,7 @@ class Codec(ABC, Generic[P]):
     params_type: ClassVar[type[Params]]
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
@@ -72,6 +72,15 @@ class Codec(ABC, Generic[P]):
 
         Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
         """
+
+    def prepared(self, image: Image) -> Self:
+        """This setting with all found that `encode` would search for on this image: the rate that reaches a size, say.
+
+        `codec.prepared(image).encode(image)` gives the bytes of `codec.encode(image)` by one encoding, which is what
+        is timed. It is for that image alone; this instance stays as it is. A codec that searches for nothing returns
+        itself. Raises what `encode` raises.
+        """
+        return self
 
     def is_lossless(self) -> bool:
         """Whether this setting returns the very pixels that went in."""

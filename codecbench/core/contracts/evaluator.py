@@ -137,7 +137,8 @@ class Evaluator(ABC, Generic[P]):
     """Base of the three kinds of evaluator; subclass one of those.
 
     metrics: everything that `evaluate` and `compare` may yield. needs: what the sequence must have.
-    exclusive: nothing else may run on the machine meanwhile.
+    exclusive: nothing else may run on the machine meanwhile. kernels: the packages and modules whose listed kernels it
+    calls, which a run compiles ahead.
     """
 
     name: ClassVar[str]
@@ -146,6 +147,7 @@ class Evaluator(ABC, Generic[P]):
     metrics: ClassVar[tuple[Metric, ...]]
     needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
     exclusive: ClassVar[bool] = False
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         self.params = params
@@ -165,8 +167,13 @@ class Evaluator(ABC, Generic[P]):
         """Other plugins that the result depends on."""
         return ()
 
+    @property
+    def counts_operations(self) -> bool:
+        """Whether it runs the counting builds of the codec's kernels, so that these are compiled ahead too."""
+        return False
+
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
-        """The parameters that determine one repeat.
+        """The parameters that determine one repeat; the engine leaves out those at their default.
 
         Override where a parameter lists the repeats, so that a longer list recomputes nothing.
         """

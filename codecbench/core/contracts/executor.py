@@ -5,13 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, Literal, Self, TypeVar
 
 from codecbench.core.contracts.params import Params
 
 P = TypeVar("P", bound=Params)
 
 Status = Literal["ok", "failed", "timed_out", "crashed", "unsupported"]
+
+PATHS_VARIABLE: Final = "CODECBENCH_PATHS"
+"""The environment variable that tells a worker where the folders of a plan are on its machine: `there=here`, joined
+as in PATH."""
 
 
 @dataclass(frozen=True)

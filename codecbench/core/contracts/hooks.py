@@ -1,7 +1,7 @@
 """The door through which plugins come in.
 
 A distribution names a module under the entry point group `codecbench`; the module implements one or more
-of the hooks below; each returns Offers, which are references. Nothing heavy is imported until a cell
+of the hooks below; each returns PluginSpecs, which are references. Nothing heavy is imported until a cell
 needs it, so `codecbench list` stays fast and one broken plugin harms no other.
 """
 
@@ -22,7 +22,7 @@ hookimpl = pluggy.HookimplMarker(GROUP)
 
 
 @dataclass(frozen=True)
-class Offer:
+class PluginSpec:
     """A plugin that a distribution offers.
 
     name: as used in a matrix, `[a-z][a-z0-9_]*`. target: `package.module:Class`. summary: one line.
@@ -38,25 +38,25 @@ class Offer:
 
 
 @hookspec
-def codecbench_codecs() -> list[Offer]:  # type: ignore[empty-body]
+def codecbench_codecs() -> list[PluginSpec]:  # type: ignore[empty-body]
     """Codecs: subclasses of `codecbench.Codec`."""
 
 
 @hookspec
-def codecbench_evaluators() -> list[Offer]:  # type: ignore[empty-body]
+def codecbench_evaluators() -> list[PluginSpec]:  # type: ignore[empty-body]
     """Evaluators: subclasses of FrameEvaluator, SequenceEvaluator or CodecEvaluator."""
 
 
 @hookspec
-def codecbench_datasets() -> list[Offer]:  # type: ignore[empty-body]
+def codecbench_datasets() -> list[PluginSpec]:  # type: ignore[empty-body]
     """Datasets: subclasses of `codecbench.Dataset`."""
 
 
 @hookspec
-def codecbench_slam_backends() -> list[Offer]:  # type: ignore[empty-body]
+def codecbench_slam_backends() -> list[PluginSpec]:  # type: ignore[empty-body]
     """SLAM backends: subclasses of `codecbench.SlamBackend`."""
 
 
 @hookspec
-def codecbench_executors() -> list[Offer]:  # type: ignore[empty-body]
+def codecbench_executors() -> list[PluginSpec]:  # type: ignore[empty-body]
     """Executors: subclasses of `codecbench.Executor`."""

@@ -12,14 +12,17 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 class Params(BaseModel):
     """Base of every plugin's parameters: immutable, no unknown names, no silent conversions between kinds.
 
-    The JSON form of an instance is part of the identity of every cell that uses it, so two spellings of the
-    same setting must validate to equal instances.
+    What of an instance is not at its default is part of the identity of every cell that uses it, so two spellings
+    of the same setting must validate to equal instances, and a parameter added with a default changes no identity.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
     def identity(self) -> dict[str, Any]:
-        """What distinguishes this setting, as JSON types. Override to leave out what cannot change a result."""
+        """What distinguishes this setting, as JSON types. Override to leave out what cannot change a result.
+
+        Parameters at their default may stay: the engine leaves them out of the identities that it makes.
+        """
         return self.model_dump(mode="json")
 
 

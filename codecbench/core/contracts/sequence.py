@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
@@ -59,22 +60,27 @@ class Frame:
     index: int
     timestamp_s: float
     image: Image = field(repr=False)
-    facts: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False, kw_only=True)
+    cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False, kw_only=True)
 
-    def fact(self, key: Hashable, compute: Callable[[Image], T]) -> T:
-        """What `compute` says of the pixels, computed once for all settings of a codec while the frame is kept.
+    def cached(self, key: Hashable, compute: Callable[[Image], T]) -> T:
+        """What `compute` makes of the pixels, computed once for all settings of a codec while the frame is kept.
 
-        `key` must name the fact and whatever else it depends on. What is returned belongs to all who ask: do not
+        `key` must name the result and whatever else it depends on. What is returned belongs to all who ask: do not
         write into it.
         """
-        if key not in self.facts:
-            self.facts[key] = compute(self.image)
-        return cast(T, self.facts[key])
+        if key not in self.cache:
+            self.cache[key] = compute(self.image)
+        return cast(T, self.cache[key])
+
+    def fact(self, key: Hashable, compute: Callable[[Image], T]) -> T:
+        """The former name of `cached`."""
+        warnings.warn("Frame.fact is now called Frame.cached", DeprecationWarning, stacklevel=2)
+        return self.cached(key, compute)
 
     @property
     def png_size_bytes(self) -> int:
         """Size of this frame as PNG."""
-        return self.fact("png_size_bytes", lambda image: len(png_bytes(image)))
+        return self.cached("png_size_bytes", lambda image: len(png_bytes(image)))
 
 
 class Sequence(ABC):
@@ -106,11 +112,15 @@ class Sequence(ABC):
 
 
 class Dataset(ABC, Generic[P]):
-    """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened."""
+    """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened.
+
+    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
+    """
 
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         self.params = params

@@ -64,13 +64,14 @@ class SlamRun:
 
 
 class SlamBackend(ABC, Generic[P]):
-    """A monocular SLAM system."""
+    """A monocular SLAM system. kernels: the packages and modules whose listed kernels it calls, compiled ahead."""
 
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
     deterministic: ClassVar[bool]
     architectures: ClassVar[frozenset[Literal["cta", "atc"]]]
+    kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
         """Keep the setting; raise Unsupported, with the command that mends it, where a library is missing."""

@@ -19,7 +19,7 @@ import inspect
 from collections.abc import Callable
 from functools import cached_property
 from types import FunctionType
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numba
 from numba.core import types
@@ -31,7 +31,7 @@ from codecbench.core.counting.expressions import COUNTED, UncountableError
 from codecbench.core.counting.operations import new_counters
 from codecbench.core.counting.rewriting import counting_tree
 from codecbench.core.kernels.compiled import compiled, kept
-from codecbench.core.kernels.source import fingerprint, function_tree
+from codecbench.core.kernels.source import function_tree
 
 
 class Kernel:
@@ -63,13 +63,12 @@ class Kernel:
         return types.Dispatcher(self.fast)
 
     @cached_property
-    def fingerprint(self) -> str:
-        """Digest of all that the compiled code depends on; SourceError where there is no source to go by."""
-        return fingerprint(self.python, self.options)
-
-    @cached_property
     def fast(self) -> Any:
         return compiled(**self.options)(self.python)
+
+    def dispatcher(self, build: Literal["fast", "counting"]) -> Any:
+        """The numba dispatcher of a build."""
+        return self.fast if build == "fast" else self.counting_build
 
     def counting(self, counters: Any, *arguments: Any) -> Any:
         """Run the counting build: what the kernel returns, with its operations added to `counters`.

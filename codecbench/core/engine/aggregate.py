@@ -135,8 +135,8 @@ def summarise(samples: Iterable[Measurement], metrics: Iterable[Metric]) -> dict
     """
     declared = {metric.name: metric.aggregates for metric in metrics}
     values: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for one in samples:
-        values[one.metric, one.stage or ""].append(one.value)
+    for sample in samples:
+        values[sample.metric, sample.stage or ""].append(sample.value)
     found: dict[tuple[str, str, str], float] = {}
     for (name, stage), series in values.items():
         array = np.array(series, dtype=np.float64)

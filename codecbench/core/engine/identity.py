@@ -6,19 +6,60 @@ import hashlib
 import json
 from typing import Any
 
-_DIGEST_BYTES = 16
+from pydantic import ValidationError
+
+from codecbench.core.contracts.params import Params
+
+DIGEST_BYTES = 16
 
 
-def digest(value: Any) -> str:
-    """A 32-character hex digest of a JSON value; the order of mappings does not matter.
+def canonical_json(value: Any) -> bytes:
+    """The one spelling of a JSON value; the order of mappings does not matter.
 
     Raises TypeError for what JSON cannot hold and ValueError for NaN and infinities, which have no
     agreed spelling.
     """
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=_DIGEST_BYTES).hexdigest()
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False).encode()
+
+
+def content_digest(content: bytes) -> str:
+    """A 32-character hex digest of bytes."""
+    return hashlib.blake2b(content, digest_size=DIGEST_BYTES).hexdigest()
+
+
+def digest(value: Any) -> str:
+    """The digest of a JSON value in its canonical spelling."""
+    return content_digest(canonical_json(value))
 
 
 def seed_from(identity: str, seed: int) -> int:
     """A 63-bit seed for one cell: the run's seed mixed with the cell's identity, so that no two cells share one."""
     return int(digest([identity, seed])[:16], 16) >> 1
+
+
+def without_defaults(identity: dict[str, Any], params: Params) -> dict[str, Any]:
+    """What a plugin says distinguishes a setting, less the parameters that are at their default.
+
+    A parameter that is added with a default so changes no identity. Entries that are not a parameter's value as it
+    stands stay, and so does everything where the rest would not validate to the same parameters (a union told apart
+    by a default).
+    """
+    full = params.model_dump(mode="json")
+    brief = params.model_dump(mode="json", exclude_defaults=True)
+    if not _means(brief, params):
+        return identity
+    kept = {}
+    for name, value in identity.items():
+        if name not in full or value != full[name]:
+            kept[name] = value
+        elif name in brief:
+            kept[name] = brief[name]
+    return kept
+
+
+def _means(values: dict[str, Any], params: Params) -> bool:
+    """Whether these values validate to the very parameters."""
+    try:
+        return type(params).model_validate(values) == params
+    except ValidationError:
+        return False

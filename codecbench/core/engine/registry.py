@@ -1,4 +1,4 @@
-"""Which plugins are installed, what they offer, and how an offer becomes a class.
+"""Which plugins are installed, what they are called, and how a name becomes a class.
 
 Listing imports hook modules only. A distribution that fails to import, misspells a hook or offers a name
 that is taken is reported by name and version, and takes nobody down with it.
@@ -22,7 +22,7 @@ import pluggy
 
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import PluginError, Unsupported
-from codecbench.core.contracts.hooks import KINDS, Kind, Offer
+from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
@@ -37,20 +37,20 @@ _BASES: dict[Kind, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Plugin:
-    """An offer together with the distribution that makes it."""
+    """What a distribution offers: the specification of a plugin, and where it came from."""
 
     kind: Kind
-    offer: Offer
+    spec: PluginSpec
     distribution: str
 
     @property
     def missing(self) -> str | None:
         """Why this plugin cannot be used here and the command that mends it, or None. Imports nothing."""
-        absent = [name for name in self.offer.requires if importlib.util.find_spec(name) is None]
+        absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
         if not absent:
             return None
-        command = f"pip install '{self.offer.extra}'" if self.offer.extra else f"pip install {' '.join(absent)}"
-        return f"{self.kind} {self.offer.name} needs {', '.join(absent)}, which is not installed; run: {command}"
+        command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
+        return f"{self.kind} {self.spec.name} needs {', '.join(absent)}, which is not installed; run: {command}"
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Registry:
 
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
-        names = [plugin.offer.name for plugin in self.plugins(kind)]
+        names = [plugin.spec.name for plugin in self.plugins(kind)]
         near = difflib.get_close_matches(name, names, n=1)
         meant = f"did you mean {near[0]!r}? " if near else ""
         return f"{meant}installed: {', '.join(names) or 'none'}"
@@ -137,23 +137,23 @@ class Registry:
         except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
             self._report(origin, point, f"codecbench_{kind}s failed: {type(error).__name__}: {error}")
             return True
-        for offers in answers:
-            for offer in offers if isinstance(offers, list | tuple) else [offers]:
-                self._admit_offer(kind, offer, origin, point)
+        for specs in answers:
+            for spec in specs if isinstance(specs, list | tuple) else [specs]:
+                self._admit_spec(kind, spec, origin, point)
         return bool(hook.get_hookimpls())
 
-    def _admit_offer(self, kind: Kind, offer: object, origin: str, point: EntryPoint) -> None:
-        if not isinstance(offer, Offer):
-            self._report(origin, point, f"codecbench_{kind}s returned {offer!r}; it returns a list of Offer")
-        elif not _NAME.fullmatch(offer.name):
-            self._report(origin, point, f"{kind} name {offer.name!r} is not of the form [a-z][a-z0-9_]*")
-        elif not _TARGET.fullmatch(offer.target):
-            self._report(origin, point, f"{kind} {offer.name}: target {offer.target!r} is not package.module:Class")
-        elif (kind, offer.name) in self._plugins:
-            owner = self._plugins[kind, offer.name].distribution
-            self._report(origin, point, f"{kind} {offer.name!r} is already offered by {owner}; left out")
+    def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
+        if not isinstance(spec, PluginSpec):
+            self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
+        elif not _NAME.fullmatch(spec.name):
+            self._report(origin, point, f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*")
+        elif not _TARGET.fullmatch(spec.target):
+            self._report(origin, point, f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class")
+        elif (kind, spec.name) in self._plugins:
+            owner = self._plugins[kind, spec.name].distribution
+            self._report(origin, point, f"{kind} {spec.name!r} is already offered by {owner}; left out")
         else:
-            self._plugins[kind, offer.name] = Plugin(kind, offer, origin)
+            self._plugins[kind, spec.name] = Plugin(kind, spec, origin)
 
     def _report(self, origin: str, point: EntryPoint, reason: str) -> None:
         self.problems.append(Problem(origin, point.name, reason))
@@ -166,8 +166,8 @@ def installed() -> Registry:
 
 
 def _load(plugin: Plugin) -> Any:
-    module_name, _, class_name = plugin.offer.target.partition(":")
-    where = f"{_words(plugin.kind)} {plugin.offer.name} of {plugin.distribution}"
+    module_name, _, class_name = plugin.spec.target.partition(":")
+    where = f"{_words(plugin.kind)} {plugin.spec.name} of {plugin.distribution}"
     try:
         module = importlib.import_module(module_name)
     except Unsupported:
@@ -178,15 +178,15 @@ def _load(plugin: Plugin) -> Any:
     base_module, base_name = _BASES[plugin.kind]
     base = getattr(importlib.import_module(base_module), base_name)
     if not isinstance(cls, type) or not issubclass(cls, base):
-        raise PluginError(f"{where}: {plugin.offer.target} is not a subclass of codecbench.{base_name}")
+        raise PluginError(f"{where}: {plugin.spec.target} is not a subclass of codecbench.{base_name}")
     name = getattr(cls, "name", None)
-    if name != plugin.offer.name:
-        raise PluginError(f"{where}: {plugin.offer.target} calls itself {name!r}")
-    for attribute in dict.fromkeys(one for ancestor in base.__mro__ for one in inspect.get_annotations(ancestor)):
+    if name != plugin.spec.name:
+        raise PluginError(f"{where}: {plugin.spec.target} calls itself {name!r}")
+    for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
         if not hasattr(cls, attribute):
-            raise PluginError(f"{where}: {plugin.offer.target} has no class attribute {attribute!r}")
+            raise PluginError(f"{where}: {plugin.spec.target} has no class attribute {attribute!r}")
     if left := sorted(getattr(cls, "__abstractmethods__", ())):
-        raise PluginError(f"{where}: {plugin.offer.target} does not define {', '.join(left)}")
+        raise PluginError(f"{where}: {plugin.spec.target} does not define {', '.join(left)}")
     return cls
 
 

@@ -2,22 +2,25 @@
 
 numba's own cache is keyed by one file's content, so that a change of a kernel in another file, or of a
 constant, goes unnoticed by its callers; and its index can mix up two processes that fill it at once. Here
-every compiled signature is one file whose name is a digest of all that it depends on, written whole.
+every compiled signature is one file whose name is a digest of all that it depends on, written whole, and compiled by
+one process while others that want it wait.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
 from numba.core import caching, compiler, serialize, sigutils
 
@@ -36,14 +39,14 @@ _DIGEST_BYTES = 32
 class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     """The cache of one build of one kernel, in the form that a numba dispatcher uses.
 
-    name: for people who look into the folder. fingerprint: gives a digest of everything that the source depends on;
-    asked once, when the first signature is wanted and all that the source names is defined. Where there is no source
-    to go by (typed at a prompt, edited since it was imported), nothing is kept. A folder that cannot be written to
-    costs compile time, nothing else.
+    kernel: `module:function`. build: which build of it. fingerprint: gives a digest of everything that the source
+    depends on; asked once, when the first signature is wanted and all that the source names is defined. For a
+    function whose code does not say all that it does (it closes over variables), nothing is kept. A folder that cannot
+    be written to costs compile time, nothing else.
     """
 
-    def __init__(self, name: str, fingerprint: Callable[[], str]) -> None:
-        self._name = "".join(letter for letter in name if letter.isalnum() or letter in "._-")
+    def __init__(self, kernel: str, build: str, fingerprint: Callable[[], str]) -> None:
+        self.kernel, self.build = kernel, build
         self._compute = fingerprint
 
     @cached_property
@@ -57,19 +60,21 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     def cache_path(self) -> str:
         return str(cache_folder() / "kernels")
 
-    def _file(self, signature: Any, codegen: Any) -> Path | None:
+    def file(self, signature: Any, codegen: Any) -> Path | None:
+        """Where the machine code of a signature is kept once it is compiled; None where it never is."""
         if self._fingerprint is None:
             return None
         arguments, result = _arguments(signature)
-        versions = (numba.__version__, version("llvmlite"), platform.python_version(), platform.machine())
+        versions = (numba.__version__, llvmlite.__version__, platform.python_version(), platform.machine())
         settings = (_settings.OPT, _settings.BOUNDSCHECK, _settings.LOOP_VECTORIZE)
         key = (self._fingerprint, arguments, result, codegen.magic_tuple(), versions, settings)
-        return Path(self.cache_path) / f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
+        name = "".join(letter for letter in self.kernel.replace(":", ".") if letter.isalnum() or letter in "._-")
+        return Path(self.cache_path) / f"{name}.{self.build}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled signature, or None where it is not there, damaged or made by other versions."""
         target_context.refresh()
-        file = self._file(sig, target_context.codegen())
+        file = self.file(sig, target_context.codegen())
         if file is None:
             return None
         try:
@@ -85,17 +90,12 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
         """Keep a compiled signature, unless its code holds addresses of this very process."""
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
-        file = self._file(sig, data.codegen)
-        if file is None:
+        file = self.file(sig, data.codegen)
+        if file is None or file.exists():
             return
         payload = _serialize.dumps(data._reduce())
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as unfinished:
-                unfinished.write(hashlib.sha256(payload).digest() + payload)
-            os.replace(unfinished.name, file)
-        except OSError:
-            return
+        with suppress(OSError):
+            _write_whole(file, hashlib.sha256(payload).digest() + payload)
 
     def enable(self) -> None:
         """Nothing to do: the cache is always on."""
@@ -105,3 +105,62 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
 
     def flush(self) -> None:
         """Nothing to do: an entry can never be out of date."""
+
+
+class CompileOnce:
+    """A dispatcher's compiler that lets one process at a time compile a signature, and takes what another made."""
+
+    def __init__(self, compiler: Any, cache: KernelCache, target_context: Any) -> None:
+        self._compiler, self._cache, self._target_context = compiler, cache, target_context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._compiler, name)
+
+    def compile(self, args: Any, return_type: Any) -> Any:
+        """What numba makes of the signature; kept on disk before another process may ask for it."""
+        file = self._cache.file(args, self._target_context.codegen())
+        with _locked(file):
+            found = self._cache.load_overload(args, self._target_context) if file is not None else None
+            if found is not None:
+                self._target_context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+                return found
+            if file is not None:
+                with suppress(OSError):
+                    file.unlink()  # damaged, or it would have been found
+            made = self._compiler.compile(args, return_type)
+            self._cache.save_overload(args, made)
+            return made
+
+
+_held: set[Path] = set()
+"""Files whose locks this process holds: kernels that call each other in a circle meet their own."""
+
+
+@contextmanager
+def _locked(file: Path | None) -> Iterator[None]:
+    """Hold the lock of a file of the cache, which its process gives back even when it is killed."""
+    if file is None or file in _held:
+        yield
+        return
+    path = file.with_suffix(".lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = open(path, "w", encoding="ascii")  # noqa: SIM115 - closed below, whatever is compiled inside
+    except OSError:
+        yield
+        return
+    with lock:
+        _held.add(file)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+        finally:
+            _held.discard(file)
+            path.unlink(missing_ok=True)
+
+
+def _write_whole(file: Path, content: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as unfinished:
+        unfinished.write(content)
+    os.replace(unfinished.name, file)

@@ -20,7 +20,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from codecbench.core.kernels.cache import KernelCache
+from codecbench.core.kernels.cache import CompileOnce, KernelCache
 from codecbench.core.kernels.source import fingerprint
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -48,7 +48,8 @@ def kept(dispatcher: Any, function: FunctionType, options: dict[str, Any], build
     of whatever turned the source into the build.
     """
     if isinstance(dispatcher, Dispatcher):  # not where NUMBA_DISABLE_JIT is set
-        name = f"{function.__module__}.{function.__qualname__}.{build}"
-        cache = KernelCache(name, lambda: f"{build}{rules}:{fingerprint(function, options)}")
-        dispatcher._cache = cache  # type: ignore[attr-defined]
+        made: Any = dispatcher
+        name = f"{function.__module__}:{function.__qualname__}"
+        made._cache = KernelCache(name, build, lambda: f"{build}{rules}:{fingerprint(function, options)}")
+        made._compiler = CompileOnce(made._compiler, made._cache, made.targetctx)
     return dispatcher

@@ -9,6 +9,8 @@ import functools
 import hashlib
 import inspect
 import textwrap
+from collections.abc import Iterator
+from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -25,9 +27,7 @@ def function_tree(function: FunctionType) -> ast.FunctionDef:
     Raises SourceError where there is no source, where the file was edited since it was imported, and for
     functions that close over variables: what such a function does is not in its source.
     """
-    if function.__closure__:
-        names = ", ".join(function.__code__.co_freevars)
-        raise SourceError(f"kernel {function.__qualname__} closes over {names}; pass them as arguments")
+    refuse_closure(function)
     try:
         lines, first = inspect.getsourcelines(function)
     except (OSError, TypeError) as error:
@@ -44,6 +44,13 @@ def function_tree(function: FunctionType) -> ast.FunctionDef:
         )
     _strip(tree)
     return tree
+
+
+def refuse_closure(function: FunctionType) -> None:
+    """Raise SourceError for a function that closes over variables: what it does depends on who made it."""
+    if function.__closure__:
+        names = ", ".join(function.__code__.co_freevars)
+        raise SourceError(f"kernel {function.__qualname__} closes over {names}; pass them as arguments")
 
 
 def _content(code: CodeType) -> str:
@@ -98,7 +105,8 @@ def fingerprint(function: FunctionType, options: dict[str, Any]) -> str:
 
     It changes with anything that can change the compiled code, in whichever file that stands, and not with
     comments or with where the function stands in its file. Functions that write machine code themselves (numba's
-    intrinsics) are covered by the whole file that they stand in.
+    intrinsics) are covered by the whole file that they stand in. Raises SourceError for functions that close over
+    variables and for globals that are neither constants nor functions.
     """
     digest = hashlib.sha256()
     reached = {function: _spelled(options)}
@@ -119,25 +127,48 @@ def _spelled(options: dict[str, Any]) -> str:
 @functools.cache
 def _own_digest(function: FunctionType, options: str) -> tuple[bytes, tuple[tuple[FunctionType, str], ...]]:
     """Digest of a function and the constants that it reads, and the compiled functions that it calls by name."""
-    tree = function_tree(function)
-    digest = hashlib.sha256(ast.dump(tree).encode())
+    refuse_closure(function)
+    digest = hashlib.sha256(_spelled_code(function.__code__, function.__doc__).encode())
     digest.update(repr((options, function.__defaults__)).encode())
-    seen: set[str] = set()
     callees = []
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Name | ast.Attribute) or (name := ast.unparse(node)) in seen:
-            continue
-        seen.add(name)
-        try:
-            value = resolve(node, function)
-        except (KeyError, AttributeError):
-            continue
+    for name, value in _named(function):
         digest.update(f"{name}={_describe(value, name, function)};".encode())
         compiled = getattr(value, "py_func", None)  # a numba dispatcher, or a kernel, which offers the same name
         if isinstance(compiled, FunctionType):
             callee_options = getattr(value, "options", None) or getattr(value, "targetoptions", {})
             callees.append((compiled, _spelled(dict(callee_options))))
     return digest.digest(), tuple(callees)
+
+
+def _spelled_code(code: CodeType, docstring: str | None = None) -> str:
+    """Everything of a code object but where it stands and its docstring."""
+    constants = [_spelled_constant(constant) for constant in code.co_consts if constant != docstring]
+    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+    body = (code.co_code.hex(), code.co_exceptiontable, code.co_names, code.co_varnames)
+    return repr((code.co_name, body, counts, constants))
+
+
+def _spelled_constant(constant: object) -> str:
+    if isinstance(constant, CodeType):
+        return _spelled_code(constant)
+    return repr(sorted(map(repr, constant)) if isinstance(constant, frozenset) else constant)
+
+
+def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """The globals that a function names, and what it takes from modules among them, by dotted names."""
+    names = _names(function.__code__)
+    waiting = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
+    while waiting:
+        name, value = waiting.pop()
+        yield name, value
+        if isinstance(value, ModuleType):
+            parts = (part for part in names if part not in name.split("."))
+            waiting += [(f"{name}.{part}", getattr(value, part)) for part in parts if hasattr(value, part)]
+
+
+def _names(code: CodeType) -> list[str]:
+    inner = (name for part in code.co_consts if isinstance(part, CodeType) for name in _names(part))
+    return sorted({*code.co_names, *inner})
 
 
 def _describe(value: Any, name: str, reader: FunctionType) -> str:
@@ -150,10 +181,18 @@ def _describe(value: Any, name: str, reader: FunctionType) -> str:
     if isinstance(value, ModuleType):
         return value.__name__
     if isinstance(writer := getattr(value, "_defn", None), FunctionType):  # an intrinsic
-        return hashlib.sha256(inspect.getsource(inspect.getmodule(writer) or writer).encode()).hexdigest()
+        return _file_digest(writer.__code__.co_filename)
     if isinstance(value, type | BuiltinFunctionType | FunctionType | np.ufunc) or callable(value):
         return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__name__)}"
     raise SourceError(
         f"kernel {reader.__qualname__} reads the global {name}, a {type(value).__name__}; allowed are numbers, "
         f"arrays, tuples of these and kernels"
     )
+
+
+@functools.cache
+def _file_digest(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise SourceError(f"{path}, which writes machine code, cannot be read: {error}") from error

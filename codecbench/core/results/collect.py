@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -93,6 +95,7 @@ def _result(
         metrics = {metric.name: metric for metric in evaluator.metrics}
         if record.status == "ok":
             measurements += tuple(evaluator.compare(outcome, baseline))
+            measurements += tuple(_declared_later(evaluator, record, measurements))
     return CellResult(
         cell,
         record.status,
@@ -104,6 +107,19 @@ def _result(
         outcome.artifacts,
         record.duration_s,
     )
+
+
+def _declared_later(
+    evaluator: Evaluator[Any], record: Record, measurements: tuple[Measurement, ...]
+) -> Iterator[Measurement]:
+    """A missing value for each metric that the evaluator did not have yet when it measured the cell."""
+    if not record.metrics:
+        return
+    known = {*record.metrics, *(measurement.metric for measurement in measurements)}
+    reason = f"declared after this cell was measured; `codecbench run --recompute {evaluator.name}` measures it"
+    for metric in evaluator.metrics:
+        if metric.name not in known:
+            yield Measurement(metric.name, math.nan, reason=reason)
 
 
 def _samples(store: Store, record: Record) -> pyarrow.Table:

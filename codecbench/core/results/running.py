@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 
 from codecbench.core.engine.planning.matrix import read_matrix
@@ -17,18 +18,20 @@ def run(
     *,
     out: str | Path | None = None,
     workers: int | None = None,
+    recompute: Iterable[str] = (),
     listener: Listener | None = None,
     log_level: int = logging.INFO,
 ) -> RunResult:
     """Compute what is missing of a matrix and return its results.
 
     out: the run folder, by default `runs/NAME`. workers: processes, by default what the matrix says.
-    listener: called with the progress after every job and cell. Cells that fail are rows of the result, not
-    exceptions. Raises MatrixError for a wrong matrix and StoreError for a folder that is in use.
+    recompute: names of codecs, evaluators and sequences whose cells are computed again. listener: called with the
+    progress after every job and cell. Cells that fail are rows of the result, not exceptions. Raises MatrixError for a
+    wrong matrix, ParamsError for a name to recompute that it does not have, and StoreError for a folder that is in use.
 
     Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
     """
     plan = make_plan(read_matrix(matrix))
     folder = Path(out) if out is not None else Path("runs") / plan.name
-    run_plan(plan, folder, workers=workers, listener=listener, log_level=log_level)
+    run_plan(plan, folder, workers=workers, recompute=recompute, listener=listener, log_level=log_level)
     return open_run(folder)

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from codecbench.core.contracts.hooks import Offer, hookimpl
+from codecbench.core.contracts.hooks import PluginSpec, hookimpl
 
 _HERE = "codecbench.plugins.codecs"
 
 
-def _imagecodecs(name: str, target: str, summary: str) -> Offer:
-    return Offer(name, f"{_HERE}.imagecodecs:{target}", summary, requires=("imagecodecs",), extra="codecbench[codecs]")
+def _imagecodecs(name: str, target: str, summary: str) -> PluginSpec:
+    return PluginSpec(
+        name, f"{_HERE}.imagecodecs:{target}", summary, requires=("imagecodecs",), extra="codecbench[codecs]"
+    )
 
 
 @hookimpl
-def codecbench_codecs() -> list[Offer]:
+def codecbench_codecs() -> list[PluginSpec]:
     return [
-        Offer("raw", f"{_HERE}.raw:Raw", "the pixels as they are: the baseline, and the template of a new codec"),
-        Offer("png", f"{_HERE}.png:Png", "PNG through OpenCV, lossless"),
-        Offer("jpeg", f"{_HERE}.jpeg:Jpeg", "JPEG through OpenCV's libjpeg-turbo, by quality 1-100"),
-        Offer("jpeg_qf", f"{_HERE}.jpeg_qf:JpegQf", "baseline JPEG of our own, by a factor on the quantisation table"),
-        Offer("jpeg2000", f"{_HERE}.jpeg2000:Jpeg2000", "JPEG 2000 through glymur and OpenJPEG"),
-        Offer("multilevel", f"{_HERE}.multilevel:Multilevel", "multi-level minimisation of quantised DCT coefficients"),
+        PluginSpec("raw", f"{_HERE}.raw:Raw", "the pixels as they are: the baseline, and the template of a new codec"),
+        PluginSpec("png", f"{_HERE}.png:Png", "PNG through OpenCV, lossless"),
+        PluginSpec("jpeg", f"{_HERE}.jpeg:Jpeg", "JPEG through OpenCV's libjpeg-turbo, by quality 1-100"),
+        PluginSpec(
+            "jpeg_qf", f"{_HERE}.jpeg_qf:JpegQf", "baseline JPEG of our own, by a factor on the quantisation table"
+        ),
+        PluginSpec("jpeg2000", f"{_HERE}.jpeg2000:Jpeg2000", "JPEG 2000 through glymur and OpenJPEG"),
+        PluginSpec(
+            "multilevel", f"{_HERE}.multilevel:Multilevel", "multi-level minimisation of quantised DCT coefficients"
+        ),
         _imagecodecs("jpegxl", "JpegXl", "JPEG XL through imagecodecs and libjxl"),
         _imagecodecs("jpegls", "JpegLs", "JPEG-LS through imagecodecs and CharLS, lossless or near-lossless"),
         _imagecodecs("htj2k", "Htj2k", "High-Throughput JPEG 2000 through imagecodecs and OpenJPH"),

@@ -3,6 +3,9 @@
 A bitstream is a JP2 file with one tile, one layer and square code blocks, and the decoder takes nothing else,
 which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG names itself:
 the file keeps its size, any decoder reads it, and ours notices damage.
+
+OpenJPEG is given a ratio, which a file meets only roughly. `cr_percent` is a limit, and relative to the PNG, so it
+needs the PNG's size and a few trials; `prepared` does both beforehand.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -66,30 +70,47 @@ class Jpeg2000Params(Params):
         return self
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """A file, and what OpenJPEG was given to write it."""
+
+    block_side: int
+    ratio: float
+    file: bytes
+
+
 class Jpeg2000(Codec[Jpeg2000Params]):
     """The wavelet standard. Not thread-safe, because glymur keeps OpenJPEG's messages in one place."""
 
     name = "jpeg2000"
     version = "1"
     params_type = Jpeg2000Params
-    capabilities = Capabilities(thread_safe=False, in_memory=False)
+    capabilities = Capabilities(thread_safe=False)
     examples = ({"ratio": 8}, {"psnr_db": 35}, {"lossless": True}, {"cr_percent": 60, "irreversible": False})
 
     def __init__(self, params: Jpeg2000Params) -> None:
         super().__init__(params)
         self._glymur = load_glymur()
+        self._found: _Trial | None = None
+
+    def prepared(self, image: Image) -> Self:
+        """With `cr_percent`, an instance that knows the ratio and the code blocks for this image."""
+        if self.params.cr_percent is None:
+            return self
+        prepared = type(self)(self.params)
+        prepared._found = self._largest_within(_checked(image), self.params.cr_percent)
+        return prepared
 
     def is_lossless(self) -> bool:
         return self.params.lossless
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = check_image(image)
-        if image.shape[0] * image.shape[1] > MAX_JP2_PIXELS:
-            raise ImageError(f"jpeg2000: an image of shape {image.shape} exceeds {MAX_JP2_PIXELS} pixels")
+        image = _checked(image)
         params = self.params
+        if self._found is not None:
+            return self._write(image, self._found.block_side, cratios=[self._found.ratio])
         if params.cr_percent is not None:
-            target_bytes = int(len(png_bytes(image)) * (1 - params.cr_percent / 100))
-            return self._encode_within(image, target_bytes)
+            return self._largest_within(image, params.cr_percent).file
         if params.ratio is not None:
             return self._write(image, cratios=[params.ratio])
         if params.psnr_db is not None:
@@ -113,43 +134,44 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     def libraries(self) -> dict[str, str]:
         return {"glymur": self._glymur.__version__, "openjpeg": self._glymur.lib.openjp2.version()}
 
-    def _encode_within(self, image: Image, target_bytes: int) -> bytes:
-        """The largest file of at most `target_bytes` that is found.
+    def _largest_within(self, image: Image, cr_percent: float) -> _Trial:
+        """The largest file that is found of those that `cr_percent` allows.
 
         It is smaller than the tolerance allows only where coding the image in full takes no more. At high rates
         of compression one coding pass of a code block is per cents of the file; smaller blocks then reach sizes
         in between. Raises Unsupported where even the smallest file exceeds the target.
         """
-        best, smallest = b"", image.size
+        target_bytes = int(len(png_bytes(image)) * (1 - cr_percent / 100))
+        best, smallest = None, image.size
         for block_side in _BLOCK_SIDES:
             found, least, in_full = self._search(image, target_bytes, block_side)
-            best, smallest = max(best, found, key=len), min(smallest, least)
-            if in_full or not best or len(best) >= (1 - _TOLERANCE) * target_bytes:
+            best, smallest = _larger(best, found), min(smallest, least)
+            if in_full or best is None or len(best.file) >= (1 - _TOLERANCE) * target_bytes:
                 break
-        if not best:
+        if best is None:
             raise Unsupported(f"jpeg2000: cr_percent allows {target_bytes} bytes, this frame takes {smallest} or more")
         return best
 
-    def _search(self, image: Image, target_bytes: int, block_side: int) -> tuple[bytes, int, bool]:
+    def _search(self, image: Image, target_bytes: int, block_side: int) -> tuple[_Trial | None, int, bool]:
         """Correct the budget that OpenJPEG is given until the file is within the tolerance below the target.
 
-        Returns the largest file that fits (empty for none), the smallest size met, and whether no budget was
-        too large.
+        Returns the largest file that fits, the smallest size met, and whether no budget was too large.
         """
         aim = (1 - _TOLERANCE / 2) * target_bytes
         fits, exceeds, budget = 0, image.size, max(target_bytes, 1)
-        best, smallest = b"", image.size
+        best, smallest = None, image.size
         for _ in range(_MAX_TRIES):
-            bitstream = self._write(image, block_side, cratios=[max(image.size / budget, 1.0)])
-            smallest = min(smallest, len(bitstream))
-            if len(bitstream) > target_bytes:
+            ratio = max(image.size / budget, 1.0)
+            trial = _Trial(block_side, ratio, self._write(image, block_side, cratios=[ratio]))
+            size = len(trial.file)
+            smallest = min(smallest, size)
+            if size > target_bytes:
                 exceeds = budget
             else:
-                fits = budget
-                best = max(best, bitstream, key=len)
-            if len(best) >= (1 - _TOLERANCE) * target_bytes or exceeds - fits <= 1:
+                fits, best = budget, _larger(best, trial)
+            if (best is not None and len(best.file) >= (1 - _TOLERANCE) * target_bytes) or exceeds - fits <= 1:
                 break
-            budget += round(aim - len(bitstream))
+            budget += round(aim - size)
             if not fits < budget < exceeds:
                 budget = (fits + exceeds) // 2
         return best, smallest, exceeds == image.size
@@ -162,6 +184,20 @@ class Jpeg2000(Codec[Jpeg2000Params]):
                 warnings.simplefilter("ignore")
                 self._glymur.Jp2k(path, data=image, **settings, **rate)
             return with_checksum(path.read_bytes())
+
+
+def _checked(image: Image) -> Image:
+    image = check_image(image)
+    if image.shape[0] * image.shape[1] > MAX_JP2_PIXELS:
+        raise ImageError(f"jpeg2000: an image of shape {image.shape} exceeds {MAX_JP2_PIXELS} pixels")
+    return image
+
+
+def _larger(best: _Trial | None, found: _Trial | None) -> _Trial | None:
+    """The trial with the larger file; the first of equal ones."""
+    if best is None or found is None:
+        return best or found
+    return max(best, found, key=lambda trial: len(trial.file))
 
 
 @contextmanager

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from codecbench.core.contracts.hooks import Offer, hookimpl
+from codecbench.core.contracts.hooks import PluginSpec, hookimpl
 
 _HERE = "codecbench.plugins.datasets"
 
 
 @hookimpl
-def codecbench_datasets() -> list[Offer]:
+def codecbench_datasets() -> list[PluginSpec]:
     return [
-        Offer("synthetic", f"{_HERE}.synthetic.dataset:Synthetic", "a rendered room with a loop, always there"),
-        Offer("tum", f"{_HERE}.tum:Tum", "TUM RGB-D benchmark layout: rgb.txt, groundtruth.txt"),
-        Offer("kitti", f"{_HERE}.kitti:Kitti", "KITTI odometry: sequences/NN, poses/NN.txt"),
-        Offer("euroc", f"{_HERE}.euroc:Euroc", "EuRoC MAV: mav0/cam0 with its body's ground truth"),
-        Offer("folder", f"{_HERE}.folder:Folder", "any image files of a folder, in natural order"),
-        Offer("video", f"{_HERE}.video:Video", "any video file that OpenCV opens"),
+        PluginSpec("synthetic", f"{_HERE}.synthetic.dataset:Synthetic", "a rendered room with a loop, always there"),
+        PluginSpec("tum", f"{_HERE}.tum:Tum", "TUM RGB-D benchmark layout: rgb.txt, groundtruth.txt"),
+        PluginSpec("kitti", f"{_HERE}.kitti:Kitti", "KITTI odometry: sequences/NN, poses/NN.txt"),
+        PluginSpec("euroc", f"{_HERE}.euroc:Euroc", "EuRoC MAV: mav0/cam0 with its body's ground truth"),
+        PluginSpec("folder", f"{_HERE}.folder:Folder", "any image files of a folder, in natural order"),
+        PluginSpec("video", f"{_HERE}.video:Video", "any video file that OpenCV opens"),
     ]

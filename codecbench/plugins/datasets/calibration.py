@@ -64,12 +64,12 @@ class YamlFile:
 def numbers_in(value: Any, counts: tuple[int, ...], where: str, key: str) -> list[float]:
     """`value` as a list of finite numbers of one of the given lengths. Raises DatasetError."""
     good = isinstance(value, list) and all(
-        isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in value
+        isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number) for number in value
     )
     if not good or len(value) not in counts:
         wanted = " or ".join(str(count) for count in counts)
         raise DatasetError(f"{where}: `{key}` is {value!r}, not a list of {wanted} numbers")
-    return [float(one) for one in value]
+    return [float(number) for number in value]
 
 
 def camera_from_file(file: Path) -> tuple[Camera, float | None]:

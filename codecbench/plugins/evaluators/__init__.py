@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from codecbench.core.contracts.hooks import Offer, hookimpl
+from codecbench.core.contracts.hooks import PluginSpec, hookimpl
 
 _HERE = "codecbench.plugins.evaluators."
 
 
 @hookimpl
-def codecbench_evaluators() -> list[Offer]:
+def codecbench_evaluators() -> list[PluginSpec]:
     return [
-        Offer("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
-        Offer("features", _HERE + "features:Features", "what a feature-based tracker would lose"),
-        Offer("timing", _HERE + "timing:Timing", "encode and decode time per frame, wall and CPU"),
-        Offer("operations", _HERE + "operations:Operations", "operations per stage, in the paper's seven classes"),
-        Offer(
+        PluginSpec("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
+        PluginSpec("features", _HERE + "features:Features", "what a feature-based tracker would lose"),
+        PluginSpec("timing", _HERE + "timing:Timing", "encode and decode time per frame, wall and CPU"),
+        PluginSpec("operations", _HERE + "operations:Operations", "operations per stage, in the paper's seven classes"),
+        PluginSpec(
             "trajectory",
             _HERE + "trajectory:TrajectoryEvaluator",
             "what SLAM on the decoded frames makes of the camera's path",

@@ -72,6 +72,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     name = "features"
     version = "1"
+    kernels = ("codecbench.plugins.evaluators.features",)
     params_type = FeaturesParams
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric("keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again"),
@@ -88,7 +89,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
         previous: FrameKeypoints | None = None
         for position, frame in enumerate(coded):
-            original = frame.original.fact(("orb_keypoints", self.params.keypoints), detect)
+            original = frame.original.cached(("orb_keypoints", self.params.keypoints), detect)
             decoded = detect(frame.decoded)
             found_at = _nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
             current = FrameKeypoints(original, decoded, found_at)

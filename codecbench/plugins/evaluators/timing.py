@@ -1,6 +1,7 @@
 """The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
 
-Reading frames, PNG, checks and garbage collection are outside what is timed. Every frame is coded a few times
+What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
+Reading frames, checks and garbage collection are outside what is timed. Every frame is coded a few times
 before the first measurement, so that compilation, caches and clocks have settled. One repeat is one cell;
 the engine interleaves the repeats of all settings, so that a slow spell of the machine hits none of them alone.
 """
@@ -51,11 +52,21 @@ class Duration:
     cpu_ms: float
 
 
+@dataclass(frozen=True)
+class _Durations:
+    """What was timed of one frame; nothing was prepared where the codec has nothing to find."""
+
+    encoding: Duration
+    decoding: Duration
+    preparing: Duration | None
+    yardstick: Duration
+
+
 class Timing(CodecEvaluator[TimingParams]):
     """Encode and decode time per frame."""
 
     name = "timing"
-    version = "1"
+    version = "2"
     params_type = TimingParams
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
@@ -65,6 +76,10 @@ class Timing(CodecEvaluator[TimingParams]):
         Metric("decode_cpu_ms", "ms", "lower", "processor time from bitstream to image", _AGGREGATES, repeatable=False),
         Metric("encode_mpix_per_s", "Mpx/s", "higher", "megapixels encoded a second", _AGGREGATES, repeatable=False),
         Metric("decode_mpix_per_s", "Mpx/s", "higher", "megapixels decoded a second", _AGGREGATES, repeatable=False),
+        Metric(
+            "prepare_wall_ms", "ms", "lower", "time to find what depends on the frame", _AGGREGATES, repeatable=False
+        ),
+        Metric("prepare_cpu_ms", "ms", "lower", "processor time to find it", _AGGREGATES, repeatable=False),
         Metric(
             "yardstick_ms",
             "ms",
@@ -90,17 +105,25 @@ class Timing(CodecEvaluator[TimingParams]):
             for _ in range(self.params.warmup):
                 codec.decode(codec.encode(images[index]))
         with _no_collection():
-            taken = {index: (*self._durations(codec, image), yardstick()) for index, image in images.items()}
-        for index, (encoding, decoding, beside) in taken.items():
-            yield Measurement("yardstick_ms", beside.wall_ms, index)
-            yield from _measurements("encode", encoding, images[index], index)
-            yield from _measurements("decode", decoding, images[index], index)
+            taken = {index: self._durations(codec, image) for index, image in images.items()}
+        for index, durations in taken.items():
+            yield Measurement("yardstick_ms", durations.yardstick.wall_ms, index)
+            yield from _measurements("encode", durations.encoding, images[index], index)
+            yield from _measurements("decode", durations.decoding, images[index], index)
+            preparing = durations.preparing
+            reason = None if preparing else f"{codec.name} has nothing to find with this setting"
+            yield Measurement("prepare_wall_ms", preparing.wall_ms if preparing else math.nan, index, reason=reason)
+            yield Measurement("prepare_cpu_ms", preparing.cpu_ms if preparing else math.nan, index, reason=reason)
 
-    def _durations(self, codec: Codec[Any], image: Image) -> tuple[Duration, Duration]:
-        bitstream = codec.encode(image)
-        encoding = duration(lambda: codec.encode(image), self.params.min_ms)
+    def _durations(self, codec: Codec[Any], image: Image) -> _Durations:
+        prepared = codec.prepared(image)
+        bitstream = prepared.encode(image)
+        encoding = duration(lambda: prepared.encode(image), self.params.min_ms)
         codec.decode(bitstream)
-        return encoding, duration(lambda: codec.decode(bitstream), self.params.min_ms)
+        decoding = duration(lambda: codec.decode(bitstream), self.params.min_ms)
+        searches = prepared is not codec
+        preparing = duration(lambda: codec.prepared(image), self.params.min_ms) if searches else None
+        return _Durations(encoding, decoding, preparing, yardstick())
 
 
 def yardstick() -> Duration:

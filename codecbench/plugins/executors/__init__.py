@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from codecbench.core.contracts.hooks import Offer, hookimpl
+from codecbench.core.contracts.hooks import PluginSpec, hookimpl
 
 _HERE = "codecbench.plugins.executors."
 
 
 @hookimpl
-def codecbench_executors() -> list[Offer]:
+def codecbench_executors() -> list[PluginSpec]:
     return [
-        Offer("local", _HERE + "local:LocalExecutor", "worker processes on this machine"),
-        Offer(
+        PluginSpec("local", _HERE + "local:LocalExecutor", "worker processes on this machine"),
+        PluginSpec(
             "dask",
             _HERE + "dask:DaskExecutor",
             "workers of a dask.distributed cluster: local, by address, over SSH, Slurm or PBS",

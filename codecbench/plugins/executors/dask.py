@@ -152,9 +152,9 @@ class DaskExecutor(Executor[DaskParams]):
             with suppress(OSError, RuntimeError):
                 client.cancel([sent.future for sent in self._running.values()], force=True)
                 client.run(stop_pools, wait=False, on_error="ignore")
-        for one in (client, cluster):
-            if one is not None:
-                _close(one)
+        for connection in (client, cluster):
+            if connection is not None:
+                _close(connection)
         self._running.clear()
 
     def _make_cluster(self, workers: int) -> Any:
@@ -251,12 +251,12 @@ def _outcome(task_id: str, future: Any) -> Finished | None:
     return Finished(task_id, "crashed", reason=text)
 
 
-def _close(one: Any) -> None:
+def _close(connection: Any) -> None:
     """Close a client or a cluster; on a busy machine that can take longer than a run should wait for it."""
     try:
-        one.close(timeout=_CLOSE_S)
+        connection.close(timeout=_CLOSE_S)
     except (OSError, RuntimeError) as error:
-        log.warning("dask's %s did not close and ends with this process: %s", type(one).__name__, error)
+        log.warning("dask's %s did not close and ends with this process: %s", type(connection).__name__, error)
 
 
 def _allow_failures(dask_scheduler: Any, count: int) -> None:

@@ -9,13 +9,10 @@ import pickle
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Final
 
-from codecbench.core.contracts.executor import Finished
+from codecbench.core.contracts.executor import PATHS_VARIABLE, Finished
 from codecbench.plugins.executors.isolation import SINGLE_THREADED
 from codecbench.plugins.executors.pool import WorkerPool
-
-PATHS_VARIABLE: Final = "CODECBENCH_PATHS"
 
 _local = threading.local()
 _pools: list[WorkerPool] = []

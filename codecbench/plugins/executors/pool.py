@@ -106,7 +106,7 @@ class WorkerPool:
         free = [slot for slot in self._slots if slot.task is None]
         if not free:
             return False
-        slot = min(free, key=lambda one: one.pool is None)
+        slot = min(free, key=lambda slot: slot.pool is None)
         slot.task, slot.launches = task, 0
         self._launch(slot)
         return True

@@ -1,4 +1,14 @@
-"""The `orb` backend: codecbench's own monocular ORB-SLAM, which stands alone in codecbench.slam."""
+"""The `orb` backend: codecbench's own monocular ORB-SLAM, which stands alone in codecbench.slam.
+
+This file is the border between the two: `codecbench.slam` knows nothing of the benchmark, so some nouns have a twin.
+
+- `Camera` gives its numbers to a `slam.Camera`, which can project and undistort.
+- `Frame` gives its gray image and its time to `System.process`; a `TrackingFrame` is made of them in there.
+- `slam.FrameState` becomes a `TrackedFrame`, with the sequence's frame index in place of the count from 0 and the
+  time that the frame took.
+- `slam.FrameTrajectory` becomes a `Trajectory`, without its frame indices.
+- `slam.ClosedLoop` becomes a `LoopEvent`, with the sequence's frame indices; this SLAM merges no maps.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +21,12 @@ from numba.core import event
 from numpy.typing import NDArray
 from pydantic import Field
 
+from codecbench import slam
 from codecbench.core.contracts.errors import SlamError
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-from codecbench.slam import options as slam_options
-from codecbench.slam import trajectory as slam_trajectory
-from codecbench.slam.geometry import camera as slam_camera
-from codecbench.slam.system import System
 
 
 class OrbParams(Params):
@@ -40,6 +47,7 @@ class Orb(SlamBackend[OrbParams]):
     params_type = OrbParams
     deterministic = True
     architectures = frozenset({"cta", "atc"})
+    kernels = ("codecbench.slam",)
 
     def run(
         self,
@@ -49,7 +57,7 @@ class Orb(SlamBackend[OrbParams]):
         seed: int,
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
-        system = System(_camera(camera), self._options(), seed)
+        system = slam.System(_camera(camera), self._options(), seed)
         clock = _Clock()
         indices: list[int] = []
         elapsed_ms: list[float] = []
@@ -68,8 +76,8 @@ class Orb(SlamBackend[OrbParams]):
             elapsed_ms[-1] += clock.ms() - started
         return _run(result, np.array(indices, dtype=np.int64), elapsed_ms)
 
-    def _options(self) -> slam_options.Options:
-        return slam_options.Options(
+    def _options(self) -> slam.Options:
+        return slam.Options(
             features=self.params.features,
             levels=self.params.levels,
             scale_factor=self.params.scale,
@@ -77,10 +85,8 @@ class Orb(SlamBackend[OrbParams]):
         )
 
 
-def _camera(camera: Camera) -> slam_camera.Camera:
-    return slam_camera.Camera(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion
-    )
+def _camera(camera: Camera) -> slam.Camera:
+    return slam.Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
 
 
 class _Clock:
@@ -110,24 +116,24 @@ def _keyframe_source(
     return lambda _: clock.fetch(keyframe_image, index)
 
 
-def _run(result: slam_trajectory.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
+def _run(result: slam.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
     """The system counts frames from 0; here they have the sequence's indices again."""
     frames = tuple(
         TrackedFrame(
             index=int(index),
-            timestamp_s=one.timestamp_s,
-            state=one.state,
-            inliers=one.inliers,
-            keyframe=one.keyframe,
-            map_id=one.map_index,
-            reason=one.reason,
+            timestamp_s=state.timestamp_s,
+            state=state.state,
+            inliers=state.inliers,
+            keyframe=state.keyframe,
+            map_id=state.map_index,
+            reason=state.reason,
             elapsed_ms=elapsed,
         )
-        for one, index, elapsed in zip(result.frames, indices, elapsed_ms, strict=True)
+        for state, index, elapsed in zip(result.frames, indices, elapsed_ms, strict=True)
     )
     loops = tuple(
-        LoopEvent(int(indices[one.frame_index]), int(indices[one.matched_frame_index]), one.inliers, one.maps_merged)
-        for one in result.loops
+        LoopEvent(int(indices[loop.frame_index]), int(indices[loop.matched_frame_index]), loop.inliers)
+        for loop in result.loops
     )
     return SlamRun(
         frames=frames,
@@ -140,5 +146,5 @@ def _run(result: slam_trajectory.Result, indices: NDArray[np.int64], elapsed_ms:
     )
 
 
-def _trajectory(trajectory: slam_trajectory.Trajectory) -> Trajectory:
+def _trajectory(trajectory: slam.FrameTrajectory) -> Trajectory:
     return Trajectory(trajectory.timestamps_s, trajectory.world_from_camera)

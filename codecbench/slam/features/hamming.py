@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import types
-from numba.extending import intrinsic
+import numpy as np
 
 from codecbench.core.kernels.compiled import compiled
 
 
-def _bits_of_word(typing_context: Any, word: Any) -> Any:
-    """The processor's own instruction where there is one: four times as fast as shifts and masks."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ctpop(arguments[0])
-
-    return types.uint64(types.uint64), build
-
-
-_count_bits: Any = intrinsic(_bits_of_word)
+@compiled
+def _count_bits(word):  # type: ignore[no-untyped-def]
+    """Bits set in a uint64; the compiler makes this loop the processor's own instruction."""
+    count = np.uint64(0)
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        count += np.uint64(1)
+    return count
 
 
 @compiled(inline="always")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.extractor import CELL_PX, Features
 from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.thresholds import ROTATION_BINS, ROTATION_PEAKS
 
 Indices = NDArray[np.int64]
@@ -113,7 +114,10 @@ def match_by_appearance(
     matches = np.full(len(descriptors_a), -1, np.int64)
     owners = np.full(len(descriptors_b), -1, np.int64)
     distances = np.full(len(descriptors_b), _FAR, np.int64)
-    order = np.argsort(nodes_b, kind="mergesort")
+    greatest = 0
+    for j in range(len(nodes_b)):
+        greatest = max(greatest, nodes_b[j])
+    order = stable_order(nodes_b, greatest + 1)
     sorted_nodes = nodes_b[order]
     for i in range(len(descriptors_a)):
         if not usable_a[i]:
@@ -150,10 +154,14 @@ def keep_consistent_rotations(matches: Any, angles_a: Any, angles_b: Any) -> Any
             turn = (angles_a[i] - angles_b[matches[i]]) / (2.0 * math.pi)
             bins[i] = int((turn - math.floor(turn)) * ROTATION_BINS) % ROTATION_BINS
             counts[bins[i]] += 1
-    order = np.argsort(-counts, kind="mergesort")
-    peak = np.zeros(ROTATION_BINS, np.bool_)
-    for k in range(ROTATION_PEAKS):
-        peak[order[k]] = counts[order[k]] * 10 >= counts[order[0]]
+    peak, looked_at, fullest = np.zeros(ROTATION_BINS, np.bool_), np.zeros(ROTATION_BINS, np.bool_), 0
+    for _ in range(ROTATION_PEAKS):
+        fuller = -1
+        for k in range(ROTATION_BINS):
+            if not looked_at[k] and (fuller < 0 or counts[k] > counts[fuller]):
+                fuller = k
+        fullest = max(fullest, counts[fuller])
+        looked_at[fuller], peak[fuller] = True, counts[fuller] * 10 >= fullest
     for i in range(len(matches)):
         if matches[i] >= 0 and not peak[bins[i]]:
             matches[i] = -1

@@ -50,13 +50,21 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
         return inside[:count]
     order = stable_order(weakness[:count], 256)
     filled = np.zeros((int(inner_height / side) + 1) * columns, np.int64)
-    ranks = np.empty(count, np.int64)
+    ranks, most = np.empty(count, np.int64), 0
     for i in range(count):
         cell = cells[order[i]]
         ranks[i] = filled[cell]
+        most = max(most, ranks[i])
         filled[cell] += 1
-    by_rank = order[stable_order(ranks, ranks.max() + 1)]
-    return inside[np.sort(by_rank[:quota])]
+    by_rank, taken = stable_order(ranks, most + 1), np.zeros(count, np.bool_)
+    for i in range(quota):
+        taken[order[by_rank[i]]] = True
+    kept, selected = np.empty(quota, np.int64), 0
+    for i in range(count):
+        if taken[i]:
+            kept[selected] = inside[i]
+            selected += 1
+    return kept
 
 
 @compiled

@@ -192,8 +192,9 @@ def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[fl
     count = points_a.shape[0]
     mean_a, mean_b = np.zeros(3), np.zeros(3)
     for i in range(count):
-        mean_a += points_a[i] / count
-        mean_b += points_b[i] / count
+        for k in range(3):
+            mean_a[k] += points_a[i, k] / count
+            mean_b[k] += points_b[i, k] / count
     covariance, variance_b = np.zeros((3, 3)), 0.0
     for i in range(count):
         for j in range(3):
@@ -203,7 +204,8 @@ def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[fl
                 covariance[k, j] += (points_a[i, k] - mean_a[k]) * centred_b
     u, singular, vt = np.linalg.svd(covariance)
     if np.linalg.det(u) * np.linalg.det(vt) < 0.0:  # the nearest orthogonal matrix is a reflection
-        u[:, 2] *= -1.0
+        for k in range(3):
+            u[k, 2] *= -1.0
         singular[2] *= -1.0
     rotation = u @ vt
     scale = singular.sum() / variance_b if with_scale and variance_b > 0.0 else 1.0

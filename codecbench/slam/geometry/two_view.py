@@ -25,13 +25,19 @@ _MAX_SWEEPS = 30
 @compiled
 def normalize_pixels(pixels: Any) -> Any:
     """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the (3, 3) that does it."""
-    x, y = pixels[:, 0].mean(), pixels[:, 1].mean()
-    distance = np.sqrt((pixels[:, 0] - x) ** 2 + (pixels[:, 1] - y) ** 2).mean()
-    scale = math.sqrt(2.0) / max(distance, 1e-12)
-    normalizer = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y], [0.0, 0.0, 1.0]])
-    normalized = np.empty_like(pixels)
-    normalized[:, 0] = (pixels[:, 0] - x) * scale
-    normalized[:, 1] = (pixels[:, 1] - y) * scale
+    count, x, y, distance = len(pixels), 0.0, 0.0, 0.0
+    for i in range(count):
+        x += pixels[i, 0]
+        y += pixels[i, 1]
+    x, y = x / count, y / count
+    for i in range(count):
+        distance += math.sqrt((pixels[i, 0] - x) * (pixels[i, 0] - x) + (pixels[i, 1] - y) * (pixels[i, 1] - y))
+    scale = math.sqrt(2.0) / max(distance / count, 1e-12)
+    normalizer, normalized = np.zeros((3, 3)), np.empty_like(pixels)
+    normalizer[0, 0] = normalizer[1, 1] = scale
+    normalizer[0, 2], normalizer[1, 2], normalizer[2, 2] = -scale * x, -scale * y, 1.0
+    for i in range(count):
+        normalized[i, 0], normalized[i, 1] = (pixels[i, 0] - x) * scale, (pixels[i, 1] - y) * scale
     return normalized, normalizer
 
 
@@ -56,9 +62,15 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
     system = np.zeros((max(n, 9), 9))
     for i in range(n):
         x, y, u, v = pixels_a[i, 0], pixels_a[i, 1], pixels_b[i, 0], pixels_b[i, 1]
-        system[i] = np.array([u * x, u * y, u, v * x, v * y, v, x, y, 1.0])
-    u, s, vt = np.linalg.svd(_least_vector(system, n).reshape((3, 3)))
-    return (u * np.array([s[0], s[1], 0.0])) @ vt
+        system[i, 0], system[i, 1], system[i, 2] = u * x, u * y, u
+        system[i, 3], system[i, 4], system[i, 5] = v * x, v * y, v
+        system[i, 6], system[i, 7], system[i, 8] = x, y, 1.0
+    u, s, vt = np.linalg.svd(_least_vector(system, n).reshape((3, 3)), True)
+    s[2] = 0.0
+    for i in range(3):
+        for k in range(3):
+            u[i, k] *= s[k]
+    return u @ vt
 
 
 @compiled
@@ -69,19 +81,29 @@ def _least_vector(system: Any, equations: int) -> Any:
     """
     if equations != 8:
         return np.linalg.svd(system, False)[2][8].copy()
-    order, vector = np.arange(9), np.zeros(9)
+    order, vector = np.empty(9, np.int64), np.zeros(9)
+    for k in range(9):
+        order[k] = k
     for k in range(8):
-        pivot = k + np.argmax(np.abs(system[k, k:]))
+        pivot = k
+        for j in range(k + 1, 9):
+            if abs(system[k, j]) > abs(system[k, pivot]):
+                pivot = j
         order[k], order[pivot] = order[pivot], order[k]
         for i in range(8):
             system[i, k], system[i, pivot] = system[i, pivot], system[i, k]
         if abs(system[k, k]) < 1e-12:
             return vector
         for i in range(k + 1, 8):
-            system[i, k:] -= system[i, k] / system[k, k] * system[k, k:]
+            factor = system[i, k] / system[k, k]
+            for j in range(k, 9):
+                system[i, j] -= factor * system[k, j]
     vector[order[8]] = 1.0
     for k in range(7, -1, -1):
-        vector[order[k]] = -(system[k, k + 1 :] * vector[order[k + 1 :]]).sum() / system[k, k]
+        product = 0.0
+        for j in range(k + 1, 9):
+            product += system[k, j] * vector[order[j]]
+        vector[order[k]] = -product / system[k, k]
     return vector
 
 
@@ -96,7 +118,8 @@ def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: floa
     """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,)."""
     determinant = np.linalg.det(b_from_a)
     if abs(determinant) < 1e-12:
-        inliers[:] = False
+        for i in range(len(inliers)):
+            inliers[i] = False
         return 0.0
     a_from_b = np.linalg.inv(b_from_a)
     inverse_sigma2 = 1.0 / (sigma_px * sigma_px)

@@ -15,10 +15,6 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 
-_DESCRIPTORS_COMPARED = 12
-"""Most descriptors compared for a point's representative one; the newest count, and the work stays bounded."""
-
-
 _NEXT, _KEYFRAME, _FEATURE = 0, 1, 2  # columns of the links
 
 
@@ -184,8 +180,8 @@ def refresh_points(
     normals: Any, min_distances: Any, max_distances: Any, descriptors: Any, with_descriptors: bool,
 ) -> None:  # fmt: skip
     """Recompute mean viewing direction, range of distances and, if wanted, best descriptor (ORB-SLAM III-C)."""
-    seen = np.empty((_DESCRIPTORS_COMPARED, 4), np.uint64)
-    distances = np.zeros((_DESCRIPTORS_COMPARED, _DESCRIPTORS_COMPARED), np.int64)
+    seen = np.empty((thresholds.DESCRIPTORS_COMPARED, 4), np.uint64)
+    distances = np.zeros((thresholds.DESCRIPTORS_COMPARED, thresholds.DESCRIPTORS_COMPARED), np.int64)
     for p in points:
         nx, ny, nz = 0.0, 0.0, 0.0
         count = 0
@@ -200,7 +196,7 @@ def refresh_points(
             z = positions[p, 2] - centers_world[k, 2]
             norm = max(math.sqrt(x * x + y * y + z * z), 1e-12)
             nx, ny, nz = nx + x / norm, ny + y / norm, nz + z / norm
-            if with_descriptors and count < _DESCRIPTORS_COMPARED:
+            if with_descriptors and count < thresholds.DESCRIPTORS_COMPARED:
                 for w in range(4):
                     seen[count, w] = keyframe_descriptors[k, f, w]
                 count += 1
@@ -277,14 +273,8 @@ def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: An
     return True
 
 
-@compiled
 def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
     """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
-    depths = np.empty(len(points))
-    count = 0
+    seen = positions[points[points >= 0]]
     x, y, z, offset = camera_from_world[2]
-    for p in points:
-        if p >= 0:
-            depths[count] = x * positions[p, 0] + y * positions[p, 1] + z * positions[p, 2] + offset
-            count += 1
-    return float(np.median(depths[:count])) if count else 1.0
+    return float(np.median(x * seen[:, 0] + y * seen[:, 1] + z * seen[:, 2] + offset)) if len(seen) else 1.0

@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
+from codecbench.slam import thresholds
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.map import Indices, Map
-
-_DISTANCE_MARGIN = 1.2
-"""Times: how far a distance may leave the range that the pyramid covers (ORB-SLAM V-D, own margin)."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,10 @@ def project_points(
             continue
         rx, ry, rz = x - center[0], y - center[1], z - center[2]
         distance = math.sqrt(rx * rx + ry * ry + rz * rz)
-        if distance > max_distances[p] * _DISTANCE_MARGIN or distance * _DISTANCE_MARGIN < min_distances[p]:
+        if (
+            distance > max_distances[p] * thresholds.DISTANCE_MARGIN
+            or distance * thresholds.DISTANCE_MARGIN < min_distances[p]
+        ):
             continue
         cosine = (rx * normals[p, 0] + ry * normals[p, 1] + rz * normals[p, 2]) / distance
         if cosine < min_cosine:

@@ -18,9 +18,6 @@ from codecbench.slam.geometry.two_view import fundamental_between, triangulate_p
 from codecbench.slam.map.kernels import Views, median_depth
 from codecbench.slam.optimisation.bundle_kernels import reprojection
 
-_OCTAVES_APART = 2
-"""Most levels between two features that match (own)."""
-
 
 @compiled
 def triangulate_features(
@@ -82,8 +79,8 @@ def _match_on_lines(
     for f in range(len(free)):
         if not free[f]:
             continue
-        first = starts[max(octaves[f] - _OCTAVES_APART, 0)]
-        last = starts[min(octaves[f] + _OCTAVES_APART + 1, len(starts) - 1)]
+        first = starts[max(octaves[f] - thresholds.TRIANGULATION_OCTAVES_APART, 0)]
+        last = starts[min(octaves[f] + thresholds.TRIANGULATION_OCTAVES_APART + 1, len(starts) - 1)]
         _mark_near_line(
             fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
         )

@@ -1,1 +1,1 @@
-"""Growing the map around a new keyframe, and closing loops."""
+"""The first map from two frames, its growth around each new keyframe, and closing loops."""

@@ -17,7 +17,7 @@ from codecbench.slam.optimisation import pose_graph
 
 
 def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
-    """Correct the map for a loop; returns `old_from_new` (4, 4), the similarity that takes the corrected
+    """Correct the map for a loop; returns `before_from_after` (4, 4), the similarity that takes the corrected
     neighbourhood of the loop's keyframe back to where it was."""
     table = slam_map.keyframes
     old = table.camera_from_world[: table.count].copy()

@@ -14,7 +14,7 @@ from codecbench.slam.geometry.similarity import estimate_similarity, optimize_si
 from codecbench.slam.geometry.transforms import sim3_compose, sim3_from_parts, sim3_scale
 from codecbench.slam.map.map import NONE, Indices, Map
 from codecbench.slam.map.projection import project_map_points
-from codecbench.slam.places.recognition import Places
+from codecbench.slam.places.recognition import PlaceRecognition
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Loop:
 class LoopDetector:
     """Watches the keyframes of one map for loops."""
 
-    def __init__(self, slam_map: Map, camera: Camera, places: Places, rng: np.random.Generator) -> None:
+    def __init__(self, slam_map: Map, camera: Camera, places: PlaceRecognition, rng: np.random.Generator) -> None:
         self._map = slam_map
         self._camera = camera
         self._places = places
@@ -79,13 +79,13 @@ class LoopDetector:
             self._camera.intrinsics,
         )
         estimate = estimate_similarity(
-            *pairs, self._rng, min_inliers=thresholds.LOOP_MIN_INLIERS // 2,
+            *pairs, self._rng, min_inliers=thresholds.LOOP_MIN_INLIERS,
             iterations=thresholds.LOOP_RANSAC_ITERATIONS,
         )  # fmt: skip
         if estimate is None:
             return None
         similarity, inliers = optimize_similarity(estimate[0], *pairs)
-        if int(inliers.sum()) < thresholds.LOOP_MIN_INLIERS // 2:
+        if int(inliers.sum()) < thresholds.LOOP_MIN_INLIERS:
             return None
         keyframe_from_world = sim3_compose(similarity, pose_b)
         points = self._project_loop_side(keyframe, candidate, keyframe_from_world)

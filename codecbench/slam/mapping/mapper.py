@@ -7,13 +7,13 @@ import numpy as np
 from codecbench.slam import thresholds
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.fusion import fuse
 from codecbench.slam.map.kernels import median_depth
 from codecbench.slam.map.map import NONE, Indices, Map
 from codecbench.slam.map.triangulation import triangulate_features
 from codecbench.slam.optimisation.bundle_adjustment import adjust
-from codecbench.slam.places.recognition import Places
+from codecbench.slam.places.recognition import PlaceRecognition
 
 
 class Mapper:
@@ -22,14 +22,14 @@ class Mapper:
     def __init__(self, slam_map: Map, camera: Camera) -> None:
         self.map = slam_map
         self.camera = camera
-        self.places = Places(slam_map)
+        self.places = PlaceRecognition(slam_map)
         self._probation: Indices = np.empty(0, np.int64)
 
-    def insert(self, frame: Frame) -> int:
+    def insert(self, frame: TrackingFrame) -> int:
         """Make `frame`, whose pose and points are known, a keyframe; returns its index.
 
         Culls points on probation, triangulates new ones, merges duplicates, adjusts the neighbourhood and culls
-        redundant keyframes; `frame` gets the keyframe's adjusted pose and points.
+        redundant keyframes. What this does to the keyframe's pose and points is in the map, not yet in `frame`.
         """
         keyframe = self.add(frame)
         self._cull_points()
@@ -38,11 +38,9 @@ class Mapper:
         self._fuse_neighborhood(keyframe, neighbors)
         self.adjust_locally(keyframe)
         self._cull_keyframes(keyframe)
-        frame.camera_from_world = self.map.keyframes.camera_from_world[keyframe].copy()
-        frame.points = self.map.keyframes.points[keyframe, : len(frame.features)].copy()
         return keyframe
 
-    def add(self, frame: Frame) -> int:
+    def add(self, frame: TrackingFrame) -> int:
         """Put `frame` into the map with the points that it shows, and nothing more; returns its index."""
         slam_map = self.map
         keyframe = slam_map.keyframes.add(frame.features, frame.camera_from_world, frame.index, frame.timestamp_s)

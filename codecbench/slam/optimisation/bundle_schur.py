@@ -11,7 +11,7 @@ import numpy as np
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import so3_exp_into
-from codecbench.slam.geometry.vector_kernels import subtract_product
+from codecbench.slam.optimisation.vector_kernels import subtract_product
 
 MIN_DAMPING = 1e-9
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.geometry.linear_systems import solve_symmetric
+from codecbench.slam.geometry.linear_systems import copy_numbers, solve_symmetric
 from codecbench.slam.geometry.rotations import Array, orthonormalize, so3_exp_into
 from codecbench.slam.thresholds import CHI2_95_2DOF
 
@@ -65,11 +65,11 @@ def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: igno
         _minimize(trial, points, pixels, weights, intrinsics, active, round_index < _ROBUST_ROUNDS)
         _classify(trial, points, pixels, weights, intrinsics, trial_active)
         unchanged = round_index >= _ROBUST_ROUNDS and np.array_equal(trial_active, active)
-        active[:] = trial_active
+        copy_numbers(trial_active, active)
         if np.count_nonzero(active) < _MIN_POINTS and round_index > 0:
             break
-        pose[:] = trial
-        inliers[:] = active
+        copy_numbers(trial, pose)
+        copy_numbers(active, inliers)
         if unchanged:
             break
 
@@ -93,7 +93,7 @@ def _minimize(pose, points, pixels, weights, intrinsics, active, robust):  # typ
             trial, points, pixels, weights, intrinsics, active, robust, trial_hessian, trial_gradient
         )
         if trial_cost < cost:
-            pose[:] = trial
+            copy_numbers(trial, pose)
             gain = cost - trial_cost
             cost, depth = trial_cost, trial_depth
             hessian, trial_hessian = trial_hessian, hessian

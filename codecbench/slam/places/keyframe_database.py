@@ -7,12 +7,10 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from codecbench.core.kernels.compiled import compiled
+from codecbench.slam import thresholds
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.places.vocabulary import BowVector, Indices
 
-_SHARED_WORDS_RATIO = 0.8  # of the most words that any keyframe shares: fewer, and a keyframe is not scored
-_GROUP_SCORE_RATIO = 0.75  # of the best group's score: lower, and a group gives no candidate (ORB-SLAM VI-C)
-_GROUP_NEIGHBOURS = 10  # best covisible keyframes that make a group with a keyframe
 _NONE = -1
 
 
@@ -77,7 +75,7 @@ class KeyframeDatabase:
 
         `neighbours` gives the covisible keyframes of one, best first; `excluded` are those that the current keyframe
         sees anyway (itself and its neighbours); `min_score` is the lowest score between it and them. A candidate must
-        reach `min_score`; scores are added up over groups of covisible keyframes, and each group within 75 % of the
+        reach `min_score`; scores are added up over groups of covisible keyframes, and each group that comes near the
         best one gives its best keyframe.
         """
         return self._candidates(bow, neighbours, excluded, min_score)
@@ -94,14 +92,14 @@ class KeyframeDatabase:
         keyframes, scores, shared = keyframes[allowed], scores[allowed], shared[allowed]
         if not len(keyframes):
             return []
-        kept = (shared > _SHARED_WORDS_RATIO * shared.max()) & (scores >= min_score)
+        kept = (shared > thresholds.SHARED_WORDS_SHARE * shared.max()) & (scores >= min_score)
         score_of = dict(zip(keyframes[kept].tolist(), scores[kept].tolist(), strict=True))
         groups = []
         for keyframe, score in score_of.items():
-            group = [keyframe, *(k for k in list(neighbours(keyframe))[:_GROUP_NEIGHBOURS] if k in score_of)]
+            group = [keyframe, *(k for k in list(neighbours(keyframe))[: thresholds.GROUP_NEIGHBORS] if k in score_of)]
             total = sum(score_of[k] for k in group)
             groups.append((total, max(group, key=lambda k: (score_of[k], -k)), score))
-        limit = _GROUP_SCORE_RATIO * max((group[0] for group in groups), default=0.0)
+        limit = thresholds.GROUP_SCORE_SHARE * max((group[0] for group in groups), default=0.0)
         ranked = sorted((g for g in groups if g[0] > limit), key=lambda g: (-g[0], g[1]))
         return list(dict.fromkeys(best for _, best, _ in ranked))
 

@@ -8,7 +8,7 @@ from codecbench.slam.places.keyframe_database import KeyframeDatabase
 from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 
-class Places:
+class PlaceRecognition:
     """The appearance of a map's keyframes."""
 
     def __init__(self, slam_map: Map) -> None:

@@ -191,20 +191,20 @@ def _assign(descriptors, centres, labels):  # type: ignore[no-untyped-def]
 def _vote(descriptors, labels, centres):  # type: ignore[no-untyped-def]
     """Replace each centre by the majority of its descriptors, bit by bit; a tie sets the bit."""
     sizes, votes = np.zeros(centres.shape[0], np.int64), np.zeros((centres.shape[0], 256), np.int32)
-    one = np.uint64(1)
+    lowest = np.uint64(1)
     for i in range(descriptors.shape[0]):
         sizes[labels[i]] += 1
         own = votes[labels[i]]
         for word in range(4):
             bits = descriptors[i, word]
             for bit in range(64):
-                own[64 * word + bit] += np.int32((bits >> np.uint64(bit)) & one)
+                own[64 * word + bit] += np.int32((bits >> np.uint64(bit)) & lowest)
     for k in range(centres.shape[0]):
         for word in range(4):
             bits = np.uint64(0)
             for bit in range(64):
                 if 2 * votes[k, 64 * word + bit] >= sizes[k]:
-                    bits |= one << np.uint64(bit)
+                    bits |= lowest << np.uint64(bit)
             if sizes[k] > 0:
                 centres[k, word] = bits
 

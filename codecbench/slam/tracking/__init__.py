@@ -1,1 +1,1 @@
-"""The pose of each frame: from two views at the start, from the map after that, from nothing when lost."""
+"""The pose of each frame from the map, its place when it is lost, and which frames become keyframes."""

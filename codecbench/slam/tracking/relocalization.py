@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from codecbench.slam import thresholds
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.projection import project_map_points
-from codecbench.slam.places.recognition import Places
+from codecbench.slam.places.recognition import PlaceRecognition
 from codecbench.slam.tracking.tracker import Tracker, match_projections
 
 
-def relocalize(frame: Frame, tracker: Tracker, places: Places) -> int:
+def relocalize(frame: TrackingFrame, tracker: Tracker, places: PlaceRecognition) -> int:
     """Find the pose of `frame` from the keyframes that look like it; returns the inliers, 0 when it stays lost.
 
     Each candidate is matched by appearance; a pose by P3P and RANSAC is optimised, widened by projecting the

@@ -11,7 +11,7 @@ from codecbench.slam.features.matching import keep_consistent_rotations, match_b
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Indices, Map
 from codecbench.slam.map.projection import Projections, project_ahead, project_map_points
 from codecbench.slam.optimisation.pose_optimization import optimize_pose
@@ -23,17 +23,17 @@ class Tracker:
     def __init__(self, slam_map: Map, camera: Camera) -> None:
         self.map = slam_map
         self.camera = camera
-        self.last: Frame | None = None
+        self.last: TrackingFrame | None = None
         self._velocity: Array | None = None  # twist of one second; None: unknown
         self._interval_s = 0.0
         self._inverse_sigma2 = slam_map.scale_factors**-2.0
 
-    def start(self, frame: Frame, velocity: Array | None = None) -> None:
+    def start(self, frame: TrackingFrame, velocity: Array | None = None) -> None:
         """Go on from `frame`, whose pose and points are known."""
         self.last = frame
         self._velocity = velocity
 
-    def track(self, frame: Frame) -> int:
+    def track(self, frame: TrackingFrame) -> int:
         """Find the pose and points of `frame`; returns the number of inliers, 0 when it is lost.
 
         On success `frame` holds its pose, points and reference keyframe and is the new `last`.
@@ -48,7 +48,7 @@ class Tracker:
         self._advance(frame)
         return inliers
 
-    def _advance(self, frame: Frame) -> None:
+    def _advance(self, frame: TrackingFrame) -> None:
         assert self.last is not None
         interval_s = frame.timestamp_s - self.last.timestamp_s
         motion = frame.camera_from_world @ se3_inverse(self.last.camera_from_world)
@@ -58,7 +58,7 @@ class Tracker:
 
     # First guesses --------------------------------------------------------------------------------------------
 
-    def _track_by_motion(self, frame: Frame) -> bool:
+    def _track_by_motion(self, frame: TrackingFrame) -> bool:
         """Predict with constant velocity and search round the predictions, then in wider windows."""
         assert self.last is not None
         interval_s = frame.timestamp_s - self.last.timestamp_s
@@ -75,7 +75,7 @@ class Tracker:
                 return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
         return False
 
-    def _match_last(self, frame: Frame, window_px: float) -> int:
+    def _match_last(self, frame: TrackingFrame, window_px: float) -> int:
         assert self.last is not None
         last, camera = self.last, self.camera
         seen = last.matched
@@ -93,20 +93,20 @@ class Tracker:
         frame.points[matches[found]] = points[found]
         return int(found.sum())
 
-    def _track_by_keyframe(self, frame: Frame) -> bool:
+    def _track_by_keyframe(self, frame: TrackingFrame) -> bool:
         """Match by appearance with the last frame, then with the reference keyframe; pose by P3P and RANSAC."""
         assert self.last is not None
         if self._track_by_appearance(frame, self.last.points, self.last.features, thresholds.KEYFRAME_RATIO):
             return True
         return self.guess_by_keyframe(frame, self.last.reference, thresholds.KEYFRAME_RATIO)
 
-    def guess_by_keyframe(self, frame: Frame, keyframe: int, ratio: float) -> bool:
+    def guess_by_keyframe(self, frame: TrackingFrame, keyframe: int, ratio: float) -> bool:
         """First guess of the pose from the points of one keyframe, matched by appearance."""
         features = self.map.keyframes.features[keyframe]
         points = self.map.keyframes.points[keyframe, : len(features)]
         return self._track_by_appearance(frame, points, features, ratio)
 
-    def _track_by_appearance(self, frame: Frame, points: Indices, features: Features, ratio: float) -> bool:
+    def _track_by_appearance(self, frame: TrackingFrame, points: Indices, features: Features, ratio: float) -> bool:
         seen = np.nonzero(points >= 0)[0]
         n, m = len(seen), len(frame.features)
         if n < thresholds.KEYFRAME_MIN_MATCHES or m < thresholds.KEYFRAME_MIN_MATCHES:
@@ -120,7 +120,7 @@ class Tracker:
         found = np.nonzero(matches >= 0)[0]
         return self.solve_pose(frame, points[seen[found]], matches[found])
 
-    def solve_pose(self, frame: Frame, points: Indices, features: Indices) -> bool:
+    def solve_pose(self, frame: TrackingFrame, points: Indices, features: Indices) -> bool:
         """Pose of `frame` from matches of which some are wrong, by P3P and RANSAC, then by optimisation."""
         if len(points) < thresholds.KEYFRAME_MIN_MATCHES:
             return False
@@ -140,7 +140,7 @@ class Tracker:
 
     # Refinement -----------------------------------------------------------------------------------------------
 
-    def optimize(self, frame: Frame) -> int:
+    def optimize(self, frame: TrackingFrame) -> int:
         """Optimise the pose of `frame` over its points; outliers lose their match. Returns the inliers."""
         matched = frame.matched
         if len(matched) < 4:
@@ -156,7 +156,7 @@ class Tracker:
         frame.points[matched[~inliers]] = NONE
         return int(inliers.sum())
 
-    def track_local_map(self, frame: Frame) -> int:
+    def track_local_map(self, frame: TrackingFrame) -> int:
         """Match `frame` with the local map and optimise its pose; returns the inliers."""
         local = self._local_points(frame)
         table = self.map.points
@@ -173,7 +173,7 @@ class Tracker:
         table.found[frame.points[frame.points >= 0]] += 1
         return inliers
 
-    def _local_points(self, frame: Frame) -> Indices:
+    def _local_points(self, frame: TrackingFrame) -> Indices:
         """Points of the keyframes that share points with `frame` and of their neighbours; sets the reference."""
         weights = self.map.covisibility(frame.points)
         order = np.argsort(-weights, kind="stable")
@@ -194,7 +194,7 @@ class Tracker:
         return self.map.points_of(np.array(keyframes))
 
 
-def match_projections(slam_map: Map, frame: Frame, projections: Projections, widen: float) -> int:
+def match_projections(slam_map: Map, frame: TrackingFrame, projections: Projections, widen: float) -> int:
     """Match projected points with the features of `frame` that show none yet; returns how many matched."""
     frontal = projections.cosines > thresholds.FRONTAL_COSINE
     radii = np.where(frontal, thresholds.LOCAL_WINDOW_FRONTAL_PX, thresholds.LOCAL_WINDOW_PX) * widen

@@ -20,6 +20,8 @@ CAUGHT_BY = {
     "WritesIntoItsInput": "untouched",
     "LosesARow": "shape",
     "ReturnsFloats": "shape",
+    "PreparesAnotherSetting": "prepared",
+    "IsChangedByPreparing": "prepared",
     "NotLossless": "lossless",
     "FillsWhatIsCut": "cut",
     "TripsOverForeignBytes": "foreign",
@@ -56,7 +58,7 @@ def test_a_crash_is_told_as_one() -> None:
 
 def test_conformance_images_are_the_same_everywhere() -> None:
     for channels in (1, 3):
-        for one, other in zip(conformance_images(channels), conformance_images(channels), strict=True):
-            assert one.name == other.name
-            assert (one.pixels == other.pixels).all()
-            assert one.pixels.ndim == (2 if channels == 1 else 3)
+        for image, again in zip(conformance_images(channels), conformance_images(channels), strict=True):
+            assert image.name == again.name
+            assert (image.pixels == again.pixels).all()
+            assert image.pixels.ndim == (2 if channels == 1 else 3)

@@ -12,7 +12,7 @@ from codecbench.core.conformance.settings import setting_label
 from codecbench.core.conformance.suite import CHECKS, Check
 from codecbench.core.engine.registry import installed
 
-NAMES = [plugin.offer.name for plugin in installed().plugins("codec")]
+NAMES = [plugin.spec.name for plugin in installed().plugins("codec")]
 CASES = [
     pytest.param(name, setting, id=setting_label(name, setting).replace(" ", "-"))
     for name in NAMES

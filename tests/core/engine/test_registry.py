@@ -8,24 +8,26 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from distributions import install_posterize, install_source
 
+import codecbench
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.registry import installed
 
-OFFER = """
-from codecbench import Offer, hookimpl
+HOOK_MODULE = """
+from codecbench import PluginSpec, hookimpl
 
 @hookimpl
 def codecbench_{hook}():
-    return [Offer({name!r}, {target!r}, "a test", requires={requires!r}, extra={extra!r})]
+    return [PluginSpec({name!r}, {target!r}, "a test", requires={requires!r}, extra={extra!r})]
 """
 
 
-def offer(hook: str = "codecs", name: str = "mine", target: str = "json:JSONEncoder", **more: object) -> str:
-    return OFFER.format(
+def hook_module(hook: str = "codecs", name: str = "mine", target: str = "json:JSONEncoder", **more: object) -> str:
+    return HOOK_MODULE.format(
         hook=hook, name=name, target=target, requires=more.get("requires", ()), extra=more.get("extra", "")
     )
 
@@ -50,11 +52,11 @@ def test_our_own_plugins_come_through_the_same_door_without_problems() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_offer_of_ours_that_is_available_loads(kind: str) -> None:
+def test_every_plugin_of_ours_that_is_available_loads(kind: str) -> None:
     registry = installed()
     for plugin in registry.plugins(kind):  # type: ignore[arg-type]
         if plugin.missing is None:
-            assert registry.load(plugin.kind, plugin.offer.name).name == plugin.offer.name
+            assert registry.load(plugin.kind, plugin.spec.name).name == plugin.spec.name
 
 
 def test_a_third_party_codec_shows_up(tmp_path: Path) -> None:
@@ -77,12 +79,12 @@ def test_listing_imports_no_codec(tmp_path: Path) -> None:
         ("import nothing_of_this_name", "does not import: ModuleNotFoundError"),
         ("raise RuntimeError('broken on purpose')", "broken on purpose"),
         ("x = 1", "implements no hook"),
-        (offer("codec"), "codecbench_codec, which is not a hook; did you mean codecbench_codecs?"),
-        (offer(name="raw"), "codec 'raw' is already offered by codecbench"),
-        (offer(name="Not A Name"), "is not of the form"),
-        (offer(target="no_colon"), "is not package.module:Class"),
-        (offer().replace("[Offer", "['x', Offer"), "returned 'x'; it returns a list of Offer"),
-        (offer().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
+        (hook_module("codec"), "codecbench_codec, which is not a hook; did you mean codecbench_codecs?"),
+        (hook_module(name="raw"), "codec 'raw' is already offered by codecbench"),
+        (hook_module(name="Not A Name"), "is not of the form"),
+        (hook_module(target="no_colon"), "is not package.module:Class"),
+        (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it returns a list of PluginSpec"),
+        (hook_module().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
     ],
 )
 def test_a_bad_distribution_is_reported_and_the_rest_works(tmp_path: Path, source: str, words: str) -> None:
@@ -97,7 +99,7 @@ def test_a_bad_distribution_is_reported_and_the_rest_works(tmp_path: Path, sourc
 
 
 def test_a_plugin_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
-    install_source(tmp_path, "needy", "1", offer(requires=("nothing_of_this_name",), extra="needy[all]"))
+    install_source(tmp_path, "needy", "1", hook_module(requires=("nothing_of_this_name",), extra="needy[all]"))
     row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")
     assert "pip install 'needy[all]'" in str(row["missing"])
 
@@ -139,9 +141,18 @@ class Half(Codec):
     ],
 )
 def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path, target: str, words: str) -> None:
-    install_source(tmp_path, "liar", "1", offer(target=target) + INCOMPLETE)
+    install_source(tmp_path, "liar", "1", hook_module(target=target) + INCOMPLETE)
     code = "from codecbench.core.engine.registry import installed; installed().load('codec', 'mine')"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
     assert words in done.stderr
     assert "liar 1" in done.stderr
+
+
+def test_the_former_names_still_work_and_say_the_new_ones() -> None:
+    with pytest.warns(DeprecationWarning, match=r"codecbench\.Offer is now called codecbench\.PluginSpec"):
+        assert codecbench.Offer is codecbench.PluginSpec
+    frame = codecbench.Frame(0, 0.0, np.zeros((2, 3), np.uint8))
+    with pytest.warns(DeprecationWarning, match=r"Frame\.fact is now called Frame\.cached"):
+        assert frame.fact("size", lambda image: image.size) == 6
+    assert frame.cached("size", lambda image: 0) == 6

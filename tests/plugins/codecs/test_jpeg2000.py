@@ -18,7 +18,7 @@ import skimage.data
 from pydantic import ValidationError
 from skimage.metrics import peak_signal_noise_ratio
 
-from codecbench import BitstreamError, Unsupported
+from codecbench import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import png_bytes
 from codecbench.plugins.codecs import jpeg2000
 from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
@@ -73,6 +73,42 @@ def test_cr_percent_is_reached_and_not_exceeded(image: np.ndarray, cr_percent: f
     size = len(Jpeg2000.create(cr_percent=cr_percent).encode(image))
     assert 0.98 * target <= size + 1
     assert size <= target
+
+
+class CountsFiles(Jpeg2000):
+    """Keeps count of the files that OpenJPEG writes, over all instances."""
+
+    written = 0
+
+    def _write(self, image: np.ndarray, *args: Any, **rate: Any) -> bytes:
+        CountsFiles.written += 1
+        return super()._write(image, *args, **rate)
+
+
+def test_cr_percent_searches_once_and_a_prepared_instance_writes_one_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    codec = CountsFiles.create(cr_percent=91)
+    bitstream = codec.encode(GRAY)
+    searched = CountsFiles.written
+    assert searched > 1, "a picture whose search takes several trials is needed here"
+    prepared = codec.prepared(GRAY)
+    assert CountsFiles.written == 2 * searched
+    monkeypatch.setattr(jpeg2000, "png_bytes", None)  # no PNG is asked for any more
+    assert prepared.encode(GRAY) == bitstream
+    assert CountsFiles.written == 2 * searched + 1
+
+
+@pytest.mark.parametrize("values", [{"ratio": 20}, {"psnr_db": 35}, {"lossless": True}])
+def test_other_rates_need_no_search(values: dict[str, Any]) -> None:
+    codec = Jpeg2000.create(**values)
+    assert codec.prepared(PICTURE) is codec
+
+
+def test_preparing_refuses_what_encoding_refuses() -> None:
+    codec = Jpeg2000.create(cr_percent=90)
+    with pytest.raises(Unsupported, match="this frame takes"):
+        codec.prepared(GRAY[:9, :9])
+    with pytest.raises(ImageError):
+        codec.prepared(GRAY.astype(np.float32))
 
 
 def test_cr_percent_that_no_file_can_reach_is_unsupported() -> None:

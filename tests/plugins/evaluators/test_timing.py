@@ -57,9 +57,9 @@ def test_what_is_timed_is_the_codec_alone_and_warm(tmp_path: Path) -> None:
     codec = Slow()
     found: dict[str, list[float]] = {metric.name: [] for metric in Timing.metrics}
     frames = set()
-    for one in Timing.create(frames=2, warmup=1).evaluate(codec, sequence, context(tmp_path)):
-        found[one.metric].append(one.value)
-        frames.add(one.frame)
+    for measured in Timing.create(frames=2, warmup=1).evaluate(codec, sequence, context(tmp_path)):
+        found[measured.metric].append(measured.value)
+        frames.add(measured.frame)
     assert frames == {1, 3}
     assert all(len(series) == 2 for series in found.values())
     assert 20 <= min(found["encode_wall_ms"]) < 100
@@ -69,6 +69,42 @@ def test_what_is_timed_is_the_codec_alone_and_warm(tmp_path: Path) -> None:
     assert found["encode_mpix_per_s"][0] == pytest.approx(0.02 / (found["encode_wall_ms"][0] * 1e-3))
     assert False in codec.collecting
     assert gc.isenabled()
+
+
+class Searching(Slow):
+    """Needs 0.1 s to find out how to encode an image, which takes no time then."""
+
+    def __init__(self, image: Image | None = None) -> None:
+        super().__init__()
+        self.image = image
+
+    def prepared(self, image: Image) -> Searching:
+        time.sleep(0.1)
+        return Searching(image)
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        if self.image is None:
+            self = self.prepared(image)
+        assert np.array_equal(image, self.image)
+        return image.tobytes()
+
+
+def test_what_a_codec_searches_for_is_timed_apart_from_the_encoding(tmp_path: Path) -> None:
+    images = [np.full((100, 200), value, np.uint8) for value in range(2)]
+    measured = list(Timing.create(warmup=1).evaluate(Searching(), MemorySequence(images), context(tmp_path)))
+    found = {name: [m.value for m in measured if m.metric == name] for name in ("encode_wall_ms", "prepare_wall_ms")}
+    assert max(found["encode_wall_ms"]) < 20
+    assert len(found["prepare_wall_ms"]) == 2
+    assert 100 <= min(found["prepare_wall_ms"]) < 180
+    assert all(m.value < 20 and m.reason is None for m in measured if m.metric == "prepare_cpu_ms")
+
+
+def test_a_codec_that_searches_for_nothing_has_no_time_of_it(tmp_path: Path) -> None:
+    sequence = MemorySequence([np.zeros((100, 200), np.uint8)])
+    measured = list(Timing.create(warmup=1).evaluate(Slow(), sequence, context(tmp_path)))
+    preparing = [m for m in measured if m.metric.startswith("prepare_")]
+    assert {m.metric for m in preparing} == {"prepare_wall_ms", "prepare_cpu_ms"}
+    assert all(np.isnan(m.value) and "slow has nothing to find" in str(m.reason) for m in preparing)
 
 
 def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:
@@ -98,6 +134,7 @@ def test_more_repeats_recompute_nothing() -> None:
 def test_a_short_sequence_is_used_whole(tmp_path: Path) -> None:
     sequence = MemorySequence([np.zeros((100, 200), np.uint8)])
     measured = list(Timing.create(frames=10, warmup=1).evaluate(Slow(), sequence, context(tmp_path)))
-    assert {one.frame for one in measured} == {0}
-    assert [one.metric for one in measured].count("encode_wall_ms") == 1
-    assert {one.metric for one in measured} == {metric.name for metric in Timing.metrics}
+    assert {measurement.frame for measurement in measured} == {0}
+    names = [measurement.metric for measurement in measured]
+    assert names.count("encode_wall_ms") == 1
+    assert set(names) == {metric.name for metric in Timing.metrics}

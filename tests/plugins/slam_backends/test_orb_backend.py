@@ -15,7 +15,7 @@ from codecbench.core.contracts.errors import SlamError
 from codecbench.core.contracts.sequence import Camera, Frame
 from codecbench.plugins.slam_backends import codecbench_slam_backends, orb
 from codecbench.plugins.slam_backends.orb import Orb
-from codecbench.slam.trajectory import FrameState, LoopEvent, MapResult, Result, Trajectory
+from codecbench.slam import ClosedLoop, FrameState, FrameTrajectory, MapResult, Result
 
 pytestmark = pytest.mark.thorough
 
@@ -45,12 +45,11 @@ class Recorder:
 
     def finish(self) -> Result:
         count = len(self.states)
-        path = Trajectory(
-            np.arange(count), np.array([one.timestamp_s for one in self.states]), np.tile(np.eye(4), (count, 1, 1))
-        )
+        times = np.array([state.timestamp_s for state in self.states])
+        path = FrameTrajectory(np.arange(count), times, np.tile(np.eye(4), (count, 1, 1)))
         found = MapResult(0, path, path, np.arange(0, count, 3), np.zeros((7, 3)))
-        loops = (LoopEvent(4, 1, 33, True),) if count > 4 else ()
-        return Result(tuple(self.states), loops, (found, found), path, path, found.keyframe_indices, found.points_world)
+        loops = (ClosedLoop(4, 1, 33),) if count > 4 else ()
+        return Result(tuple(self.states), loops, (found, found))
 
 
 def frames(count: int, first: int = 0) -> list[Frame]:
@@ -58,7 +57,7 @@ def frames(count: int, first: int = 0) -> list[Frame]:
 
 
 def test_the_system_gets_camera_options_seed_and_gray_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orb, "System", Recorder)
+    monkeypatch.setattr(orb.slam, "System", Recorder)
     Orb.create(features=700, levels=6, scale=1.3, loop_closing=False).run(frames(3), CAMERA, seed=11)
     system = Recorder.last
     assert (system.camera.width, system.camera.fy, system.camera.distortion[0]) == (640, 539.2, 0.1)
@@ -70,18 +69,18 @@ def test_the_system_gets_camera_options_seed_and_gray_frames(monkeypatch: pytest
 
 
 def test_frames_keep_the_indices_of_their_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orb, "System", Recorder)
+    monkeypatch.setattr(orb.slam, "System", Recorder)
     run = Orb.create().run(frames(7, first=20), CAMERA, seed=0)
-    assert [one.index for one in run.frames] == list(range(20, 27))
+    assert [frame.index for frame in run.frames] == list(range(20, 27))
     assert run.keyframe_indices.tolist() == [20, 23, 26]
-    assert (run.loops[0].frame, run.loops[0].matched_frame, run.loops[0].merged_maps) == (24, 21, True)
+    assert (run.loops[0].frame, run.loops[0].matched_frame, run.loops[0].inliers) == (24, 21, 33)
     assert run.maps == 2
     assert len(run.points_world) == 7
-    assert all(one.elapsed_ms > 0 for one in run.frames)
+    assert all(frame.elapsed_ms > 0 for frame in run.frames)
 
 
 def test_analyze_then_compress_gives_mapping_the_decoded_keyframe(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orb, "System", Recorder)
+    monkeypatch.setattr(orb.slam, "System", Recorder)
     asked = []
 
     def keyframe_image(index: int) -> np.ndarray:
@@ -120,11 +119,11 @@ def test_compiling_and_decoding_take_no_time_of_slam(monkeypatch: pytest.MonkeyP
             work(100.0)
         return np.zeros((480, 640), np.uint8)
 
-    monkeypatch.setattr(orb, "System", Working)
+    monkeypatch.setattr(orb.slam, "System", Working)
     monkeypatch.setattr(orb.time, "perf_counter", lambda: seconds)
     monkeypatch.setattr(event, "timer", lambda: seconds)
     run = Orb.create().run(frames(3), CAMERA, seed=0, keyframe_image=keyframe_image)
-    assert [one.elapsed_ms for one in run.frames] == [250.0, 250.0, 750.0]
+    assert [frame.elapsed_ms for frame in run.frames] == [250.0, 250.0, 750.0]
 
 
 def test_no_frame_is_an_error() -> None:
@@ -134,16 +133,16 @@ def test_no_frame_is_an_error() -> None:
 
 def test_black_frames_are_never_initialised() -> None:
     run = Orb.create().run([Frame(i, 0.1 * i, np.zeros((480, 640), np.uint8)) for i in range(5)], CAMERA, seed=0)
-    assert [one.state for one in run.frames] == ["not_initialized"] * 5
-    assert all(one.reason for one in run.frames)
+    assert [frame.state for frame in run.frames] == ["not_initialized"] * 5
+    assert all(frame.reason for frame in run.frames)
     assert len(run.trajectory) == len(run.trajectory_before_loops) == run.maps == 0
 
 
 def test_both_backends_are_offered() -> None:
-    offers = {offer.name: offer for offer in codecbench_slam_backends()}
-    assert list(offers) == ["orb", "orbslam3"]
-    assert offers["orbslam3"].extra == "codecbench[orbslam3]"
-    assert offers["orb"].target.endswith(f":{Orb.__name__}")
+    specs = {spec.name: spec for spec in codecbench_slam_backends()}
+    assert list(specs) == ["orb", "orbslam3"]
+    assert specs["orbslam3"].extra == "codecbench[orbslam3]"
+    assert specs["orb"].target.endswith(f":{Orb.__name__}")
 
 
 @pytest.mark.real
@@ -158,4 +157,4 @@ def test_real_frames_are_tracked_and_equal_runs_are_equal(data_folder: Path) -> 
     first, second = (Orb.create().run(given, camera, seed=0) for _ in range(2))
     assert len(first.trajectory) >= 30
     assert first.trajectory.world_from_camera.tobytes() == second.trajectory.world_from_camera.tobytes()
-    assert [one.state for one in first.frames] == [one.state for one in second.frames]
+    assert [frame.state for frame in first.frames] == [frame.state for frame in second.frames]

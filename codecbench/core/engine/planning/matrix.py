@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import to_jsonable_python
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.params import Params
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, suggest
 from codecbench.core.engine.registry import Registry, installed
@@ -28,7 +28,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 class RunSection(BaseModel):
     """The `run:` section: how the matrix is run. Only `seed` can change a result."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=100_000)
     timeout_s: float = Field(default=3600.0, gt=0, description="for one coding job or cell")
@@ -38,11 +38,15 @@ class RunSection(BaseModel):
 
 @dataclass(frozen=True)
 class Entry:
-    """One setting of a section, and where in the file it stands. `missing` says why it cannot be used here."""
+    """One setting of a section, and where in the file it stands.
+
+    params: as validated; None where the plugin cannot be used here, and `missing` then says why.
+    """
 
     where: Where
     setting: PluginSetting
     name: str | None = None
+    params: Params | None = None
     missing: str | None = None
 
 
@@ -106,7 +110,7 @@ class _Reader:
         entries: list[Entry] = []
         for index, item in enumerate(items):
             entries.extend(self.entries(kind, (section, index), item))
-        return _labelled(_distinct(entries), self.registry)
+        return _labelled(_distinct(entries))
 
     def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
         """The settings that one item of a section stands for: one, or as many as its axes span."""
@@ -175,7 +179,8 @@ class _Reader:
             for detail in error.errors():
                 self.note(where, point, detail, list(cls.params_type.model_fields))
             return None
-        return Entry(where, PluginSetting(kind, name, cls.version, params.identity()))
+        setting = PluginSetting(kind, name, cls.version, params.model_dump(mode="json"))
+        return Entry(where, setting, params=params)
 
     def note(self, where: Where, point: dict[str, tuple[Where, Any]], detail: Any, fields: list[str]) -> None:
         """Translate one of pydantic's errors into a problem at the value that it is about."""
@@ -237,7 +242,7 @@ def _distinct(entries: list[Entry]) -> list[Entry]:
     return kept
 
 
-def _labelled(entries: list[Entry], registry: Registry) -> tuple[Entry, ...]:
+def _labelled(entries: list[Entry]) -> tuple[Entry, ...]:
     """Give each setting the label that tells it from the other settings of its plugin."""
     done = []
     for entry in entries:
@@ -246,20 +251,15 @@ def _labelled(entries: list[Entry], registry: Registry) -> tuple[Entry, ...]:
         if len(same) > 1:
             keys = [key for key in params if any(other.get(key) != params[key] for other in same)]
         else:
-            keys = _explicit(entry, registry) if entry.setting.kind == "codec" else []
+            keys = _explicit(entry) if entry.setting.kind == "codec" else []
         label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
         done.append(replace(entry, setting=replace(entry.setting, label=label)))
     return tuple(done)
 
 
-def _explicit(entry: Entry, registry: Registry) -> list[str]:
+def _explicit(entry: Entry) -> list[str]:
     """Parameters of the only setting of a codec that differ from the defaults."""
-    params = entry.setting.params
-    if entry.missing:
-        return list(params)
-    fields = registry.load(entry.setting.kind, entry.setting.name).params_type.model_fields
-    usual = {key: to_jsonable_python(field.default, fallback=str) for key, field in fields.items()}
-    return [key for key in params if key not in usual or usual[key] != params[key]]
+    return list(entry.setting.params if entry.params is None else entry.params.model_dump(exclude_defaults=True))
 
 
 def _word(value: Any) -> str:

@@ -13,7 +13,8 @@ class PluginSetting:
     """One plugin with one set of parameters, validated.
 
     params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
-    same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one.
+    same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one. uses: the plugins that an evaluator
+    runs. inert: names of parameters that cannot change a result, so that they are in no identity.
     """
 
     kind: Kind
@@ -21,12 +22,15 @@ class PluginSetting:
     version: str
     params: dict[str, Any] = field(default_factory=dict)
     label: str = ""
+    uses: tuple[PluginSetting, ...] = ()
+    inert: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
 
-    def identity(self) -> list[Any]:
-        return [self.kind, self.name, self.version, self.params]
+    def effective_params(self) -> dict[str, Any]:
+        """The parameters that can change a result, those at their default among them."""
+        return {name: value for name, value in self.params.items() if name not in self.inert}
 
 
 @dataclass(frozen=True)
@@ -125,9 +129,9 @@ class Plan:
 
 def plan_from_json(value: dict[str, Any]) -> Plan:
     """The plan that `as_json` wrote. Raises KeyError, TypeError, ValueError or IndexError for anything else."""
-    sequences = [SequenceEntry(**{**one, "dataset": PluginSetting(**one["dataset"])}) for one in value["sequences"]]
-    settings = [PluginSetting(**one) for one in value["settings"]]
-    run = {**value["run"], "executor": PluginSetting(**value["run"]["executor"])}
+    sequences = [SequenceEntry(**{**entry, "dataset": _setting(entry["dataset"])}) for entry in value["sequences"]]
+    settings = [_setting(setting) for setting in value["settings"]]
+    run = {**value["run"], "executor": _setting(value["run"]["executor"])}
     return Plan(
         name=value["name"],
         matrix_text=value["matrix_text"],
@@ -139,3 +143,8 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
             for id_, at, codec, evaluator, *rest in value["cells"]
         ),
     )
+
+
+def _setting(value: dict[str, Any]) -> PluginSetting:
+    uses = tuple(_setting(used) for used in value.get("uses", ()))
+    return PluginSetting(**{**value, "uses": uses, "inert": tuple(value.get("inert", ()))})

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
-from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator
-from codecbench.core.engine.identity import digest, seed_from
+from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator, PluginUse
+from codecbench.core.contracts.params import Params
+from codecbench.core.engine.identity import digest, seed_from, without_defaults
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
 from codecbench.core.engine.registry import Registry, installed
@@ -19,11 +20,15 @@ RECORD_FORMAT = 1
 
 @dataclass(frozen=True)
 class _Side:
-    """A codec or evaluator setting beside its instance, or why there is none."""
+    """A codec or evaluator setting beside its instance, or why there is none.
+
+    identities: what distinguishes it, without parameters at their default; one for each repeat of an evaluator.
+    """
 
     setting: PluginSetting
-    instance: Any
-    missing: str | None
+    identities: tuple[list[Any], ...]
+    instance: Any = None
+    missing: str | None = None
 
 
 def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
@@ -35,8 +40,8 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
     """
     registry = registry or installed()
     sequences = _open_sequences(matrix, registry)
-    codecs = [_side(entry, registry) for entry in matrix.codecs]
-    evaluators = [_side(entry, registry) for entry in matrix.evaluators]
+    codecs = [_codec_side(entry, registry) for entry in matrix.codecs]
+    evaluators = [_evaluator_side(entry, registry) for entry in matrix.evaluators]
     jobs: dict[str, CodingJob] = {}
     cells: dict[str, Cell] = {}
     for sequence in sequences:
@@ -58,8 +63,13 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
-    """The identity of a sequence's bitstreams under a codec setting."""
-    return digest(["coding", RECORD_FORMAT, sequence.fingerprint, codec.identity()])
+    """The identity of a sequence's bitstreams under a codec setting.
+
+    All parameters enter it, those at their default too: no record beside a file of bitstreams says which they were,
+    so this name must, and a codec that gained a parameter encodes again when somebody asks for its bitstreams.
+    """
+    setting = [codec.kind, codec.name, codec.version, codec.effective_params()]
+    return digest(["coding", RECORD_FORMAT, sequence.fingerprint, setting])
 
 
 def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
@@ -95,25 +105,68 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
     return list(entries.values())
 
 
-def _side(entry: Entry, registry: Registry) -> _Side:
-    if entry.missing is not None:
-        return _Side(entry.setting, None, entry.missing)
-    setting = entry.setting
+def _codec_side(entry: Entry, registry: Registry) -> _Side:
+    setting, params = entry.setting, entry.params
+    if params is None:
+        return _Side(setting, ([setting.kind, setting.name, setting.version, setting.params],), None, entry.missing)
+    told = params.identity()
+    setting = replace(setting, inert=_inert(params, [told]))
+    identity = [setting.kind, setting.name, setting.version, without_defaults(told, params)]
+    instance, missing = _instance(setting, registry)
+    return _Side(setting, (identity,), instance, missing)
+
+
+def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
+    setting, params = entry.setting, entry.params
+    evaluator, missing = (None, entry.missing) if params is None else _instance(setting, registry)
+    if params is None or evaluator is None:
+        return _Side(setting, ([setting.name, setting.version, setting.params, 0, []],), None, missing)
+    told = [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]
+    uses, used = zip(*(_used(use, registry) for use in evaluator.uses), strict=True) if evaluator.uses else ((), ())
+    setting = replace(setting, inert=_inert(params, told), uses=tuple(uses))
+    identities = [
+        [setting.name, setting.version, without_defaults(of_repeat, params), repeat, list(used)]
+        for repeat, of_repeat in enumerate(told)
+    ]
+    return _Side(setting, tuple(identities), evaluator)
+
+
+def _instance(setting: PluginSetting, registry: Registry) -> tuple[Any, str | None]:
+    """The plugin of a setting, or None and why it cannot be used here."""
     try:
-        return _Side(setting, registry.create(setting.kind, setting.name, setting.params), None)
+        return registry.create(setting.kind, setting.name, setting.params), None
     except Unsupported as error:
-        return _Side(setting, None, str(error))
+        return None, str(error)
+
+
+def _used(use: PluginUse, registry: Registry) -> tuple[PluginSetting, list[Any]]:
+    """A plugin that an evaluator runs, and its identity; without a version where it is not there."""
+    try:
+        cls = registry.load(use.kind, use.name)
+    except (Unsupported, PluginError):
+        return PluginSetting(use.kind, use.name, "", use.params), [use.kind, use.name, None, use.params]
+    params = cls.params_type.model_validate(use.params)
+    told = params.identity()
+    setting = PluginSetting(
+        use.kind, use.name, cls.version, params.model_dump(mode="json"), inert=_inert(params, [told])
+    )
+    return setting, [use.kind, use.name, cls.version, without_defaults(told, params)]
+
+
+def _inert(params: Params, told: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Names of the parameters that a plugin leaves out of what it says distinguishes it, or tells otherwise."""
+    full = params.model_dump(mode="json")
+    return tuple(
+        name for name in full if any(name not in identity or identity[name] != full[name] for identity in told)
+    )
 
 
 def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int, registry: Registry) -> Iterator[Cell]:
     instance: Evaluator[Any] | None = evaluator.instance
-    identity = [RECORD_FORMAT, job.sequence.fingerprint, codec.setting.identity()]
     unsupported = _unsupported(job.sequence, codec, evaluator, registry)
-    for repeat in range(instance.repeats if instance else 1):
-        params = instance.repeat_identity(repeat) if instance else evaluator.setting.params
-        used = _used(instance, registry)
-        whole = ["cell", *identity, evaluator.setting.name, evaluator.setting.version, params, repeat, used, seed]
-        cell_id = digest(whole)
+    shared = ["cell", RECORD_FORMAT, job.sequence.fingerprint, *codec.identities]
+    for repeat, identity in enumerate(evaluator.identities):
+        cell_id = digest([*shared, *identity, seed])
         yield Cell(
             id=cell_id,
             sequence=job.sequence,
@@ -125,19 +178,6 @@ def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int, registry: 
             job_id=None if isinstance(instance, CodecEvaluator) else job.id,
             unsupported=unsupported,
         )
-
-
-def _used(evaluator: Evaluator[Any] | None, registry: Registry) -> list[Any]:
-    """Name, version and parameters of the plugins that an evaluator runs, as far as they are there."""
-    used = []
-    for use in evaluator.uses if evaluator else ():
-        try:
-            cls = registry.load(use.kind, use.name)
-        except (Unsupported, PluginError):
-            used.append([use.kind, use.name, None, use.params])
-        else:
-            used.append([use.kind, use.name, cls.version, cls.params_type.model_validate(use.params).identity()])
-    return used
 
 
 def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side, registry: Registry) -> str | None:

@@ -15,14 +15,14 @@ def plugin_schema(registry: Registry, name: str) -> dict[str, Any]:
     """The schema of one plugin's parameters; `name` is NAME or KIND:NAME. Raises PluginError for an unknown name."""
     wanted, _, bare = name.rpartition(":")
     kinds = [kind for kind in KINDS if wanted in ("", kind)]
-    found = [plugin for kind in kinds for plugin in registry.plugins(kind) if plugin.offer.name == bare]
+    found = [plugin for kind in kinds for plugin in registry.plugins(kind) if plugin.spec.name == bare]
     if len(found) == 1:
         schema: dict[str, Any] = _params_schema(registry, found[0])
         return schema
     if found:
         choices = ", ".join(f"{plugin.kind}:{bare}" for plugin in found)
         raise PluginError(f"several plugins are called {bare!r}; say which: {choices}")
-    names = [plugin.offer.name for kind in kinds for plugin in registry.plugins(kind)]
+    names = [plugin.spec.name for kind in kinds for plugin in registry.plugins(kind)]
     near = difflib.get_close_matches(bare, names, n=1)
     meant = f"did you mean {near[0]!r}?" if near else "see codecbench list"
     raise PluginError(f"no plugin is called {name!r}; {meant}")
@@ -54,7 +54,7 @@ def matrix_schema(registry: Registry) -> dict[str, Any]:
 
 
 def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> list[Any]:
-    choices: list[Any] = [{"enum": [plugin.offer.name for plugin in registry.plugins(kind)]}]
+    choices: list[Any] = [{"enum": [plugin.spec.name for plugin in registry.plugins(kind)]}]
     for plugin in registry.plugins(kind):
         try:
             params = _params_schema(registry, plugin)
@@ -63,14 +63,14 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
         definitions.update(params.pop("$defs", {}))
         for name, value in params.get("properties", {}).items():
             params["properties"][name] = _or_axis(value)
-        properties = {"use": {"const": plugin.offer.name}, "params": params}
+        properties = {"use": {"const": plugin.spec.name}, "params": params}
         if kind == "dataset":
             properties["name"] = {"type": "string"}
         required = ["use", "params"] if params.get("required") else ["use"]
         choices.append(
             {
                 "type": "object",
-                "description": plugin.offer.summary,
+                "description": plugin.spec.summary,
                 "properties": properties,
                 "required": required,
                 "additionalProperties": False,
@@ -80,7 +80,7 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
 
 
 def _params_schema(registry: Registry, plugin: Plugin) -> dict[str, Any]:
-    cls = registry.load(plugin.kind, plugin.offer.name)
+    cls = registry.load(plugin.kind, plugin.spec.name)
     schema: dict[str, Any] = cls.params_type.model_json_schema()
     return schema
 

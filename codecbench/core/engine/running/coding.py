@@ -1,4 +1,4 @@
-"""Where frames become bitstreams and bitstreams become frames: the only place that calls a codec for its result.
+"""Where frames become bitstreams and bitstreams become frames: the only position that calls a codec for its result.
 
 Codecs are stateless, so frames are coded one by one. A codec with memory between frames (video) would change
 `encode_sequence` and `CodedFrames` and nothing else.
@@ -25,7 +25,7 @@ class CodingError(CodecbenchError):
 
 
 @dataclass
-class Place:
+class WorkPosition:
     """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`."""
 
     stage: str = ""
@@ -38,12 +38,12 @@ class Place:
         return self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
 
 
-def encode_sequence(codec: Codec[Any], sequence: Sequence, place: Place) -> Iterator[bytes]:
+def encode_sequence(codec: Codec[Any], sequence: Sequence, position: WorkPosition) -> Iterator[bytes]:
     """The bitstreams of all frames in order. Raises CodingError for what is not a bitstream."""
     for index in range(len(sequence)):
-        place.at("read", index)
+        position.at("read", index)
         image = sequence.read(index).image
-        place.at("encode", index)
+        position.at("encode", index)
         bitstream = codec.encode(image)
         if not isinstance(bitstream, bytes):
             raise CodingError(f"encode returned {type(bitstream).__name__}; a bitstream is bytes")
@@ -58,13 +58,15 @@ class CodedFrames:
     `codec` must be an instance that has encoded nothing, so that whatever it knows came from the bitstream.
     """
 
-    def __init__(self, sequence: Sequence, codec: Codec[Any], bitstreams: BitstreamFile, place: Place) -> None:
+    def __init__(
+        self, sequence: Sequence, codec: Codec[Any], bitstreams: BitstreamFile, position: WorkPosition
+    ) -> None:
         if len(bitstreams) != len(sequence):
             raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
         self.sequence = sequence
         self.codec = codec
         self._bitstreams = bitstreams
-        self._place = place
+        self._position = position
 
     def __len__(self) -> int:
         return len(self._bitstreams)
@@ -78,13 +80,13 @@ class CodedFrames:
         Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
         the frame's shape, and whatever the codec raises.
         """
-        outer = self._place.stage
-        self._place.at("read", index)
+        outer = self._position.stage
+        self._position.at("read", index)
         original = self.sequence.read(index)
         bitstream = self._bitstreams.read(index)
-        self._place.at("decode", index)
+        self._position.at("decode", index)
         decoded = checked_decoding(self.codec.decode(bitstream), original.image)
-        self._place.at(outer, index)
+        self._position.at(outer, index)
         return CodedFrame(original, bitstream, decoded)
 
     def size_bytes(self, index: int) -> int:

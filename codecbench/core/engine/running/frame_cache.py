@@ -36,7 +36,7 @@ class FrameCache:
                 return frame
             frames[index] = frame
             self.used_bytes += frame.image.nbytes
-        # A copy, so that whoever writes into it harms nobody; its facts are those of the kept frame.
+        # A copy, so that whoever writes into it harms nobody; it shares what is cached of the kept frame.
         return replace(frame, image=frame.image.copy())
 
     def _make_room(self, size_bytes: int, keep: str) -> bool:

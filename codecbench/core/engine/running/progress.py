@@ -16,7 +16,8 @@ class Progress:
     """A moment of a run.
 
     Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate,
-    None before there is anything to base one on. cell and record: what just ended, None for a coding job.
+    None before there is anything to base one on. compiling: how many kernels are compiled ahead so far, in words,
+    empty when they all are. cell and record: what just ended, None for a coding job.
     """
 
     cells_total: int
@@ -27,6 +28,7 @@ class Progress:
     not_ok: int
     elapsed_s: float
     remaining_s: float | None
+    compiling: str = ""
     cell: Cell | None = None
     record: Record | None = None
 
@@ -58,7 +60,7 @@ class Pace:
 
     def remaining_s(self) -> float | None:
         """Seconds to the end; kinds of work that have not been seen yet are taken to cost the mean."""
-        seconds = sum(one for one, _ in self._spent.values())
+        seconds = sum(spent for spent, _ in self._spent.values())
         frames = sum(count for _, count in self._spent.values())
         if not frames:
             return None

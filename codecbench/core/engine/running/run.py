@@ -1,15 +1,11 @@
-"""The run loop: hands out what is ready, records what comes back, and starts where an earlier run stopped.
-
-Records with status `ok` are kept for ever. Cells that failed, crashed, timed out or were unsupported are tried
-again by the next run, because a run is repeated after mending what was wrong.
-"""
+"""The run loop: hands out what is ready and records what comes back. What needs no computing, `resume` says."""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +16,13 @@ from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.progress import Pace, Progress
+from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
-from codecbench.core.engine.running.work import (
-    CellDone,
-    CellOrder,
-    CodingDone,
-    CodingOrder,
-    perform_cell,
-    perform_coding,
-    prepare_worker,
-)
+from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
+from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
-from codecbench.core.engine.storage.record_index import IndexEntry
 from codecbench.core.engine.storage.store import Store
 
 log = logging.getLogger("codecbench.run")
@@ -65,20 +55,26 @@ def run_plan(
     folder: Path,
     *,
     workers: int | None = None,
+    recompute: Iterable[str] = (),
     listener: Listener | None = None,
     registry: Registry | None = None,
     log_level: int = logging.INFO,
 ) -> RunSummary:
     """Compute what is missing of a plan and record it in `folder`.
 
-    Listener is told after every job and cell. SIGINT and SIGTERM end the run within seconds; everything
-    recorded is kept. Raises StoreError where the folder is in use or cannot be written.
+    recompute: names of codecs, evaluators and sequences whose cells are computed again. Listener is told after every
+    job and cell. SIGINT and SIGTERM end the run within seconds; everything recorded is kept. Raises StoreError where
+    the folder is in use or cannot be written, and ParamsError for a name in `recompute` that the plan does not have.
     """
     store = Store(folder)
     setting = plan.run.executor
+    registry = registry or installed()
     with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
-        executor: Executor[Any] = (registry or installed()).create("executor", setting.name, setting.params)
-        run = _Run(plan, store, executor, workers or plan.run.workers, listener or (lambda _: None))
+        executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
+        resumption = resume(plan, store, registry, recompute)
+        run = _Run(
+            plan, store, executor, registry, resumption, workers or plan.run.workers, listener or (lambda _: None)
+        )
         try:
             run.perform(interruption)
         except StoreError as error:
@@ -92,17 +88,23 @@ def run_plan(
 class _Run:
     """The state of one run."""
 
-    def __init__(self, plan: Plan, store: Store, executor: Executor[Any], workers: int, listener: Listener) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        store: Store,
+        executor: Executor[Any],
+        registry: Registry,
+        resumption: Resumption,
+        workers: int,
+        listener: Listener,
+    ) -> None:
         self.plan, self.store, self.executor, self.workers, self.listener = plan, store, executor, workers, listener
+        self.registry, self.warm_up = registry, WarmUp()
         store.write_plan(plan)
-        sound, self.damaged = store.sound_entries(cell.id for cell in plan.cells)
-        for cell_id, reason in self.damaged.items():
-            log.warning("record %s will be computed again: %s", cell_id, reason)
-            store.drop_record(cell_id)
-        ok = {cell_id for cell_id, entry in sound.items() if entry.status == "ok"}
-        self.kept = ok | {cell.id for cell in plan.cells if _still_unsupported(cell, sound.get(cell.id))}
-        self.stale = set(sound) - self.kept
-        self.statuses: dict[str, Status] = {cell_id: "ok" if cell_id in ok else "unsupported" for cell_id in self.kept}
+        self.resumption = resumption
+        self.kept = resumption.kept
+        self.damaged = dict(resumption.damaged)
+        self.statuses: dict[str, Status] = dict(self.kept)
         left = [cell for cell in plan.cells if cell.id not in self.kept]
         todo = [cell for cell in left if cell.unsupported is None]
         frames = {job.id: job.sequence.frames for job in plan.jobs}
@@ -112,7 +114,7 @@ class _Run:
         jobs = [job for job in plan.jobs if job.id in self.schedule.needed_jobs]
         self.pace = Pace(workers, jobs, todo)
         self.jobs_total, self.jobs_done = len(jobs), 0
-        self.not_ok = len(self.kept) - len(ok)
+        self.not_ok = sum(status != "ok" for status in self.kept.values())
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
         message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
@@ -121,10 +123,12 @@ class _Run:
     def perform(self, interruption: Interruption) -> None:
         for cell in self.plan.cells:
             if cell.unsupported is not None and cell.id not in self.kept:
-                self._record(cell, "unsupported", cell.unsupported)
+                self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
             return
-        self.executor.start(min(self.workers, len(self.schedule)), prepare_worker)
+        self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
+        self.executor.start(min(self.workers, len(self.schedule) + len(self.warm_up)), prepare_worker)
+        self.warm_up.begin(self.executor, meanwhile=self._hand_out)
         while len(self.schedule) and not interruption.requested:
             self._hand_out()
             finished = self.executor.next_finished(_POLL_S)
@@ -137,7 +141,7 @@ class _Run:
 
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
-        if self.damaged or self.stale:
+        if self.damaged or self.resumption.outdated or self.resumption.retried:
             self.store.rebuild_index()
         counts: dict[str, int] = dict(Counter(self.statuses.values()))
         log.info("%s", ", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing recorded")
@@ -151,65 +155,63 @@ class _Run:
             self.executor.submit(self._task(work))
 
     def _task(self, work: Work) -> Task:
-        cache_bytes = cache_limit_bytes(self.plan.run.memory_mb)
-        limits = {"timeout_s": self.plan.run.timeout_s, "memory_mb": self.plan.run.memory_mb}
-        shared = self.executor.shares_files
-        if isinstance(work, CodingJob):
-            target = self.store.coded_path(work.id).absolute() if shared else None
-            return Task(work.id, perform_coding, CodingOrder(work, target, cache_bytes), **limits)  # type: ignore[arg-type]
-        coded: Path | bytes | None = None
-        if work.job_id is not None:
-            path = self.store.coded_path(work.job_id).absolute()
-            coded = path if shared else path.read_bytes()
-        return Task(work.id, perform_cell, CellOrder(work, coded, cache_bytes), exclusive=work.exclusive, **limits)  # type: ignore[arg-type]
+        settings = self.plan.run
+        order = Order(work, self._bitstreams(work), cache_limit_bytes(settings.memory_mb))
+        exclusive = isinstance(work, Cell) and work.exclusive
+        return Task(work.id, perform, order, settings.timeout_s, settings.memory_mb, exclusive)
+
+    def _bitstreams(self, work: Work) -> Path | bytes | None:
+        """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""
+        job_id = work.id if isinstance(work, CodingJob) else work.job_id
+        if job_id is None:
+            return None
+        path = self.store.coded_path(job_id).absolute()
+        if self.executor.shares_files:
+            return path
+        return None if isinstance(work, CodingJob) else path.read_bytes()
 
     def _take_back(self, finished: Finished) -> None:
+        if self.warm_up.took(finished):
+            self._tell()
+            return
         work = self.under_way.pop(finished.task_id)
+        outcome: Record | BitstreamDamage = finished.value or Record(
+            work.id, finished.status, finished.reason, finished.traceback
+        )
         if isinstance(work, CodingJob):
-            self._coded(work, finished)
+            assert isinstance(outcome, Record)
+            self._coded(work, outcome)
+        elif isinstance(outcome, BitstreamDamage) and self.recoded[work.id] == 0:
+            self._encode_again(work, str(outcome))
         else:
-            self._computed(work, finished)
+            record = Record(work.id, "failed", str(outcome)) if isinstance(outcome, BitstreamDamage) else outcome
+            self._record(work, record)
+            self.schedule.ended(work)
 
-    def _coded(self, job: CodingJob, finished: Finished) -> None:
-        done: CodingDone = finished.value or CodingDone(finished.status, finished.reason, finished.traceback)
-        self.pace.ended(job, done.duration_s)
+    def _coded(self, job: CodingJob, record: Record) -> None:
+        self.pace.ended(job, record.duration_s)
         self.jobs_done += 1
-        if done.status == "ok":
-            if done.content is not None:
-                self.store.write_coded(job.id, done.content)
+        if record.status == "ok":
+            if BITSTREAMS in record.contents:
+                self.store.write_coded(job.id, record.contents[BITSTREAMS])
             self.schedule.ended(job)
             self._tell()
             return
         for cell in self.schedule.failed(job):
-            self._record(cell, done.status, f"coding failed: {done.reason}", done.traceback)
+            self._record(cell, Record(cell.id, record.status, f"coding failed: {record.reason}", record.traceback))
 
-    def _computed(self, cell: Cell, finished: Finished) -> None:
-        done: CellDone | None = finished.value
-        if done is None:
-            self._record(cell, finished.status, finished.reason, finished.traceback)
-        elif done.damage is not None and self.recoded[cell.id] == 0:
-            assert cell.job_id is not None
-            self.recoded[cell.id] += 1
-            self.store.drop_coded(cell.job_id, done.damage)
-            self.damaged[cell.id] = done.damage
-            self.jobs_total += 1
-            self.schedule.encode_again(cell)
-            return
-        else:
-            self._keep(cell, done)
-        self.schedule.ended(cell)
+    def _encode_again(self, cell: Cell, damage: str) -> None:
+        """A cell found its bitstreams damaged: make them again, once."""
+        assert cell.job_id is not None
+        self.recoded[cell.id] += 1
+        self.store.drop_coded(cell.job_id, damage)
+        self.damaged[cell.id] = damage
+        self.jobs_total += 1
+        self.schedule.encode_again(cell)
 
-    def _record(self, cell: Cell, status: Status, reason: str, traceback: str = "") -> None:
-        """Record a cell that no worker gave a result for."""
-        record = Record(cell.id, status, reason, traceback, cell=cell_description(cell))
-        self._write(cell, record, {})
-
-    def _keep(self, cell: Cell, done: CellDone) -> None:
-        environment = self.store.write_environment(done.environment)
-        self._write(cell, done.record.in_environment(environment), done.files)
-
-    def _write(self, cell: Cell, record: Record, files: dict[str, bytes]) -> None:
-        record = self.store.write_record(record, files)
+    def _record(self, cell: Cell, record: Record) -> None:
+        """Keep what became of a cell; a record that no worker made still says which cell it is of."""
+        record = self.store.write_record(record if record.cell else replace(record, cell=cell_description(cell)))
         self.statuses[cell.id] = record.status
         self.not_ok += record.status != "ok"
         if cell.unsupported is None:
@@ -229,14 +231,10 @@ class _Run:
                 jobs_total=self.jobs_total,
                 jobs_done=self.jobs_done,
                 not_ok=self.not_ok,
+                compiling=self.warm_up.progress,
                 elapsed_s=self.pace.elapsed_s,
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,
                 record=record,
             )
         )
-
-
-def _still_unsupported(cell: Cell, entry: IndexEntry | None) -> bool:
-    """Whether what the plan says of a cell is what its record says already."""
-    return entry is not None and entry.status == "unsupported" and entry.reason == cell.unsupported

@@ -7,7 +7,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
+from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting
 
 Work: TypeAlias = CodingJob | Cell
 _Rank: TypeAlias = tuple[int, ...]
@@ -37,11 +37,11 @@ class Schedule:
         self._alone: list[_Ready] = []
         self._out: set[str] = set()
         self._sequences = {entry.fingerprint: place for place, entry in enumerate(plan.sequences)}
-        self._codecs: dict[str, int] = {}
-        self._evaluators: dict[str, int] = {}
+        self._codecs: dict[PluginSetting, int] = {}
+        self._evaluators: dict[PluginSetting, int] = {}
         for cell in plan.cells:
-            self._codecs.setdefault(str(cell.codec.identity()), len(self._codecs))
-            self._evaluators.setdefault(str(cell.evaluator.identity()), len(self._evaluators))
+            self._codecs.setdefault(cell.codec, len(self._codecs))
+            self._evaluators.setdefault(cell.evaluator, len(self._evaluators))
         self.needed_jobs = {cell.job_id for cell in todo if cell.job_id is not None} - self._coded
         for job_id in self.needed_jobs:
             self._push(self.jobs[job_id])
@@ -102,10 +102,10 @@ class Schedule:
 
     def _rank(self, work: Work) -> _Rank:
         sequence = self._sequences[work.sequence.fingerprint]
-        codec = self._codecs[str(work.codec.identity())]
+        codec = self._codecs[work.codec]
         if isinstance(work, CodingJob):
             return sequence, 0, codec, 0, 0
-        evaluator = self._evaluators[str(work.evaluator.identity())]
+        evaluator = self._evaluators[work.evaluator]
         if work.exclusive:
             return sequence, evaluator, work.repeat, codec
         return sequence, int(work.job_id is None), codec, 1 + evaluator, work.repeat

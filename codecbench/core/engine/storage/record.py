@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.executor import Status
+from codecbench.core.engine.identity import digest
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.storage.samples import (
     json_from_measurement,
@@ -22,6 +21,7 @@ from codecbench.core.engine.storage.samples import (
 SCHEMA: Final = 1
 RECORD_FILE: Final = "record.json"
 SAMPLES_FILE: Final = "frames.parquet"
+_TRANSIENT: Final = ("contents", "environment_description")
 
 Summaries = dict[tuple[str, str, str], float]
 """Aggregates over the frames of a cell, by (metric, stage, aggregate)."""
@@ -33,12 +33,16 @@ class RecordDamage(StoreError):
 
 @dataclass(frozen=True)
 class Record:
-    """What became of a cell.
+    """What became of a cell; a coding job ends in one too, which is not kept.
 
     measurements: those that belong to no frame; the others are in the Parquet file, aggregated in
-    `summaries`. files: size and digest of each file beside the record. environment: id of the description of
-    where it was computed, None if its worker did not live to tell. libraries: the codec's foreign libraries.
-    started_utc: ISO 8601. worker: host and process.
+    `summaries`. metrics: names of all that its evaluator declared. files: size and digest of each file beside the
+    record. environment: id of the description of where it was computed, None if its worker did not live to tell.
+    libraries: the codec's foreign libraries. started_utc: ISO 8601. worker: host and process. cell: what entered
+    its identity, in readable form.
+
+    Only on the way from a worker to the run folder: contents, the files beside the record by name; and
+    environment_description, what `environment` is the id of.
     """
 
     cell_id: str
@@ -47,6 +51,7 @@ class Record:
     traceback: str = ""
     measurements: tuple[Measurement, ...] = ()
     summaries: Summaries = field(default_factory=dict)
+    metrics: tuple[str, ...] = ()
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     environment: str | None = None
     libraries: dict[str, str] = field(default_factory=dict)
@@ -54,10 +59,8 @@ class Record:
     duration_s: float = 0.0
     worker: dict[str, Any] = field(default_factory=dict)
     cell: dict[str, Any] = field(default_factory=dict)
-
-    def in_environment(self, environment: str) -> Record:
-        """The record with the id of the environment that it was computed in."""
-        return replace(self, environment=environment)
+    contents: dict[str, bytes] = field(default_factory=dict, repr=False)
+    environment_description: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def artifacts(self) -> list[str]:
@@ -68,36 +71,33 @@ class Record:
 def cell_description(cell: Cell) -> dict[str, Any]:
     """What entered the cell's identity, in readable form, so that a record means something on its own."""
 
-    def setting(one: PluginSetting) -> dict[str, Any]:
-        return {"name": one.name, "version": one.version, "params": one.params, "label": one.label}
+    def described(setting: PluginSetting) -> dict[str, Any]:
+        return {"name": setting.name, "version": setting.version, "params": setting.params, "label": setting.label}
 
     return {
         "sequence": {"name": cell.sequence.name, "fingerprint": cell.sequence.fingerprint},
-        "dataset": setting(cell.sequence.dataset),
-        "codec": setting(cell.codec),
-        "evaluator": setting(cell.evaluator),
+        "dataset": described(cell.sequence.dataset),
+        "codec": described(cell.codec),
+        "evaluator": described(cell.evaluator),
+        "uses": [{"kind": used.kind, **described(used)} for used in cell.evaluator.uses],
         "repeat": cell.repeat,
         "seed": cell.seed,
     }
 
 
-def file_facts(files: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
-    """Size and digest of each file, as a record lists them."""
-    return {name: {"size": len(content), "digest": content_digest(content)} for name, content in files.items()}
-
-
-def content_digest(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=16).hexdigest()
+def settings_digest(description: dict[str, Any]) -> str:
+    """The digest of all parameters of the plugins that a cell's description names, those at their default too."""
+    named = [description.get("codec", {}), description.get("evaluator", {}), *description.get("uses", ())]
+    return digest([plugin.get("params") for plugin in named])
 
 
 def bytes_from_record(record: Record) -> bytes:
     """The record as JSON with a checksum over everything else in it."""
-    body = {name: getattr(record, name) for name in record.__dataclass_fields__}
+    body = {name: getattr(record, name) for name in record.__dataclass_fields__ if name not in _TRANSIENT}
     body["schema"] = SCHEMA
-    body["measurements"] = [json_from_measurement(one) for one in record.measurements]
+    body["measurements"] = [json_from_measurement(measurement) for measurement in record.measurements]
     body["summaries"] = [[*key, json_from_value(value)] for key, value in record.summaries.items()]
-    text = _canonical(body)
-    document = {"checksum": content_digest(text.encode()), **body}
+    document = {"checksum": digest(body), **body}
     return (json.dumps(document, indent=1, ensure_ascii=True, allow_nan=False) + "\n").encode()
 
 
@@ -114,13 +114,10 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
         raise RecordDamage(f"not a record: {error}") from error
     if schema != SCHEMA:
         raise RecordDamage(f"written in format {schema}; this version reads {SCHEMA}")
-    if not known_good and content_digest(_canonical(body).encode()) != checksum:
+    if not known_good and digest(body) != checksum:
         raise RecordDamage("its checksum does not match its content")
     del body["schema"]
+    body["metrics"] = tuple(body.get("metrics", ()))
     body["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
     body["summaries"] = {(m, stage, how): value_from_json(v) for m, stage, how, v in body["summaries"]}
     return Record(**body)
-
-
-def _canonical(body: dict[str, Any]) -> str:
-    return json.dumps(body, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)

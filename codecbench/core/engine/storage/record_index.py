@@ -14,28 +14,36 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.engine.storage.record import RECORD_FILE, Record, content_digest
+from codecbench.core.engine.storage.record import RECORD_FILE, Record, settings_digest
 
 _SEPARATOR: Final = " "
+_FIELDS: Final = 6
+"""Of a line; one with fewer was written by an earlier version, and its record is read instead."""
 
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """What is known of a record without opening it. digests: of `record.json` and each file beside it."""
+    """What is known of a record without opening it.
+
+    digests: of `record.json` and each file beside it. settings: digest of the parameters of all its plugins.
+    """
 
     cell_id: str
     status: str
     reason: str
     duration_s: float
     digests: dict[str, str]
+    settings: str
 
 
 def entry_from_record(record: Record, content: bytes) -> IndexEntry:
     """The entry of a record whose file holds `content`."""
     digests = {RECORD_FILE: content_digest(content)}
     digests |= {name: facts["digest"] for name, facts in record.files.items()}
-    return IndexEntry(record.cell_id, record.status, record.reason, record.duration_s, digests)
+    settings = settings_digest(record.cell)
+    return IndexEntry(record.cell_id, record.status, record.reason, record.duration_s, digests, settings)
 
 
 class RecordIndex:
@@ -74,7 +82,7 @@ class RecordIndex:
 
 
 def _line_from_entry(entry: IndexEntry) -> bytes:
-    fields = [entry.cell_id, entry.status, entry.reason, round(entry.duration_s, 6), entry.digests]
+    fields = [entry.cell_id, entry.status, entry.reason, round(entry.duration_s, 6), entry.digests, entry.settings]
     text = json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
     return f"{zlib.crc32(text):08x}{_SEPARATOR}".encode() + text
 
@@ -83,4 +91,5 @@ def _entry_from_line(line: bytes) -> IndexEntry | None:
     crc, _, text = line.partition(_SEPARATOR.encode())
     if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
         return None
-    return IndexEntry(*json.loads(text))
+    fields = json.loads(text)
+    return IndexEntry(*fields) if len(fields) == _FIELDS else None

@@ -62,11 +62,11 @@ def parquet_from_samples(samples: list[Measurement]) -> bytes:
     text = pa.dictionary(pa.int32(), pa.string())
     table = pa.table(
         {
-            "metric": pa.array([one.metric for one in samples]).cast(text),
-            "frame": pa.array([one.frame for one in samples], pa.int32()),
-            "stage": pa.array([one.stage for one in samples], pa.string()).cast(text),
-            "value": pa.array(np.array([one.value for one in samples]), pa.float64(), from_pandas=False),
-            "reason": pa.array([one.reason for one in samples], pa.string()).cast(text),
+            "metric": pa.array([sample.metric for sample in samples]).cast(text),
+            "frame": pa.array([sample.frame for sample in samples], pa.int32()),
+            "stage": pa.array([sample.stage for sample in samples], pa.string()).cast(text),
+            "value": pa.array(np.array([sample.value for sample in samples]), pa.float64(), from_pandas=False),
+            "reason": pa.array([sample.reason for sample in samples], pa.string()).cast(text),
         }
     )
     sink = pa.BufferOutputStream()
@@ -94,9 +94,9 @@ def value_from_json(value: float | str | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def json_from_measurement(one: Measurement) -> list[Any]:
+def json_from_measurement(measurement: Measurement) -> list[Any]:
     """[metric, value, stage, reason] of a measurement that belongs to no frame."""
-    return [one.metric, json_from_value(one.value), one.stage, one.reason]
+    return [measurement.metric, json_from_value(measurement.value), measurement.stage, measurement.reason]
 
 
 def measurement_from_json(row: list[Any]) -> Measurement:

@@ -15,14 +15,14 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.environment import environment_id
+from codecbench.core.engine.identity import canonical_json, content_digest, digest
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
@@ -32,8 +32,6 @@ from codecbench.core.engine.storage.record import (
     Record,
     RecordDamage,
     bytes_from_record,
-    content_digest,
-    file_facts,
     record_from_bytes,
 )
 from codecbench.core.engine.storage.record_index import IndexEntry, RecordIndex, entry_from_record
@@ -87,8 +85,8 @@ class Store:
     def write_plan(self, plan: Plan) -> None:
         write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
         body = plan.as_json()
-        document = {"checksum": content_digest(_json(body)), "plan": body}
-        write_file(self.folder / "plan.json", _json(document))
+        document = {"checksum": digest(body), "plan": body}
+        write_file(self.folder / "plan.json", canonical_json(document))
 
     def read_plan(self) -> Plan:
         """The plan of the last run in this folder. Raises StoreError where it is missing or damaged."""
@@ -96,7 +94,7 @@ class Store:
         try:
             document = json.loads(path.read_bytes())
             body = document["plan"]
-            if content_digest(_json(body)) != document["checksum"]:
+            if digest(body) != document["checksum"]:
                 raise ValueError("its checksum does not match its content")
             return plan_from_json(body)
         except FileNotFoundError:
@@ -105,13 +103,11 @@ class Store:
             message = f"{path} is damaged ({error}); run the matrix again, which computes only what is missing"
             raise StoreError(message) from error
 
-    def write_environment(self, environment: dict[str, Any]) -> str:
-        """Keep the description of an environment and return its id."""
-        name = environment_id(environment)
+    def write_environment(self, name: str, description: dict[str, Any]) -> None:
+        """Keep the description of the environment of this id, unless it is there."""
         path = self.folder / "environment" / f"{name}.json"
         if not path.exists():
-            write_file(path, json.dumps(environment, indent=1).encode() + b"\n")
-        return name
+            write_file(path, json.dumps(description, indent=1).encode() + b"\n")
 
     def environments(self) -> dict[str, dict[str, Any]]:
         """All environments of this run by id."""
@@ -141,22 +137,27 @@ class Store:
             write_file(self.coded_path(job_id), content)
 
     def drop_coded(self, job_id: str, reason: str) -> None:
-        log.warning("coded/%s.bits is damaged and will be encoded again: %s", job_id, reason)
+        """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""
+        log.warning("coded/%s.bits will be encoded again: %s", job_id, reason)
         self.coded_path(job_id).unlink(missing_ok=True)
 
     def record_folder(self, cell_id: str) -> Path:
         return Path(f"{self.records_folder}/{cell_id[:2]}/{cell_id}")
 
-    def write_record(self, record: Record, files: Mapping[str, bytes]) -> Record:
-        """Keep a record and its files, in place of an earlier one.
+    def write_record(self, record: Record) -> Record:
+        """Keep a record with its contents, in place of an earlier one, and return it without them.
 
         Raises StoreError where that cannot be written (disk full), and then changes nothing.
         """
-        record = replace(record, files=file_facts(files))
+        contents, description = record.contents, record.environment_description
+        files = {name: {"size": len(data), "digest": content_digest(data)} for name, data in contents.items()}
+        record = replace(record, files=files, contents={}, environment_description={})
         content = bytes_from_record(record)
         durable = record.duration_s >= _DURABLE_FROM_S
         with self._writing():
-            write_folder(self.record_folder(record.cell_id), {**files, RECORD_FILE: content}, durable=durable)
+            if record.environment is not None:
+                self.write_environment(record.environment, description)
+            write_folder(self.record_folder(record.cell_id), {**contents, RECORD_FILE: content}, durable=durable)
             self._index.append(entry_from_record(record, content))
         return record
 
@@ -216,7 +217,7 @@ class Store:
                 if cell_id in present:
                     damaged[cell_id] = "its record cannot be read"
                 continue
-            problem = self._problem(entry) if cell_id in known else None
+            problem = self._problem(entry)
             if problem is not None and (fresh := self._entry(cell_id)) is not None:
                 problem = self._problem(entry := fresh)  # the index may be older than the record
             if problem is None:
@@ -243,13 +244,13 @@ class Store:
 
     def _problem(self, entry: IndexEntry) -> str | None:
         folder = f"{self.records_folder}/{entry.cell_id[:2]}/{entry.cell_id}/"
-        for name, digest in entry.digests.items():
+        for name, expected in entry.digests.items():
             try:
                 with open(folder + name, "rb", buffering=0) as stream:
                     content = stream.read()
             except FileNotFoundError:
                 return f"{name} is missing"
-            if content_digest(content) != digest:
+            if content_digest(content) != expected:
                 return f"{name} is damaged (digest differs)"
         return None
 
@@ -287,7 +288,3 @@ def _locked(stream: TextIO) -> bool:
             return True
         time.sleep(0.05)
     return False
-
-
-def _json(value: Any) -> bytes:
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()

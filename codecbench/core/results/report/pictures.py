@@ -11,7 +11,7 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.running.coding import CodedFrames, Place
+from codecbench.core.engine.running.coding import CodedFrames, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.report.frame_views import FrameView, frame_view
@@ -85,7 +85,7 @@ def _view(run: RunResult, entry: SequenceEntry, setting: PluginSetting) -> Frame
     try:
         sequence = installed().create("dataset", entry.dataset.name, entry.dataset.params).open()
         codec = installed().create("codec", setting.name, setting.params)
-        coded = CodedFrames(sequence, codec, BitstreamFile(path), Place())
+        coded = CodedFrames(sequence, codec, BitstreamFile(path), WorkPosition())
         return frame_view(coded.frame(entry.frames // 2))
     except (CodecbenchError, OSError, ValueError) as error:
         log.warning("no picture of %s %s on %s: %s", setting.name, setting.label, entry.name, error)

@@ -29,9 +29,9 @@ _WHITE = np.float32(255)
 
 def _scales(power: int) -> NDArray[np.float32]:
     """What the fast transform leaves to be multiplied in, one factor a coefficient, natural order."""
-    one = np.sqrt(2.0) * np.cos(np.arange(8) * np.pi / 16)
-    one[0] = 1.0
-    return (np.outer(one, one) ** power / 8).astype(np.float32).reshape(64)
+    scales = np.sqrt(2.0) * np.cos(np.arange(8) * np.pi / 16)
+    scales[0] = 1.0
+    return (np.outer(scales, scales) ** power / 8).astype(np.float32).reshape(64)
 
 
 _FORWARD_SCALES = _scales(-1)

@@ -1,4 +1,4 @@
-"""A scan from blocks and blocks from a scan: tables chosen, buffers sized, kernels run, errors told."""
+"""A scan from blocks and blocks from a scan: tables chosen, buffers sized, kernels run, errors named."""
 
 from __future__ import annotations
 

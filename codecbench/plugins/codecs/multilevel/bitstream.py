@@ -81,7 +81,7 @@ _WORD = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Header:
-    """What stands before the sections. table: (8, 8) int32. offset, radix: indices are offset..offset+radix-1."""
+    """What stands before the tables. table: (8, 8) int32. offset, radix: indices are offset..offset+radix-1."""
 
     width: int
     height: int

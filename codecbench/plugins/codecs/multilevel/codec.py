@@ -14,10 +14,10 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
 from codecbench.plugins.codecs.dct.tables import Table, steps_from_table
-from codecbench.plugins.codecs.multilevel import sections
+from codecbench.plugins.codecs.multilevel import entropy_coding
 from codecbench.plugins.codecs.multilevel.bitstream import MAX_SAMPLES, TABLES, Bitstream, Header, pack, unpack
 from codecbench.plugins.codecs.multilevel.keys import Keys, canonical_keys, checked, manual_keys, random_keys
-from codecbench.plugins.codecs.multilevel.levels import expanded, minimised
+from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams
 from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
 
@@ -33,6 +33,7 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
+    kernels = ("codecbench.plugins.codecs.dct", "codecbench.plugins.codecs.multilevel")
     examples = (
         {},
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
@@ -67,7 +68,7 @@ class Multilevel(Codec[MultilevelParams]):
         if header.samples > MAX_SAMPLES:
             raise ImageError(f"image of shape {image.shape} needs {header.samples} samples; allowed: {MAX_SAMPLES}")
         values = scanned(self._blocks(image, header, trace), params.scan, trace)
-        return pack(sections.encoded(header, minimised(values, params.levels, self._key_maker(), trace), trace))
+        return pack(entropy_coding.encoded(header, minimised(values, params.levels, self._key_maker(), trace), trace))
 
     def _blocks(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
         """Quantised blocks (b, 64) of all planes, in zigzag order."""
@@ -89,7 +90,7 @@ class Multilevel(Codec[MultilevelParams]):
         """
         parts: Bitstream = unpack(bitstream)
         header = parts.header
-        ranks, tuples = sections.decoded(parts, self.params.search, trace)
+        ranks, tuples = entropy_coding.decoded(parts, self.params.search, trace)
         del parts
         values = expanded(ranks, tuples, header.offset, header.samples, trace)
         del ranks, tuples
@@ -109,7 +110,7 @@ class Multilevel(Codec[MultilevelParams]):
         chosen = self.params.table
         return TABLES[chosen][1] if isinstance(chosen, str) else np.array(chosen, np.int32).reshape(8, 8)
 
-    def _key_maker(self) -> sections.KeyMaker:
+    def _key_maker(self) -> KeyMaker:
         params = self.params
         rng = np.random.default_rng(params.seed)
 

@@ -45,6 +45,7 @@ class Synthetic(Dataset[SyntheticParams]):
 
     name: ClassVar[str] = "synthetic"
     version: ClassVar[str] = "1"
+    kernels = ("codecbench.plugins.datasets.synthetic",)
     params_type = SyntheticParams
 
     def open(self) -> Sequence:
@@ -95,7 +96,7 @@ class SyntheticSequence(Sequence):
         count = len(_OFFSETS_PX)
         shares = (np.arange(count) + 0.5) / count - 0.5
         times_s = time_s + shares * self._params.motion_blur / FRAME_RATE_HZ
-        return np.array([self._path.world_from_camera(one) for one in times_s])
+        return np.array([self._path.world_from_camera(time_s) for time_s in times_s])
 
 
 def room_camera(width: int, height: int) -> Camera:

@@ -83,27 +83,49 @@ def _cosine_directions(rng: np.random.Generator) -> Floats:
 @compiled
 def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: Any) -> Any:
     """The light (N,) on points of one surface; `nearby` are the edges that its sky rays can reach."""
-    helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
-    first = np.cross(normal, helper)
-    first /= np.sqrt((first * first).sum())
-    second = np.cross(normal, first)
-    normals, nearby_normals = np.cross(edges[:, 2], edges[:, 1]), np.cross(nearby[:, 2], nearby[:, 1])
+    helper, first, second, towards = np.zeros(3), np.empty(3), np.empty(3), np.empty(3)
+    helper[0 if abs(normal[0]) < 0.7 else 1] = 1.0
+    _cross(normal, helper, first)
+    length = np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
+    for k in range(3):
+        first[k] /= length
+    _cross(normal, first, second)
+    normals, nearby_normals = _normals(edges), _normals(nearby)
     light = np.empty(len(points))
     for i in range(len(points)):
         point = points[i]
         free = 0.0
         for ray in range(len(sky)):
-            towards = _SKY_REACH_M * (sky[ray, 0] * first + sky[ray, 1] * second + sky[ray, 2] * normal)
+            for k in range(3):
+                towards[k] = _SKY_REACH_M * (sky[ray, 0] * first[k] + sky[ray, 1] * second[k] + sky[ray, 2] * normal[k])
             free += 1.0 - _kept_off(point, towards, nearby, nearby_normals)
         direct = 0.0
         for lamp in range(len(lamps)):
-            towards = lamps[lamp] - point
-            square = (towards * towards).sum()
-            incidence = (towards * normal).sum()
+            square, incidence = 0.0, 0.0
+            for k in range(3):
+                towards[k] = lamps[lamp, k] - point[k]
+                square += towards[k] * towards[k]
+                incidence += towards[k] * normal[k]
             if incidence > 0.0 and towards[2] > 0.0 and _kept_off(point, towards, edges, normals) == 0.0:
                 direct += incidence * towards[2] / (square * square + 0.5 * square)
         light[i] = _SKY * free / len(sky) + _LAMP * direct / len(lamps)
     return light
+
+
+@compiled
+def _normals(edges: Any) -> Any:
+    """(K, 3) cross products of the second and the first side of each panel."""
+    normals = np.empty((len(edges), 3))
+    for k in range(len(edges)):
+        _cross(edges[k, 2], edges[k, 1], normals[k])
+    return normals
+
+
+@compiled
+def _cross(a: Any, b: Any, out: Any) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @compiled

@@ -79,8 +79,8 @@ _LAMPS: tuple[Point, ...] = ((-1.1, 0.3, HEIGHT - 0.05), (1.2, -0.3, HEIGHT - 0.
 
 def _lamps() -> list[Panel]:
     glass = np.full((8, 8, 3), 252, np.uint8)
-    panels = [one for lamp in _LAMPS for one in box(lamp, (0.7, 0.7, 0.05), lambda *_: glass, 0, ("top",))]
-    return [Panel(one.corner, one.right, one.down, one.texture, glows=True) for one in panels]
+    panels = [panel for lamp in _LAMPS for panel in box(lamp, (0.7, 0.7, 0.05), lambda *_: glass, 0, ("top",))]
+    return [Panel(panel.corner, panel.right, panel.down, panel.texture, glows=True) for panel in panels]
 
 
 def _lamp_points(rng: np.random.Generator) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -81,6 +81,6 @@ def placed(panels: list[Panel], foot: Point, turn_deg: float = 0.0) -> list[Pane
     c, s = cos(radians(turn_deg)), sin(radians(turn_deg))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return [
-        Panel(turn @ one.corner + np.array(foot), turn @ one.right, turn @ one.down, one.texture, one.glows)
-        for one in panels
+        Panel(turn @ panel.corner + np.array(foot), turn @ panel.right, turn @ panel.down, panel.texture, panel.glows)
+        for panel in panels
     ]

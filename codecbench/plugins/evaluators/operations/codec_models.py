@@ -44,7 +44,7 @@ def modelled(codec: str, params: dict[str, Any], planes: list[Plane], nonzero_sh
 
 
 def _summed(stages: tuple[Stages, ...]) -> Stages:
-    return {name: OperationCounts.sum(one[name] for one in stages) for name in stages[0]}
+    return {name: OperationCounts.sum(plane[name] for plane in stages) for name in stages[0]}
 
 
 def _plane_model(codec: str, params: dict[str, Any], plane: Plane, nonzero_share: float) -> tuple[Stages, Stages]:

@@ -71,7 +71,7 @@ class Operations(CodecEvaluator[OperationsParams]):
     """Operations per frame, by stage (`encode/dct`), with the totals of `encode` and `decode`."""
 
     name = "operations"
-    version = "1"
+    version = "2"
     params_type = OperationsParams
     metrics: ClassVar[tuple[Metric, ...]] = tuple(
         Metric(
@@ -84,6 +84,10 @@ class Operations(CodecEvaluator[OperationsParams]):
         for family in _FAMILIES
         for name in _names(family)
     )
+
+    @property
+    def counts_operations(self) -> bool:
+        return "source" in self.params.families
 
     def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
         families = self._available(codec)
@@ -116,7 +120,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     def _count(self, family: Family, codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
-            return _with_totals(*source_counts(codec, image))
+            return _with_totals(*source_counts(codec.prepared(image), image))
         if family == "model":
             return _with_totals(*self._modelled(codec, image))
         return machine.executed(codec, image)

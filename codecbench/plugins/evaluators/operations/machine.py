@@ -43,8 +43,9 @@ def missing() -> str | None:
 def executed(codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
     """Operations of one encoding and one decoding, under `encode` and `decode`.
 
-    Both have run once before, so that no compilation and no loading is counted. The instructions of the Python
-    interpreter itself are left out; those of every library and of compiled kernels are in.
+    The codec is prepared for the image, so no search for a rate is counted. Both have run once before, so no
+    compilation and no loading is. The instructions of the Python interpreter itself are left out; those of every
+    library and of compiled kernels are in.
     """
     with tempfile.TemporaryDirectory(prefix="codecbench-machine-") as name:
         folder = Path(name)

@@ -33,6 +33,7 @@ class Quality(SequenceEvaluator[NoParams]):
 
     name = "quality"
     version = "1"
+    kernels = ("codecbench.plugins.evaluators.quality",)
     params_type = NoParams
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric("size_bytes", "bytes", "lower", "size of the frame's bitstream, headers and tables included"),

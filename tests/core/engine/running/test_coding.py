@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from io import BytesIO
 from pathlib import Path
 
@@ -12,7 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.engine.running.coding import CodedFrames, CodingError, Place, checked_decoding, encode_sequence
+from codecbench.core.engine.running.coding import (
+    CodedFrames,
+    CodingError,
+    WorkPosition,
+    checked_decoding,
+    encode_sequence,
+)
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 
@@ -23,12 +30,19 @@ def filed(*bitstreams: bytes) -> bytes:
     return stream.getvalue()
 
 
+def read_all(content: bytes) -> list[bytes]:
+    file = BitstreamFile(content)
+    return [file.read(index) for index in range(len(file))]
+
+
 @given(st.lists(st.binary(min_size=1, max_size=50), max_size=8))
 def test_bitstreams_come_back_as_they_were(bitstreams: list[bytes]) -> None:
-    file = BitstreamFile(filed(*bitstreams))
-    assert [file.read(index) for index in range(len(file))] == bitstreams
+    content = filed(*bitstreams)
+    file = BitstreamFile(content)
+    assert read_all(content) == bitstreams
+    body, footer = content[:-40], content[-40:]
+    assert hashlib.blake2b(body, digest_size=16).digest() == footer[20:36]
     assert [file.size_bytes(index) for index in range(len(file))] == list(map(len, bitstreams))
-    file.verify()
 
 
 def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
@@ -37,7 +51,7 @@ def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
         broken = bytearray(whole)
         broken[position // 8] ^= 1 << position % 8
         with pytest.raises(BitstreamDamage):
-            BitstreamFile(bytes(broken)).verify()
+            read_all(bytes(broken))
     for length in range(len(whole)):
         with pytest.raises(BitstreamDamage):
             BitstreamFile(whole[:length])
@@ -60,21 +74,21 @@ def test_frames_are_decoded_by_an_instance_that_encoded_nothing(tmp_path: Path) 
     sequence = plain_plugins.RampSequence(plain_plugins.RampParams(frames=3))
     path = tmp_path / "job.bits"
     with open(path, "wb") as stream:
-        write_bitstreams(stream, encode_sequence(plain_plugins.Shift.create(bits=3), sequence, Place()))
-    place = Place("evaluate")
-    coded = CodedFrames(sequence, plain_plugins.Shift.create(bits=0), BitstreamFile(path), place)
+        write_bitstreams(stream, encode_sequence(plain_plugins.Shift.create(bits=3), sequence, WorkPosition()))
+    position = WorkPosition("evaluate")
+    coded = CodedFrames(sequence, plain_plugins.Shift.create(bits=0), BitstreamFile(path), position)
     assert len(coded) == 3
     for index, one in enumerate(coded):
         assert one.original.index == index
         assert np.array_equal(one.decoded, one.original.image >> 3 << 3)
         assert coded.size_bytes(index) == one.size_bytes == 3 + 8 * 16
-        assert str(place) == f"evaluate, frame {index}"
+        assert str(position) == f"evaluate, frame {index}"
 
 
 def test_a_file_of_another_length_is_refused() -> None:
     sequence = plain_plugins.RampSequence(plain_plugins.RampParams(frames=3))
     with pytest.raises(CodingError, match="1 bitstreams for 3 frames of ramp"):
-        CodedFrames(sequence, plain_plugins.Shift.create(), BitstreamFile(filed(b"x")), Place())
+        CodedFrames(sequence, plain_plugins.Shift.create(), BitstreamFile(filed(b"x")), WorkPosition())
 
 
 @pytest.mark.parametrize(

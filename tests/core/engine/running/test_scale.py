@@ -184,8 +184,9 @@ def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int
         store.write_plan(plan)
         for number, cell in enumerate(plan.cells):
             content, summaries = stock[number % len(stock)]
-            record = Record(cell.id, "ok", summaries=summaries, cell=cell_description(cell), duration_s=0.1)
-            store.write_record(record, {"frames.parquet": content})
+            described, contents = cell_description(cell), {"frames.parquet": content}
+            record = Record(cell.id, "ok", summaries=summaries, cell=described, duration_s=0.1, contents=contents)
+            store.write_record(record)
     return len(plan.cells) * frames * 5
 
 

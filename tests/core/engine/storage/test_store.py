@@ -78,8 +78,8 @@ def test_samples_come_back_in_order() -> None:
 def test_a_record_is_replaced_whole(tmp_path: Path) -> None:
     store = Store(tmp_path / "run")
     with store.locked():
-        store.write_record(replace(RECORD, status="failed", reason="first"), {"old.txt": b"old"})
-        store.write_record(RECORD, {"new.txt": b"new"})
+        store.write_record(replace(RECORD, status="failed", reason="first", contents={"old.txt": b"old"}))
+        store.write_record(replace(RECORD, contents={"new.txt": b"new"}))
     record = store.read_record(RECORD.cell_id)
     assert record.artifacts == ["new.txt"]
     assert store.read_file(record, "new.txt") == b"new"
@@ -92,7 +92,7 @@ def test_a_record_is_replaced_whole(tmp_path: Path) -> None:
 def test_what_an_interrupted_writer_left_is_swept(tmp_path: Path) -> None:
     store = Store(tmp_path / "run")
     with store.locked():
-        store.write_record(RECORD, {})
+        store.write_record(RECORD)
     rests = [store.coded_folder / ".new-x", store.records_folder / "ab" / ".new-y"]
     rests[0].write_bytes(b"half")
     rests[1].mkdir()
@@ -118,7 +118,7 @@ def test_a_torn_line_of_the_index_costs_nothing(tmp_path: Path) -> None:
 def test_a_record_in_the_wrong_place_is_damage(tmp_path: Path) -> None:
     store = Store(tmp_path / "run")
     with store.locked():
-        store.write_record(RECORD, {})
+        store.write_record(RECORD)
     store.record_folder(RECORD.cell_id).rename(store.record_folder("abc" + RECORD.cell_id[3:]))
     sound, damaged = store.sound_entries(["abc" + RECORD.cell_id[3:], RECORD.cell_id])
     assert not sound
@@ -133,7 +133,7 @@ def test_a_hundred_thousand_records_are_listed_and_checked_in_seconds(tmp_path: 
     ids = [digest(n) for n in range(100_000)]
     with store.locked():
         for cell_id in ids:
-            store.write_record(replace(RECORD, cell_id=cell_id), {"frames.parquet": samples})
+            store.write_record(replace(RECORD, cell_id=cell_id, contents={"frames.parquet": samples}))
     begun = time.process_time()
     assert len(store.entries()) == 100_000
     listed = time.process_time()

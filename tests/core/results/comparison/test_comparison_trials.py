@@ -21,7 +21,7 @@ import zlib
 
 import numpy as np
 
-from codecbench import Capabilities, Codec, NoParams, Offer, hookimpl
+from codecbench import Capabilities, Codec, NoParams, PluginSpec, hookimpl
 
 
 class Trial(Codec):
@@ -48,7 +48,7 @@ class Trial(Codec):
 
 @hookimpl
 def codecbench_codecs():
-    return [Offer("trial", "trial_plugin:Trial", "work and loss on demand")]
+    return [PluginSpec("trial", "trial_plugin:Trial", "work and loss on demand")]
 '''
 
 MATRIX = """

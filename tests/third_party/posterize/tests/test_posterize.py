@@ -1,6 +1,6 @@
 from codecbench_posterize.codec import Posterize
 
-from codecbench.pytesting.suite import CodecSuite
+from codecbench.pytesting import CodecSuite
 
 
 class TestPosterize(CodecSuite):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import match_in_windows
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE
 
 
@@ -24,7 +24,7 @@ def match_decoded(
     )  # fmt: skip
 
 
-def use_decoded(frame: Frame, scale_factors: NDArray[np.float64]) -> None:
+def use_decoded(frame: TrackingFrame, scale_factors: NDArray[np.float64]) -> None:
     """Replace the features of `frame` by those of its decoded image, if it has one, and carry its points over."""
     if frame.decode is None:
         return

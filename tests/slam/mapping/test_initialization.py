@@ -5,8 +5,8 @@ import pytest
 from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
 
 from codecbench.slam.geometry.transforms import se3_exp
-from codecbench.slam.map.frame import Frame
-from codecbench.slam.tracking.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
+from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.mapping.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
 
 pytestmark = pytest.mark.thorough
 
@@ -68,17 +68,19 @@ def test_the_first_map_is_exact_and_of_unit_depth(rng: np.random.Generator) -> N
     views = two_views(rng)
     descriptors = random_descriptors(rng, 300)
     initializer = Initializer(CAMERA, FACTORS, 300, np.random.default_rng(0))
-    first = Frame.of(0, 0.0, features_at(views.pixels_a, descriptors))
-    second = Frame.of(1, 0.1, features_at(views.pixels_b, descriptors))
+    first = TrackingFrame.of(0, 0.0, features_at(views.pixels_a, descriptors))
+    second = TrackingFrame.of(1, 0.1, features_at(views.pixels_b, descriptors))
     assert initializer.add(first, 0) == "waiting for a second view"
     started = initializer.add(second, 0)
     assert not isinstance(started, str)
     slam_map, mapper = started
     assert slam_map.keyframes.count == 2
     assert mapper.median_depth(0) == pytest.approx(1.0)
-    scale = np.linalg.norm(views.b_from_a[:3, 3]) / np.linalg.norm(second.camera_from_world[:3, 3])
-    shown = first.matched
-    points = slam_map.points.positions[first.points[shown]] * scale
+    assert second.reference == 1
+    scale = np.linalg.norm(views.b_from_a[:3, 3]) / np.linalg.norm(slam_map.pose(1)[:3, 3])
+    seen = slam_map.keyframes.points[0]
+    shown = np.nonzero(seen >= 0)[0]
+    points = slam_map.points.positions[seen[shown]] * scale
     assert len(shown) > 250
     assert np.abs(points - views.points[shown]).max() < 1e-3
 
@@ -87,7 +89,7 @@ def test_a_poor_frame_forgets_the_reference(rng: np.random.Generator) -> None:
     descriptors = random_descriptors(rng, 300)
     initializer = Initializer(CAMERA, FACTORS, 300, np.random.default_rng(0))
     pixels = rng.uniform(10.0, 230.0, (300, 2))
-    initializer.add(Frame.of(0, 0.0, features_at(pixels, descriptors)), 0)
-    initializer.add(Frame.of(1, 0.1, features_at(pixels[:20], descriptors[:20])), 0)
-    answer = initializer.add(Frame.of(2, 0.2, features_at(pixels, descriptors)), 0)
+    initializer.add(TrackingFrame.of(0, 0.0, features_at(pixels, descriptors)), 0)
+    initializer.add(TrackingFrame.of(1, 0.1, features_at(pixels[:20], descriptors[:20])), 0)
+    answer = initializer.add(TrackingFrame.of(2, 0.2, features_at(pixels, descriptors)), 0)
     assert answer == "waiting for a second view"

@@ -6,7 +6,7 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.tracking.tracker import Tracker
 
@@ -26,11 +26,11 @@ class Scene:
         self.map: Map = build_map(KEYFRAMES, self.points, self.descriptors)[0]
         self.map.remove_points(np.nonzero(self.map.points.observation_counts[:POINTS] < 2)[0])
 
-    def frame(self, pose: Floats, time_s: float, noise_px: float = 0.0) -> tuple[Frame, NDArray[np.int64]]:
+    def frame(self, pose: Floats, time_s: float, noise_px: float = 0.0) -> tuple[TrackingFrame, NDArray[np.int64]]:
         """A frame that knows neither pose nor points, and what its features show."""
         seen, shown = observe_scene(pose, self.points, self.descriptors)
         pixels = seen.features.pixels + self.rng.normal(0.0, noise_px, (len(shown), 2)) * (noise_px > 0.0)
-        return Frame.of(int(100 * time_s), time_s, features_at(pixels, self.descriptors[shown])), shown
+        return TrackingFrame.of(int(100 * time_s), time_s, features_at(pixels, self.descriptors[shown])), shown
 
     def tracker(self) -> Tracker:
         """A tracker that stands at the last keyframe."""
@@ -97,7 +97,7 @@ def test_features_that_lie_do_no_harm(scene: Scene) -> None:
     liars = scene.rng.choice(len(shown), len(shown) // 5, replace=False)
     pixels = frame.features.pixels.copy()
     pixels[liars] += scene.rng.choice([-1.0, 1.0], (len(liars), 2)) * scene.rng.uniform(5.0, 9.0, (len(liars), 2))
-    wrong = Frame.of(1, 0.1, features_at(pixels, frame.features.descriptors))
+    wrong = TrackingFrame.of(1, 0.1, features_at(pixels, frame.features.descriptors))
     assert scene.tracker().track(wrong) >= 30
     assert np.abs(wrong.camera_from_world - next_pose(0.3)).max() < 1e-7
     assert (wrong.points[liars] == NONE).all()
@@ -107,10 +107,10 @@ def test_an_unknown_view_is_lost_and_changes_nothing(scene: Scene) -> None:
     tracker = scene.tracker()
     last = tracker.last
     frame, shown = scene.frame(next_pose(0.3), 0.1)
-    strange = Frame.of(1, 0.1, features_at(frame.features.pixels, random_descriptors(scene.rng, len(shown))))
+    strange = TrackingFrame.of(1, 0.1, features_at(frame.features.pixels, random_descriptors(scene.rng, len(shown))))
     assert tracker.track(strange) == 0
     assert tracker.last is last
-    assert tracker.track(Frame.of(2, 0.2, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64)))) == 0
+    assert tracker.track(TrackingFrame.of(2, 0.2, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64)))) == 0
 
 
 def test_points_count_the_frames_that_should_and_do_show_them(scene: Scene) -> None:
@@ -121,7 +121,7 @@ def test_points_count_the_frames_that_should_and_do_show_them(scene: Scene) -> N
     descriptors = frame.features.descriptors.copy()
     descriptors[hidden] = random_descriptors(scene.rng, len(hidden))
     tracker = scene.tracker()
-    tracker.track(Frame.of(1, 0.1, features_at(frame.features.pixels, descriptors)))
+    tracker.track(TrackingFrame.of(1, 0.1, features_at(frame.features.pixels, descriptors)))
     assert tracker.last is not None
     shown = tracker.last.points[tracker.last.matched]
     assert (table.found - found)[shown].tolist() == [1] * len(shown)

@@ -14,11 +14,12 @@ from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.linear_systems import copy_numbers
 from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
+from codecbench.slam.mapping.decoded_keyframes import match_decoded, use_decoded
 from codecbench.slam.mapping.mapper import Mapper, adjust_keyframes
-from codecbench.slam.tracking.decoded_keyframes import match_decoded, use_decoded
 
 Floats = NDArray[np.float64]
 
@@ -110,14 +111,14 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
             score = geometry.score_homography(fitted, pixels_a, pixels_b, 1.0, trial)
             if score > score_h:
                 homography, score_h = fitted, score
-                inliers_h[:] = trial
+                copy_numbers(trial, inliers_h)
         if len(chosen_f) >= 8:
             fitted = geometry.fit_fundamental(normalized_a[chosen_f], normalized_b[chosen_f])
             fitted = normalizer_b.T @ fitted @ normalizer_a
             score = geometry.score_fundamental(fitted, pixels_a, pixels_b, 1.0, trial)
             if score > score_f:
                 fundamental, score_f = fitted, score
-                inliers_f[:] = trial
+                copy_numbers(trial, inliers_f)
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 
@@ -184,17 +185,17 @@ class Initializer:
         self._scale_factors = scale_factors
         self._features_limit = features_limit
         self._rng = rng
-        self._first: Frame | None = None
+        self._first: TrackingFrame | None = None
 
     def restart(self) -> None:
         """Forget the reference frame."""
         self._first = None
 
-    def add(self, frame: Frame, map_index: int) -> tuple[Map, Mapper] | str:
+    def add(self, frame: TrackingFrame, map_index: int) -> tuple[Map, Mapper] | str:
         """Try to start map number `map_index` from the reference frame and `frame`.
 
-        Returns the map and its mapper, or the reason why there is none yet. On success both
-        frames hold their poses and points and are keyframes 0 and 1, and the median depth in the first is 1.
+        Returns the map and its mapper, or the reason why there is none yet. On success both frames are in the map, as
+        keyframes 0 and 1, and the median depth in the first is 1.
         """
         enough = len(frame.features) >= thresholds.INIT_MIN_FEATURES
         first = self._first
@@ -217,7 +218,7 @@ class Initializer:
             self._first = None
         return started
 
-    def _carry_over(self, first: Frame, second: Frame, start: TwoViewStart) -> TwoViewStart:
+    def _carry_over(self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart) -> TwoViewStart:
         """The same start on the features of the two decoded images."""
         found = []
         for frame, features in ((first, start.features_first), (second, start.features_second)):
@@ -232,7 +233,9 @@ class Initializer:
             start, points_first=start.points_first[kept], features_first=found[0][kept], features_second=found[1][kept]
         )
 
-    def _build(self, first: Frame, second: Frame, start: TwoViewStart, index: int) -> tuple[Map, Mapper] | str:
+    def _build(
+        self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart, index: int
+    ) -> tuple[Map, Mapper] | str:
         """Map from two views: bundle adjustment over both, then the scale."""
         slam_map = Map(index, self._scale_factors, self._features_limit)
         mapper = Mapper(slam_map, self._camera)
@@ -248,8 +251,4 @@ class Initializer:
         if depth <= 0.0 or len(points) < thresholds.INIT_MIN_POINTS:
             return f"{len(points)} points left after bundle adjustment"
         slam_map.rescale(1.0 / depth)
-        for keyframe, frame in enumerate((first, second)):
-            frame.camera_from_world = slam_map.keyframes.camera_from_world[keyframe].copy()
-            frame.points = slam_map.keyframes.points[keyframe, : len(frame.features)].copy()
-            frame.reference = 1
         return slam_map, mapper

@@ -1,7 +1,10 @@
 """The innermost product of the Schur complement, on vector registers.
 
 The compiler leaves a 6 x 6 update in scalars, because it cannot know that the arrays do not overlap. This states it in
-vectors of four and two doubles; on any processor the sums are formed in the same order.
+vectors of four and two doubles; on any processor the sums are formed in the same order and rounded alike.
+
+What it buys, by tests/benchmarks/test_slam_vector_kernels.py on one x86-64 core: with the same update in plain
+numba a local adjustment takes 1.5 times as long, and the adjustment of a map of 150 keyframes 2.1 times.
 """
 
 from __future__ import annotations

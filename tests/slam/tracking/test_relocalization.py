@@ -5,7 +5,7 @@ import pytest
 from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE
 from codecbench.slam.thresholds import RELOCALIZED_MIN_INLIERS
 from codecbench.slam.tracking.relocalization import relocalize
@@ -31,10 +31,10 @@ class Surroundings:
         self.map.remove_points(np.nonzero(self.map.points.observation_counts[:POINTS] < 2)[0])
         self.tracker = Tracker(self.map, CAMERA)
 
-    def frame(self, pose: Floats, noise_px: float = 0.0) -> Frame:
+    def frame(self, pose: Floats, noise_px: float = 0.0) -> TrackingFrame:
         seen, shown = observe_scene(pose, self.points, self.descriptors)
         pixels = seen.features.pixels + self.rng.normal(0.0, 1.0, (len(shown), 2)) * noise_px
-        return Frame.of(50, 5.0, features_at(pixels, self.descriptors[shown]))
+        return TrackingFrame.of(50, 5.0, features_at(pixels, self.descriptors[shown]))
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_noise_bounds_the_error(surroundings: Surroundings) -> None:
 def test_a_place_never_seen_stays_unknown(surroundings: Surroundings) -> None:
     for frame in (
         surroundings.frame(looking((0.0, 0.0, 0.0), -0.8)),
-        Frame.of(1, 0.1, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64))),
+        TrackingFrame.of(1, 0.1, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64))),
     ):
         assert relocalize(frame, surroundings.tracker, surroundings.mapper.places) == 0
         assert surroundings.tracker.last is None
@@ -78,7 +78,7 @@ def test_a_few_points_do_not_suffice(surroundings: Surroundings) -> None:
     pose = looking((0.12, 0.05, 0.1), 0.03, 0.05)
     seen = surroundings.frame(pose).features
     kept = surroundings.rng.choice(len(seen), RELOCALIZED_MIN_INLIERS // 2, replace=False)
-    frame = Frame.of(1, 0.1, features_at(seen.pixels[kept], seen.descriptors[kept]))
+    frame = TrackingFrame.of(1, 0.1, features_at(seen.pixels[kept], seen.descriptors[kept]))
     assert relocalize(frame, surroundings.tracker, surroundings.mapper.places) == 0
 
 
@@ -86,7 +86,7 @@ def test_what_looks_alike_but_lies_elsewhere_is_refused(surroundings: Surroundin
     """The right descriptors at the wrong pixels: no pose explains them."""
     seen = surroundings.frame(looking((0.12, 0.05, 0.1), 0.03, 0.05)).features
     mixed = features_at(surroundings.rng.permutation(seen.pixels), seen.descriptors)
-    frame = Frame.of(1, 0.1, mixed)
+    frame = TrackingFrame.of(1, 0.1, mixed)
     assert relocalize(frame, surroundings.tracker, surroundings.mapper.places) == 0
     assert surroundings.tracker.last is None
 

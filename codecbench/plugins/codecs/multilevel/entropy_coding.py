@@ -1,4 +1,4 @@
-"""The sections of a bitstream: tables and payload, coded and decoded."""
+"""Entropy coding: the tables and the payload of a bitstream, coded and decoded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from codecbench.core.counting.trace import Trace
 from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN, decode_symbols, encode_symbols
 from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Header, Level, filled_up, least_size
 from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
-from codecbench.plugins.codecs.multilevel.levels import KeyMaker, LevelTable, Minimised
+from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
 from codecbench.plugins.codecs.multilevel.search import (
     FREE_PRUNED_TESTS,
     MAX_SEQUENTIAL_TESTS,
@@ -33,8 +33,6 @@ from codecbench.plugins.codecs.multilevel.tables import (
     encode_codes,
     encode_tuples,
 )
-
-__all__ = ["KeyMaker", "decoded", "encoded"]
 
 _REASONS = {
     OVERRUN: "truncated",

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from solver_scenes import INTRINSICS, moved, project
 
 from codecbench.slam.geometry.transforms import se3_exp, se3_log
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
+from codecbench.slam.optimisation.pose_optimization import _linearize, optimize_pose
 
 pytestmark = pytest.mark.thorough
 
@@ -100,3 +100,40 @@ def test_arrays_that_do_not_fit_are_refused(rng: np.random.Generator) -> None:
         optimize_pose(START, points, pixels[:9], weights, INTRINSICS)
     with pytest.raises(ValueError, match=r"pose \(3, 4\)"):
         optimize_pose(START[:3], points, pixels, weights, INTRINSICS)
+
+
+def huber(squares: np.ndarray) -> np.ndarray:
+    """Huber's cost of squared errors: quadratic up to the 95 % bound of two degrees of freedom, linear beyond."""
+    return np.where(squares <= 5.991, squares, 2.0 * np.sqrt(5.991 * squares) - 5.991)
+
+
+def test_the_normal_equations_are_those_of_the_cost(rng: np.random.Generator) -> None:
+    """Against differences of Huber's cost; a point behind the camera and an inactive one lie between the others."""
+    points, pixels, weights = view(rng, 30, noise_px=1.5)
+    near = se3_exp(np.array([0.004, -0.003, 0.005, 0.001, 0.002, -0.001])) @ TRUTH
+    points[5] = moved(np.linalg.inv(near), np.array([[0.2, 0.1, -3.0]]))
+    active = np.arange(30) != 11
+    seen = active & (np.arange(30) != 5)
+    hessian, gradient = np.empty((6, 6)), np.empty(6)
+    cost, depth = _linearize(near, points, pixels, weights, INTRINSICS, active, True, hessian, gradient)
+    squares = chi2(near, points[seen], pixels[seen], weights[seen])
+    assert 5 < (squares > 5.991).sum() < 28, "both branches of the cost"
+    assert cost == pytest.approx(1e6 + huber(squares).sum())
+    assert depth == pytest.approx(moved(near, points[seen])[:, 2].mean())
+
+    def after(step: np.ndarray) -> np.ndarray:
+        return se3_exp(step) @ near
+
+    steps = 1e-6 * np.eye(6)
+    slopes = [
+        huber(chi2(after(step), points[seen], pixels[seen], weights[seen])).sum()
+        - huber(chi2(after(-step), points[seen], pixels[seen], weights[seen])).sum()
+        for step in steps
+    ]
+    np.testing.assert_allclose(gradient, -0.5 * np.array(slopes) / 2e-6, rtol=1e-5, atol=1e-3)
+    jacobian = np.stack(
+        [project(moved(after(step), points[seen])) - project(moved(after(-step), points[seen])) for step in steps]
+    )
+    robust = weights[seen] * np.minimum(1.0, np.sqrt(5.991 / squares))
+    expected = np.einsum("anc,n,bnc->ab", jacobian / 2e-6, robust, jacobian / 2e-6)
+    np.testing.assert_allclose(np.tril(hessian), np.tril(expected), rtol=1e-5, atol=1e-2)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from rendered_scenes import CAMERA, features_at
 
 from codecbench.slam.geometry.camera import Camera
-from codecbench.slam.map.frame import Frame
+from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.mapping.mapper import Mapper
 
@@ -16,14 +16,14 @@ FACTORS = 1.2 ** np.arange(8)
 
 def observe_scene(
     pose: NDArray[np.float64], points: NDArray[np.float64], descriptors: NDArray[np.uint64], camera: Camera = CAMERA
-) -> tuple[Frame, NDArray[np.int64]]:
+) -> tuple[TrackingFrame, NDArray[np.int64]]:
     """A frame that sees every point in front of it exactly, and which point each feature shows."""
     in_camera = points @ pose[:3, :3].T + pose[:3, 3]
     ahead = np.nonzero(in_camera[:, 2] > 0.2)[0]
     pixels = camera.project(in_camera[ahead])
     inside = (pixels > 5.0).all(axis=1) & (pixels < [camera.width - 6.0, camera.height - 6.0]).all(axis=1)
     shown, pixels = ahead[inside], pixels[inside]
-    frame = Frame.of(0, 0.0, features_at(pixels, descriptors[shown]))
+    frame = TrackingFrame.of(0, 0.0, features_at(pixels, descriptors[shown]))
     frame.camera_from_world = pose.copy()
     return frame, shown
 

@@ -6,7 +6,7 @@ from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, looking, random_descriptors
 
 from codecbench.slam.map.map import Map
-from codecbench.slam.trajectory import TrackedPose
+from codecbench.slam.tracking.tracked_pose import TrackedPose
 
 pytestmark = pytest.mark.thorough
 

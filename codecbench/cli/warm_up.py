@@ -1,0 +1,74 @@
+"""`codecbench warm-up`."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from codecbench.core.engine.running.warm_up import WarmUp
+
+
+@click.command("warm-up")
+@click.argument("matrices", nargs=-1, metavar="[MATRIX]...", type=click.Path(path_type=Path))
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one for each core.")
+@click.option(
+    "--record", "packages", multiple=True, metavar="PACKAGE", help="Write the kernels.json of PACKAGE; repeatable."
+)
+def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str, ...]) -> None:
+    """Compile ahead the kernels that runs of each MATRIX will call, or all that installed plugins list.
+
+    For images of containers and continuous integration; a run does the same at its beginning. With --record,
+    do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
+    """
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.running.warm_up import all_kernels, kernels_to_compile
+
+    if packages:
+        _record(matrices, packages)
+    elif not matrices:
+        _compile(all_kernels(installed()), workers)
+    else:
+        from codecbench.core.engine.planning.matrix import read_matrix
+        from codecbench.core.engine.planning.plan import make_plan
+
+        plans = [make_plan(read_matrix(matrix)) for matrix in matrices]
+        cells = [cell for plan in plans for cell in plan.cells if cell.unsupported is None]
+        _compile(kernels_to_compile(cells, installed()), workers)
+
+
+def _compile(wanted: WarmUp, workers: int | None) -> None:
+    from rich.console import Console
+
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.running.work import prepare_worker
+
+    started = time.monotonic()
+    executor = installed().create("executor", "local", {})
+    console = Console(stderr=True)
+    try:
+        executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), prepare_worker)
+        wanted.begin(executor)
+        with console.status("") as status:
+            while wanted.done < wanted.total:
+                status.update(wanted.progress)
+                finished = executor.next_finished(0.2)
+                if finished is not None and wanted.took(finished):
+                    outcome = "compiled" if finished.status == "ok" else f"not compiled ({finished.reason})"
+                    click.echo(f"{outcome}: {finished.task_id}")
+    finally:
+        executor.stop()
+    click.echo(f"{wanted.total} kernels to compile, {wanted.failed} failed, {time.monotonic() - started:.1f} s")
+
+
+def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:
+    from codecbench.core.engine.running.record_kernels import record_kernels
+
+    if not matrices:
+        raise click.UsageError("--record needs a MATRIX whose work calls the kernels")
+    for path in record_kernels(matrices, packages):
+        click.echo(path)

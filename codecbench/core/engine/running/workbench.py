@@ -1,0 +1,81 @@
+"""What a worker has at hand: plugins of the right version, opened sequences, frames, its own description."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import replace
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import DatasetError, PluginError
+from codecbench.core.contracts.evaluator import PluginUse
+from codecbench.core.contracts.executor import PATHS_VARIABLE
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.engine.environment import describe_environment, environment_id
+from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
+from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
+
+_OPEN_SEQUENCES: Final = 4
+
+
+class Workbench:
+    """What a worker keeps between tasks."""
+
+    def __init__(self) -> None:
+        self.registry = installed()
+        self.environment_description = describe_environment(self.registry)
+        self.environment = environment_id(self.environment_description)
+        self._cache = FrameCache()
+        self._sequences: dict[str, Sequence] = {}
+
+    def create(self, setting: PluginSetting) -> Any:
+        """The plugin of a setting. Raises PluginError where another version of it is installed here."""
+        instance = self.registry.create(setting.kind, setting.name, setting.params)
+        if instance.version != setting.version:
+            message = f"{setting.kind} {setting.name} is version {instance.version} on {platform.node()}"
+            raise PluginError(f"{message} and {setting.version} in the plan; install the same version everywhere")
+        return instance
+
+    def sequence(self, entry: SequenceEntry, cache_bytes: int) -> Sequence:
+        """The sequence, opened once, with frames kept up to `cache_bytes`.
+
+        Raises DatasetError where it is no longer the one that was planned.
+        """
+        source = self._sequences.pop(entry.fingerprint, None)
+        if source is None:
+            source = self.create(replace(entry.dataset, params=_located(entry.dataset.params))).open()
+            if source.fingerprint != entry.fingerprint or len(source) != entry.frames:
+                raise DatasetError(f"{entry.name} has changed since the plan was made; run the matrix again")
+        self._sequences[entry.fingerprint] = source
+        while len(self._sequences) > _OPEN_SEQUENCES:
+            del self._sequences[next(iter(self._sequences))]
+        self._cache.limit_bytes = cache_bytes
+        return CachedSequence(source, entry.name, self._cache)
+
+
+class DeclaredPlugins:
+    """Creates the plugins that an evaluator declared in `uses`, and no others: they are in the cell's identity."""
+
+    def __init__(self, registry: Registry, uses: tuple[PluginUse, ...]) -> None:
+        self._registry = registry
+        self._declared = {(use.kind, use.name) for use in uses}
+
+    def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
+        if (kind, name) not in self._declared:
+            raise PluginError(f"{kind} {name!r} is used but not declared; list it in the evaluator's `uses`")
+        return self._registry.create(kind, name, params)
+
+
+def _located(params: dict[str, Any]) -> dict[str, Any]:
+    """Parameters with paths as this machine knows them."""
+    pairs = [pair.split("=", 1) for pair in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if "=" in pair]
+
+    def located(value: Any) -> Any:
+        for there, here in pairs:
+            if isinstance(value, str) and (value == there or value.startswith(there.rstrip("/") + "/")):
+                return here.rstrip("/") + value[len(there.rstrip("/")) :]
+        return value
+
+    return {name: located(value) for name, value in params.items()}

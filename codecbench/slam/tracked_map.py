@@ -1,0 +1,112 @@
+"""One map with what works on it: tracker, mapper, loop detector, and the frames tracked in it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from codecbench.slam import thresholds
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_scale
+from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.map.map import Map
+from codecbench.slam.mapping.loop_closing import adjust_map, close_loop
+from codecbench.slam.mapping.loop_detection import LoopDetector
+from codecbench.slam.mapping.mapper import Mapper
+from codecbench.slam.result import ClosedLoop, FrameTrajectory, MapResult
+from codecbench.slam.tracking import keyframe_policy
+from codecbench.slam.tracking.relocalization import relocalize
+from codecbench.slam.tracking.tracked_pose import TrackedPose
+from codecbench.slam.tracking.tracker import Tracker
+
+
+class TrackedMap:
+    """A map that is being tracked in, or was."""
+
+    def __init__(self, slam_map: Map, mapper: Mapper, camera: Camera, rng: np.random.Generator) -> None:
+        self.map = slam_map
+        self._poses: list[TrackedPose] = []
+        self._camera = camera
+        self._mapper = mapper
+        self._tracker = Tracker(slam_map, camera)
+        self._detector = LoopDetector(slam_map, camera, mapper.places, rng)
+        self._last_keyframe_s = -math.inf
+        self._last_loop_keyframe = -thresholds.LOOP_MIN_GAP_KEYFRAMES
+        self._uncorrected_from_map = np.eye(4)  # similarity: to the coordinates that no loop closing has moved
+
+    def start(self, frame: TrackingFrame) -> None:
+        """Go on from `frame`, the map's newest keyframe."""
+        frame.synchronise(self.map)
+        self._tracker.start(frame)
+        self._last_keyframe_s = frame.timestamp_s
+        self.record(frame)
+
+    def track(self, frame: TrackingFrame) -> int:
+        """Pose of `frame` from the one before; returns the inliers, 0 when it is lost."""
+        return self._tracker.track(frame)
+
+    def relocalize(self, frame: TrackingFrame) -> int:
+        """Pose of `frame` from keyframes that look like it; returns the inliers, 0 when it stays lost."""
+        return relocalize(frame, self._tracker, self._mapper.places)
+
+    def wants_keyframe(self, frame: TrackingFrame, inliers: int) -> bool:
+        """Whether `frame`, tracked on `inliers` points, should become a keyframe: the keyframe policy says."""
+        points = self.map.keyframes.points[frame.reference]
+        return keyframe_policy.wants_keyframe(
+            keyframe_policy.KeyframeEvidence(
+                inliers=inliers,
+                reference_observations=self.map.points.observation_counts[points[points >= 0]],
+                map_keyframes=len(self.map.alive_keyframes),
+                since_keyframe_s=frame.timestamp_s - self._last_keyframe_s,
+            )
+        )
+
+    def add_keyframe(self, frame: TrackingFrame, loop_closing: bool) -> ClosedLoop | None:
+        """Make `frame` a keyframe, which gives it the pose and points that it has there; returns the loop that it
+        closes, if it does."""
+        keyframe = self._mapper.insert(frame)
+        self._last_keyframe_s = frame.timestamp_s
+        loop = self._close_loop(keyframe) if loop_closing else None
+        frame.synchronise(self.map)
+        return loop
+
+    def _close_loop(self, keyframe: int) -> ClosedLoop | None:
+        if keyframe - self._last_loop_keyframe < thresholds.LOOP_MIN_GAP_KEYFRAMES:
+            return None
+        loop = self._detector.detect(keyframe)
+        if loop is None:
+            return None
+        self._last_loop_keyframe = keyframe
+        before_from_after = close_loop(self.map, self._camera, loop)
+        self._uncorrected_from_map = np.asarray(sim3_compose(self._uncorrected_from_map, before_from_after))
+        frame_indices = self.map.keyframes.frame_indices
+        return ClosedLoop(int(frame_indices[keyframe]), int(frame_indices[loop.matched]), loop.inliers)
+
+    def record(self, frame: TrackingFrame) -> None:
+        """Keep the pose of a tracked frame."""
+        world_from_camera = np.asarray(sim3_compose(self._uncorrected_from_map, se3_inverse(frame.camera_from_world)))
+        world_from_camera[:3, :3] /= sim3_scale(world_from_camera)
+        self._poses.append(TrackedPose.of(frame, self.map, world_from_camera))
+
+    def finish(self, adjust: bool) -> MapResult:
+        """The result of this map, after a last adjustment of the map, and then of the frames to it, if so wanted."""
+        if adjust:
+            adjust_map(self.map, self._camera)
+            self._poses = [pose.refined(self.map, self._camera) for pose in self._poses]
+        keyframes, points = self.map.keyframes, self.map.points
+        return MapResult(
+            self.map.index,
+            self._trajectory([pose.resolve(self.map) for pose in self._poses]),
+            self._trajectory([pose.world_from_camera for pose in self._poses]),
+            keyframes.frame_indices[self.map.alive_keyframes].copy(),
+            points.positions[self.map.alive_points].copy(),
+        )
+
+    def _trajectory(self, world_from_camera: list[Array]) -> FrameTrajectory:
+        return FrameTrajectory(
+            np.array([pose.index for pose in self._poses], dtype=np.int64),
+            np.array([pose.timestamp_s for pose in self._poses], dtype=np.float64),
+            np.array(world_from_camera).reshape(-1, 4, 4),
+        )

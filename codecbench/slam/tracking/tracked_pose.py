@@ -1,0 +1,74 @@
+"""The poses of tracked frames, which follow the map as it is corrected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.slam import thresholds
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.geometry.transforms import se3_inverse
+from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.map.map import Map
+from codecbench.slam.optimisation.pose_optimization import optimize_pose
+
+
+@dataclass(frozen=True)
+class TrackedPose:
+    """The pose of a tracked frame, held relative to its reference keyframe so that corrections of the map reach it.
+
+    `reference_scale` is the stretch of the reference at that time; `world_from_camera` the pose as tracked, in the
+    coordinates of a map without loop corrections; `points` (N,), `pixels` (N, 2), `octaves` (N,) what the frame saw.
+    """
+
+    index: int
+    timestamp_s: float
+    reference: int
+    camera_from_reference: Array
+    reference_scale: float
+    world_from_camera: Array
+    points: NDArray[np.int32]
+    pixels: NDArray[np.float32]
+    octaves: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, frame: TrackingFrame, slam_map: Map, world_from_camera: Array) -> TrackedPose:
+        """The pose of a tracked frame and what it saw."""
+        seen = frame.matched
+        return cls(
+            frame.index, frame.timestamp_s, frame.reference,
+            frame.camera_from_world @ se3_inverse(slam_map.pose(frame.reference)), slam_map.scale_of(frame.reference),
+            world_from_camera, frame.points[seen].astype(np.int32), frame.features.pixels[seen].astype(np.float32),
+            frame.features.octaves[seen].astype(np.int8),
+        )  # fmt: skip
+
+    def resolve(self, slam_map: Map) -> Array:
+        """world_from_camera (4, 4) in the map as it is now."""
+        step = self.camera_from_reference.copy()
+        step[:3, 3] *= slam_map.scale_of(self.reference) / self.reference_scale
+        return np.asarray(np.linalg.inv(step @ slam_map.pose(self.reference)))
+
+    def refined(self, slam_map: Map, camera: Camera) -> TrackedPose:
+        """The pose optimised anew over the points that the frame saw, where they are now.
+
+        What bundle adjustments did to the points since then reaches the frame in full, not through its reference
+        keyframe alone. Keyframes have their pose from the map, and stay; so does a frame with too few points left.
+        """
+        table = slam_map.keyframes
+        if table.alive[self.reference] and table.frame_indices[self.reference] == self.index:
+            return self
+        points = slam_map.resolve_points(self.points.astype(np.int64))
+        kept = points >= 0
+        weights = np.asarray(slam_map.scale_factors[self.octaves[kept]] ** -2.0, np.float64)
+        pose, inliers = optimize_pose(
+            np.asarray(np.linalg.inv(self.resolve(slam_map)), np.float64), slam_map.points.positions[points[kept]],
+            self.pixels[kept].astype(np.float64), weights, camera.intrinsics,
+        )  # fmt: skip
+        if int(inliers.sum()) < thresholds.LOCAL_MIN_INLIERS:
+            return self
+        camera_from_reference = pose @ se3_inverse(slam_map.pose(self.reference))
+        scale = slam_map.scale_of(self.reference)
+        return replace(self, camera_from_reference=camera_from_reference, reference_scale=scale)
