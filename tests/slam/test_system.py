@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_scenes import CAMERA, Room, looking, position_error
+from rendered_scenes import CAMERA, Room, looking, path_pose, position_error
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.slam import Camera, Options, Result, System
@@ -18,12 +18,6 @@ from codecbench.slam import Camera, Options, Result, System
 pytestmark = pytest.mark.thorough
 
 STEPS = 45
-
-
-def path_pose(step: float) -> NDArray[np.float64]:
-    """A walk sideways and forwards through the room, looking about."""
-    t = step / 30.0
-    return looking((-1.5 + 1.1 * t, 0.15 * np.sin(3.0 * t), -1.5 + 0.3 * t), 0.15 * np.sin(2.0 * t), 0.1)
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,12 @@ def looking(position: tuple[float, float, float], yaw: float = 0.0, pitch: float
     return np.linalg.inv(world_from_camera)
 
 
+def path_pose(step: float) -> Floats:
+    """A walk sideways and forwards through the room, looking about."""
+    t = step / 30.0
+    return looking((-1.5 + 1.1 * t, 0.15 * np.sin(3.0 * t), -1.5 + 0.3 * t), 0.15 * np.sin(2.0 * t), 0.1)
+
+
 @dataclass(frozen=True)
 class TwoViews:
     """Points (N, 3) in camera a, `b_from_a`, and the pixels (N, 2) of both."""
