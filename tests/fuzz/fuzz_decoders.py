@@ -5,7 +5,7 @@
 
 `mutation` runs the compiled kernels with bounds checks. `coverage` runs the same kernels as plain Python, where
 atheris sees which branches an input takes; it is slower, and inputs that take the interpreter long are let go.
-What a run finds is written to `--findings` and, once mended, belongs into `tests/fuzz/corpus/<codec>/`.
+What a run finds is written to `--findings` and, once fixed, belongs into `tests/fuzz/corpus/<codec>/`.
 """
 
 from __future__ import annotations

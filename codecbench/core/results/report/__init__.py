@@ -1,1 +1,1 @@
-"""The HTML report of a run: one page that loads nothing."""
+"""The HTML report of a run: one page that needs no network."""
