@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from codecbench.core.results.markdown import cell, table
 from codecbench.core.results.run_result import RunResult
@@ -78,6 +77,8 @@ def readme(run: RunResult, heads: Heads) -> Iterator[str]:
 def against_psnr(run: RunResult) -> str:
     """How far PSNR says the same as features kept: the order on one sequence, and the level across sequences."""
     qualities, features = zip(*quality_and_features(rows_of(run, MAIN)), strict=True)
+    from scipy.stats import spearmanr  # a second of import, for this sentence alone
+
     rho = spearmanr(qualities, features).statistic
     sentence = f"On one sequence PSNR\nranks the settings much alike (Spearman's ρ {rho:.3f})"
     kept = [at_quality([row for row in rows_of(run, name) if row["codec"] == "jpeg"], 30.0) for name in (MAIN, STILLS)]
