@@ -16,11 +16,11 @@ COMMANDS = {
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
-    "status": ("codecbench.cli.status:status", "Say how far a run is, also while it is running."),
+    "status": ("codecbench.cli.status:status", "Show how far a run has got, also while it is running."),
     "reproduce": ("codecbench.paper.command:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
     "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile ahead the kernels that runs will need."),
-    "verify": ("codecbench.cli.verify:verify", "Check that codecs keep the contract; write and check corpora."),
+    "verify": ("codecbench.cli.verify:verify", "Check that codecs do what the contract asks; write and check corpora."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }
 
@@ -72,7 +72,7 @@ def main() -> None:
         error.show()
         sys.exit(error.exit_code)
     except (click.exceptions.Abort, KeyboardInterrupt):
-        click.echo("stopped; what is finished is kept, and the same command goes on from there", err=True)
+        click.echo("stopped; what is finished is kept, and the same command continues from there", err=True)
         sys.exit(130)
     except CodecbenchError as error:
         click.echo(f"error: {error}", err=True)

@@ -26,22 +26,30 @@ _FAILING = {
 @click.argument("before", type=click.Path(path_type=Path))
 @click.argument("after", type=click.Path(path_type=Path), required=False)
 @click.option(
-    "--metric", "metrics", multiple=True, metavar="PATTERN", help="Look at these only: 'quality.psnr*'. Repeatable."
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="PATTERN",
+    help="Compare only these metrics: 'quality.psnr*'. Repeatable.",
 )
 @click.option(
-    "--fail-on", type=click.Choice(list(_FAILING)), default="worse", show_default=True, help="Exit with status 1."
+    "--fail-on",
+    type=click.Choice(list(_FAILING)),
+    default="worse",
+    show_default=True,
+    help="Which verdicts make the exit status 1.",
 )
 @click.option(
     "--time-tolerance",
     type=float,
     default=0.05,
     show_default=True,
-    help="Relative change of a time that counts as none.",
+    help="A relative change of a time up to this counts as none.",
 )
 @click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
-@click.option("--all", "everything", is_flag=True, help="Also rows that are the same.")
+@click.option("--all", "everything", is_flag=True, help="Also show rows that are the same.")
 @click.option(
-    "--save", type=click.Path(path_type=Path, dir_okay=False), help="Keep BEFORE as a baseline file and stop."
+    "--save", type=click.Path(path_type=Path, dir_okay=False), help="Save BEFORE as a baseline file and stop."
 )
 def compare(
     before: Path, after: Path | None, metrics: tuple[str, ...], fail_on: str, time_tolerance: float, format_: str,
@@ -49,9 +57,10 @@ def compare(
 ) -> None:  # fmt: skip
     """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
 
-    Sizes, quality and counts are compared exactly; times statistically over repeats (five at least), in units of a
-    yardstick that was timed beside them. A time by the clock on the wall is judged only where processor time agrees,
-    and a change of less than 10 microseconds a frame counts as none. Another machine is a warning, not a verdict.
+    Sizes, quality and counts are compared exactly. Times are compared statistically over repeats (at least five), in
+    units of a fixed piece of work that was timed beside them. Wall time counts as changed only where processor time
+    agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
+    times is “cannot tell”, with a warning.
     """
     from codecbench.core.results.comparison.compare import compare as compared
     from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot

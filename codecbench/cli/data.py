@@ -14,7 +14,7 @@ def data() -> None:
 
 @data.command("list")
 def list_data() -> None:
-    """List the datasets that are known here, with licence and citation."""
+    """List the datasets that codecbench knows, with licence and citation."""
     from codecbench.plugins.datasets.catalog import list_datasets
 
     for entry in list_datasets():
@@ -27,7 +27,7 @@ def list_data() -> None:
 @data.command()
 @click.argument("name")
 def fetch(name: str) -> None:
-    """Fetch the dataset NAME, going on where an earlier download was cut, and print its folder."""
+    """Fetch the dataset NAME, resuming a download that was cut, and print its folder."""
     from codecbench.plugins.datasets import catalog
 
     entry = catalog.find(name)
@@ -49,7 +49,7 @@ def fetch(name: str) -> None:
 @data.command()
 @click.argument("name")
 def path(name: str) -> None:
-    """Print the folder of the dataset NAME, which has been fetched."""
+    """Print the folder of the dataset NAME, if it has been fetched."""
     from codecbench.plugins.datasets import catalog
 
     click.echo(str(catalog.path(name)))

@@ -64,8 +64,8 @@ def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, An
 def schema(plugin: str | None) -> None:
     """Print JSON Schema: of a whole matrix, or of the parameters of one PLUGIN.
 
-    An editor that is given the schema completes and checks a matrix as it is typed. Where plugins of two kinds
-    share a name, write KIND:NAME (codec:raw).
+    An editor that knows the schema can complete and check a matrix as you type. If plugins of two kinds share a name,
+    write KIND:NAME (codec:raw).
     """
     from codecbench.core.engine.planning.schema import matrix_schema, plugin_schema
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path), help="The run folder; default runs/NAME.")
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
-    """Show what `codecbench run MATRIX` would do: coding jobs and cells, what is there already, what is unsupported."""
+    """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
     from codecbench.core.engine.planning.estimate import estimate
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan

@@ -12,7 +12,7 @@ import click
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: RUN/report/report.html.")
 @click.option("--format", "format_", type=click.Choice(["html", "md", "latex"]), default="html", show_default=True)
 def report(run: Path, out: Path | None, format_: str) -> None:
-    """Write a report of the RUN folder: one HTML file that needs no network, or its tables as Markdown or LaTeX."""
+    """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
     from codecbench.core.results.collect import open_run
     from codecbench.core.results.report.write import write_report
 

@@ -22,13 +22,13 @@ LEVELS = ("debug", "info", "warning", "error")
 @click.command()
 @click.argument("matrix", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/NAME.")
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; default as the matrix says.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default as many as the matrix says.")
 @click.option(
     "--recompute", multiple=True, metavar="NAME", help="Compute all cells of a codec, evaluator or sequence again."
 )
-@click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Go on after a cell that fails.")
+@click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Continue after a cell fails.")
 @click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
-@click.option("--quiet", is_flag=True, help="No progress and no table: only what failed, and the run folder.")
+@click.option("--quiet", is_flag=True, help="Print only what failed, and the run folder.")
 def run(
     matrix: Path,
     out: Path | None,
@@ -40,7 +40,8 @@ def run(
 ) -> None:
     """Run a MATRIX: every codec setting on every sequence, evaluated.
 
-    Goes on where an earlier run in the same folder stopped. Exit status 0 only if no cell failed; 130 if stopped.
+    Continues where an earlier run in the same folder stopped. The exit status is 0 only if no cell failed, and 130
+    if the run was stopped.
     """
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan
@@ -111,7 +112,7 @@ def _report(summary: RunSummary, quiet: bool) -> None:
     click.echo(f"cells: {counts or 'none'}{kept}")
     click.echo(f"run folder: {summary.folder}")
     if summary.interrupted:
-        click.echo(f"stopped by {summary.interrupted}; the same command goes on from here", err=True)
+        click.echo(f"stopped by {summary.interrupted}; the same command continues from here", err=True)
         sys.exit(130)
     if any(count for status, count in summary.statuses.items() if status not in ("ok", "unsupported")):
         sys.exit(1)

@@ -14,7 +14,7 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
-    """Say how far the run in the RUN folder is, also while it is running."""
+    """Show how far the run in the RUN folder has got, also while it is running."""
     from codecbench.core.engine.storage.store import Store
 
     store = Store(run)

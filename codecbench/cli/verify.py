@@ -42,11 +42,11 @@ def verify(
     write_to: Path | None,
     check_in: Path | None,
 ) -> None:
-    """Check that codecs keep the contract: those named, or all that are installed.
+    """Check that codecs do what the contract asks: those named, or all that are installed.
 
     Each is checked at its example settings, or at those given. With --write-corpus or --check-corpus the corpus is
     written or checked, and no check is run. The exit status is 1 if anything fails, if a codec that was named is
-    not available, or if nothing was there to check.
+    not available, or if there was nothing to check.
     """
     if write_to is not None and check_in is not None:
         raise click.UsageError("--write-corpus and --check-corpus are two runs")

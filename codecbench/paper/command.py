@@ -13,9 +13,9 @@ import click
     "--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("docs/reproduction.md"), show_default=True
 )
 def reproduce(runs: tuple[Path, ...], out: Path) -> None:
-    """Write the page that puts the paper beside the RUN folder of examples/paper.yaml, table by table.
+    """Write the page that puts the paper beside a run of examples/paper.yaml, table by table.
 
-    The trajectories of further runs, such as that of examples/paper_loops.yaml, are added to its own.
+    Trajectories of further runs, such as examples/paper_loops.yaml, are added.
     """
     from codecbench.core.results.collect import open_run
     from codecbench.paper.page import write_page

@@ -30,6 +30,7 @@ def codec(request: pytest.FixtureRequest) -> Any:
 def test_encode(benchmark: Any, codec: Any, picture: np.ndarray) -> None:
     bitstream = benchmark.pedantic(codec.encode, (picture,), rounds=9, warmup_rounds=2)
     benchmark.extra_info["size_bytes"] = len(bitstream)
+    benchmark.extra_info["setting"] = " ".join(f"{key}={value}" for key, value in codec.examples[0].items())
     assert codec.decode(bitstream).shape == picture.shape
 
 

@@ -5,7 +5,7 @@
 
 `mutation` runs the compiled kernels with bounds checks. `coverage` runs the same kernels as plain Python, where
 atheris sees which branches an input takes; it is slower, and inputs that take the interpreter long are let go.
-What a run finds is written to `--findings` and, once mended, belongs into `tests/fuzz/corpus/<codec>/`.
+What a run finds is written to `--findings` and, once fixed, belongs into `tests/fuzz/corpus/<codec>/`.
 """
 
 from __future__ import annotations
@@ -105,6 +105,8 @@ def _follow_coverage(name: str, arguments: argparse.Namespace) -> NoReturn:
 
     signal.signal(signal.SIGALRM, _give_up)
     folder = Path(tempfile.mkdtemp(prefix="codecbench-fuzz-"))
+    sys.stdout.write(f"coverage of {name} for {arguments.seconds} s\n")
+    sys.stdout.flush()
     for number, data in enumerate(target.seeds(_SMALL_SHAPES) + _kept(name)):
         (folder / f"seed-{number}").write_bytes(data)
     options = [f"-max_total_time={arguments.seconds}", f"-max_len={_MAX_BYTES}", f"-seed={arguments.seed}"]

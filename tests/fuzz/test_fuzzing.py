@@ -1,7 +1,8 @@
-"""What fuzzing found stays mended, and the fuzzer finds what is broken."""
+"""What fuzzing found stays fixed, and the fuzzer finds what is broken."""
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from mutation import fuzz, mutated
 from codecbench import BitstreamError, Image
 from codecbench.plugins.codecs.raw import Raw
 
+log = logging.getLogger("fuzz")
 CORPUS = Path(__file__).parent / "corpus"
 KEPT = sorted(path for path in CORPUS.glob("*/*") if path.is_file())
 SHAPES = ((1, 1), (9, 17), (9, 17, 3))
@@ -108,11 +110,15 @@ def test_mutations_differ_and_repeat() -> None:
 def test_the_largest_pictures_stay_within_the_limits(
     name: str, setting: dict[str, Any], shape: tuple[int, ...], rng: np.random.Generator
 ) -> None:
-    """Few bytes that stand for as many pixels as a decoder takes."""
+    """Few bytes that stand for as many pixels as a decoder takes. Logs the rows of the table in docs/reliability.md."""
+    label = " ".join([f"`{name}`", *(f"{key}={value}" for key, value in setting.items())])
     image = np.full(shape, 100, np.uint8)
     image[:200, :200] = rng.integers(0, 256, (200, 200, *shape[2:]))
     codec = TARGETS[name].codec_class().create(**setting)
     bitstream = codec.encode(image)
     del image
     codec.decode(codec.encode(np.zeros((8, 8, *shape[2:]), np.uint8)))
-    assert judge(codec, bitstream).kind == "decoded"
+    verdict = judge(codec, bitstream)
+    assert verdict.kind == "decoded"
+    picture, memory = f"{shape[1]}x{shape[0]} RGB", f"{verdict.memory_bytes >> 20} MiB"
+    log.info("| %s | %s | %s | %.1f s | %s |", label, picture, f"{len(bitstream):,}", verdict.time_s, memory)

@@ -192,7 +192,7 @@ def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
     if changes:
         return EntryResult(entry, "passed", note=f"encodes to other bytes{changes}")
     return EntryResult(
-        entry, "failed", "encodes to other bytes, with the same version and libraries: raise `version`, or mend it"
+        entry, "failed", "encodes to other bytes, with the same version and libraries: raise `version`, or fix it"
     )
 
 

@@ -217,7 +217,7 @@ class DaskExecutor(Executor[DaskParams]):
         elif now - self._last_seen > self.params.start_timeout_s:
             place = self.params.address or f"the {self.params.made} cluster"
             message = f"no dask worker at {place} for {self.params.start_timeout_s:g} s"
-            raise CodecbenchError(f"{message}; what is finished is kept: mend this and run again")
+            raise CodecbenchError(f"{message}; what is finished is kept: fix this and run again")
         if self._cluster is not None and present < self._wanted:
             self._cluster.scale(self._wanted)
 

@@ -238,7 +238,7 @@ def test_bitstreams_and_pixels_are_the_golden_ones(channels: int, setting: dict[
     name = "-".join(["gray" if channels == 1 else "rgb", *(f"{key}={value}" for key, value in setting.items())])
     file, manifest = STREAMS / f"{name}.jpg", STREAMS / "pixels.json"
     bitstream = JpegQf.create(**setting).encode(_golden_picture(channels))
-    if os.environ.get("REGENERATE_GOLDEN"):
+    if os.environ.get("CODECBENCH_REGENERATE_GOLDEN"):
         digests = json.loads(manifest.read_text()) if manifest.exists() else {}
         digests[name] = hashlib.sha256(JpegQf.create().decode(bitstream).tobytes()).hexdigest()
         file.write_bytes(bitstream)

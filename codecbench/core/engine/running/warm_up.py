@@ -72,10 +72,7 @@ def compile_entry(entry: Entry) -> None:
 
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
     """What the cells will call and the cache does not have."""
-    by_setting = {
-        (str(cell.sequence.dataset.identity()), str(cell.codec.identity()), str(cell.evaluator.identity())): cell
-        for cell in cells
-    }
+    by_setting = {(cell.sequence.dataset, cell.codec, cell.evaluator): cell for cell in cells}
     coding: dict[str, None] = {}
     counted: dict[str, None] = {}
     evaluating: dict[str, None] = {}

@@ -239,7 +239,7 @@ class Store:
         try:
             yield
         except OSError as error:
-            message = f"cannot write to {self.folder}: {error}; all earlier records are kept: mend this and run again"
+            message = f"cannot write to {self.folder}: {error}; all earlier records are kept: fix this and run again"
             raise StoreError(message) from error
 
     def _problem(self, entry: IndexEntry) -> str | None:

@@ -30,7 +30,7 @@ SIGNIFICANCE: Final = 0.01
 """Two-sided; five repeats against five can reach 0.008."""
 
 TIME_TOLERANCE: Final = 0.05
-"""Relative change of a median time up to which two times count as the same."""
+"""Relative change of a median time up to which it counts as unchanged."""
 
 LEAST_CHANGE_MS: Final = 0.01
 """Milliseconds by which a median time must move: less depends on where the memory of a process happens to lie."""

@@ -1,6 +1,7 @@
 """Many cells and many samples. The short forms check that all is there; the long forms (--slow) hold times and memory.
 
-To see the figures: pytest tests/core/engine/running/test_scale.py --slow -o log_cli=true -o log_cli_level=INFO
+They log the rows of the table in docs/scaling.md, which docs/tables.py takes from what was printed:
+pytest tests/core/engine/running/test_scale.py --slow -n 0 -o log_cli=true -o log_cli_level=INFO
 """
 
 from __future__ import annotations
@@ -142,9 +143,12 @@ def test_no_op_cells_are_planned_scheduled_and_tabulated(
         per_cell_ms = load.per_cell_ms(count)
     assert summary.statuses == {"ok": count}
     assert load.memory_mb[-1] - load.memory_mb[0] < 200, "the scheduler forgets cells that are done"
-    log.info("%d cells planned in %.1f s, run in %.0f s: %.2f ms each", count, planned - begun, ran - planned,
-             1e3 * (ran - planned) / count)  # fmt: skip
-    log.info("CPU a cell in ms: %s; scheduler's memory in MB, by tenths: %s", per_cell_ms, load.memory_mb)
+    log.info("| %d no-op cells planned | %.1f s |", count, planned - begun)
+    log.info("| run by dask on this machine, a cell by the clock | %.1f ms |", 1e3 * (ran - planned) / count)
+    for process, each_ms in per_cell_ms.items():
+        log.info("| CPU time of the %s, a cell | %.1f ms |", process, each_ms)
+    memory_mb = f"{load.memory_mb[0]} and {load.memory_mb[-1]} MB"
+    log.info("| memory of the scheduler, first and last tenth | %s |", memory_mb)
     check_tables(bench, sequences * codecs, evaluators)
     check_resume(bench, count)
 
@@ -155,14 +159,15 @@ def check_tables(bench: Bench, rows: int, evaluators: int) -> None:
     assert len(lines) == 1 + rows
     values = lines[-1].split(",")
     assert [float(value) for value in values[3 : 3 + evaluators]] == list(range(evaluators))
-    log.info("table of %d rows and %d columns: %s", rows, len(values), took)
+    log.info("| the wide table of %d rows and %d columns, as CSV | %s |", rows, len(values), took)
 
 
 def check_resume(bench: Bench, count: int) -> None:
     listing = whole_process("status", bench.folder / "run", site=bench.site)
     assert f"{count} cells: {count} ok".encode() in listing.output
     resume = whole_process("run", bench.folder / "matrix.yaml", "--out", bench.folder / "run", site=bench.site)
-    log.info("listing: %s; resuming: %s", listing, resume)
+    log.info("| `codecbench status` of %d cells | %s |", count, listing)
+    log.info("| `codecbench run` once more, every record checked by its digest | %s |", resume)
 
 
 def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> int:
@@ -193,7 +198,6 @@ def fill(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int
 def test_a_wide_table_of_many_samples(bench: Bench, sequences: int, codecs: int, evaluators: int, frames: int) -> None:
     samples = fill(bench, sequences, codecs, evaluators, frames)
     rows = sequences * codecs
-    log.info("%d cells, %d samples", rows * evaluators, samples)
     wide, tidy = bench.folder / "wide.parquet", bench.folder / "tidy.parquet"
     for words in (
         ("table", "--wide"),
@@ -201,7 +205,8 @@ def test_a_wide_table_of_many_samples(bench: Bench, sequences: int, codecs: int,
         ("table", "--tidy", "--format", "parquet", "--out", tidy),
     ):
         took = whole_process(*words, bench.folder / "run", site=bench.site)
-        log.info("%s: %s", " ".join(map(str, words[:4])), took)
+        shape = " ".join(map(str, words[:4]))
+        log.info("| `codecbench %s` of %d cells with %d samples | %s |", shape, rows * evaluators, samples, took)
         assert took.memory_mb < 2000
         assert took.cpu_s < 10 or "--tidy" in words
     table = open_run(bench.folder / "run").wide
@@ -237,7 +242,8 @@ def test_two_workers_gain_what_the_machine_has_to_give(bench: Bench) -> None:
                 took_s[executor, workers].append(whole_process("run", path, "--out", out, site=bench.site).wall_s)
     median_s = {what: statistics.median(times) for what, times in took_s.items()}
     gain = {what: median_s[what, 1] / median_s[what, 2] for what in ("bare", "local", "dask")}
-    log.info("40 cells of 0.5 s: %s", {f"{what} {workers}": round(s, 1) for (what, workers), s in median_s.items()})
-    log.info("gain from 1 to 2 workers: %s", {what: round(value, 2) for what, value in gain.items()})
+    for name, value in gain.items():
+        both_s = f"{median_s[name, 1]:.1f} and {median_s[name, 2]:.1f} s"
+        log.info("| 40 cells of 0.5 s with 1 and 2 workers, %s | %s: %.2f times as fast |", name, both_s, value)
     assert gain["local"] > 0.75 * gain["bare"]
     assert gain["dask"] > 0.7 * gain["bare"]

@@ -1,0 +1,64 @@
+"""The README's licence section names every copyleft package that an installation or an extra brings with it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from project import ROOT
+
+COPYLEFT = re.compile(r"\b[AL]?GPL|\bGNU\b|\bMPL\b|Mozilla|\bEPL\b|\bCDDL\b")
+SECTION = (ROOT / "README.md").read_text().split("## Licence")[1]
+EXTRAS = sorted(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+
+
+def licence(package: Distribution) -> str:
+    """What a distribution says of its licence, in its several fields; long texts by their first line."""
+    metadata = package.metadata
+    stated = [metadata.get("License-Expression") or "", (metadata.get("License") or "").partition("\n")[0]]
+    return " ".join(stated + [line for line in metadata.get_all("Classifier") or [] if line.startswith("License")])
+
+
+def installed_with(name: str, extras: frozenset[str], seen: dict[tuple[str, frozenset[str]], Distribution]) -> None:
+    """Collect the distribution and all that it requires, as far as they are installed here."""
+    key = (name.lower(), extras)
+    if key in seen:
+        return
+    try:
+        seen[key] = distribution(name)
+    except PackageNotFoundError:
+        return
+    for text in seen[key].requires or []:
+        wanted = Requirement(text)
+        if wanted.marker is None or any(wanted.marker.evaluate({"extra": extra}) for extra in extras | {""}):
+            installed_with(wanted.name, frozenset(wanted.extras), seen)
+
+
+@pytest.mark.parametrize("extra", ["", *EXTRAS])
+def test_every_copyleft_package_is_named(extra: str) -> None:
+    seen: dict[tuple[str, frozenset[str]], Distribution] = {}
+    installed_with("codecbench", frozenset([extra]), seen)
+    assert len(seen) > 20
+    copyleft = {name for (name, _), package in seen.items() if COPYLEFT.search(licence(package))}
+    assert "evo" in copyleft
+    assert {name for name in copyleft if f"| {name} |" not in SECTION} == set()
+
+
+def test_gpl_packages_are_imported_where_the_readme_says() -> None:
+    importing: dict[str, set[str]] = {"evo": set(), "pyorbslam3": set()}
+    for path in (ROOT / "codecbench").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            for name in names:
+                if (root := name.partition(".")[0]) in importing:
+                    importing[root].add(str(Path(path).relative_to(ROOT)))
+    assert importing == {
+        "evo": {"codecbench/plugins/evaluators/trajectory/alignment.py"},
+        "pyorbslam3": {"codecbench/plugins/slam_backends/orbslam3_child.py"},
+    }

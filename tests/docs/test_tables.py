@@ -1,0 +1,225 @@
+"""Tables of README.md and docs/ are made by docs/tables.py, from a run, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from project import DOCS, ROOT
+from scipy.stats import spearmanr
+
+import codecbench
+from codecbench.plugins.codecs.multilevel import Multilevel
+
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("**/*.md"))]
+SMALL = "{use: synthetic, name: %s, params: {stop: 2, width: 96, height: 72, seed: %d}}"
+MATRIX = f"""
+version: 1
+name: real
+sequences: [{SMALL % ("kodak", 1)}, {SMALL % ("fr3_office_100", 2)}]
+codecs: [raw, {{use: jpeg, params: {{quality: {{grid: [5, 40, 95]}}}}}}]
+evaluators: [quality, features]
+run: {{workers: 1}}
+"""
+
+
+def command(*words: str | Path, status: int = 0) -> str:
+    """Standard output of a program of this Python, after checking its exit status."""
+    found = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, timeout=300)
+    assert found.returncode == status, found.stdout + found.stderr
+    return found.stdout
+
+
+def table_rows(text: str) -> list[list[str]]:
+    """Cells of the rows of a Markdown table, heads first."""
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def block(page: Path, name: str) -> str:
+    (content,) = re.findall(f"<!-- {name}: begin -->(.*?)<!-- {name}: end -->", page.read_text(), re.DOTALL)
+    return str(content)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a few small frames, named as the sequences that the README shows."""
+    folder = tmp_path_factory.mktemp("tables")
+    (folder / "matrix.yaml").write_text(MATRIX)
+    command("-m", "codecbench", "run", folder / "matrix.yaml", "--out", folder / "run", "--quiet")
+    return folder / "run"
+
+
+def copied_pages(folder: Path) -> Path:
+    """A copy of the pages that a test may rewrite."""
+    (folder / "docs").mkdir()
+    for page in PAGES:
+        if page.parent in (ROOT, DOCS):
+            shutil.copy(page, folder / page.relative_to(ROOT))
+    return folder
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return copied_pages(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def written(run: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The README's block as made from the run."""
+    root = copied_pages(tmp_path_factory.mktemp("written"))
+    out = command(DOCS / "tables.py", "--root", root, "--run", f"real={run}")
+    assert "README.md: real: written" in out
+    assert "docs/real.md: sequences: written" in out
+    assert "differs" not in command(DOCS / "tables.py", "--check", "--root", root, "--run", f"real={run}")
+    return block(root / "README.md", "real")
+
+
+def test_a_block_that_differs_is_named(run: Path) -> None:
+    out = command(DOCS / "tables.py", "--check", "--run", f"real={run}", status=1)
+    assert "README.md: real: differs" in out
+
+
+def test_the_readme_s_table_is_made_from_a_run(run: Path, written: str) -> None:
+    heads, *rows = table_rows(written)
+    wide = codecbench.open_run(run).wide
+    office, stills = (wide[wide["sequence"] == name].reset_index() for name in ("fr3_office_100", "kodak"))
+    assert [row[:2] for row in rows] == office[["codec", "setting"]].to_numpy().tolist()
+    assert len(rows) == 4
+    columns = {
+        "bit/px": office["quality.rate_bpp.mean"],
+        "PSNR dB": office["quality.psnr_gray_db.mean"],
+        "SSIM": office["quality.ssim_matlab.mean"],
+        "features kept": office["features.keypoint_repeatability.mean"],
+        "Kodak: bit/px": stills["quality.rate_bpp.mean"],
+        "Kodak: features kept": stills["features.keypoint_repeatability.mean"],
+    }
+    for head, expected in columns.items():
+        shown = pd.Series([float(row[heads.index(head)].replace("∞", "inf")) for row in rows])
+        pd.testing.assert_series_equal(shown, expected, rtol=5e-4, atol=5e-4, check_names=False)
+    assert {row[heads.index("encode ms")] for row in rows} == {"–"}, "what was not measured is a dash"
+
+
+def test_the_claim_beside_the_table_is_computed_from_it(run: Path, written: str) -> None:
+    wide = codecbench.open_run(run).wide
+    lossy = wide[(wide["sequence"] == "fr3_office_100") & (wide["codec"] != "raw")]
+    rho = spearmanr(lossy["quality.psnr_gray_db.mean"], lossy["features.keypoint_repeatability.mean"]).statistic
+    assert f"Spearman's ρ {rho:.3f}" in written
+    assert "here 2 frames" in written
+    assert "2 photographs" in written
+
+
+def test_the_claim_in_the_readme_follows_from_the_readme_s_table() -> None:
+    text = block(ROOT / "README.md", "real")
+    heads, *rows = table_rows(text)
+    psnr, kept = (
+        [float(row[heads.index(head)]) for row in rows if row[heads.index("PSNR dB")] != "∞"]
+        for head in ("PSNR dB", "features kept")
+    )
+    (stated,) = re.findall(r"Spearman's ρ (\d\.\d+)", text)
+    assert float(stated) == pytest.approx(spearmanr(psnr, kept).statistic, abs=2e-3)
+
+
+def test_every_marked_block_has_a_generator_with_its_columns() -> None:
+    known = json.loads(command(DOCS / "tables.py", "--list"))
+    marked = {name: page for page in PAGES for name in re.findall(r"<!-- ([\w-]+): begin -->", page.read_text())}
+    assert {name: str(page.relative_to(ROOT)) for name, page in marked.items()} == {
+        name: entry["page"] for name, entry in known.items()
+    }
+    for name, page in marked.items():
+        heads = [line for line in block(page, name).splitlines() if line.startswith("| ")]
+        rules = block(page, name).count("\n|---")
+        assert rules >= 1, name
+        assert heads.count("| " + " | ".join(known[name]["columns"]) + " |") == rules, name
+
+
+def test_campaigns_of_fuzzing_become_a_table(root: Path, tmp_path: Path) -> None:
+    """From what libFuzzer and the mutating fuzzer print, cut down."""
+    log = tmp_path / "fuzz.txt"
+    log.write_text(
+        "coverage of png for 40 s\n#2\tINITED cov: 12 ft: 13\n#900\tDONE   cov: 66 ft: 90 corp: 9/1Kb\n"
+        "stat::number_of_executed_units: 1900\ncoverage of raw for 20 s\n#9\tDONE   cov: 26 ft: 9\n"
+        'stat::number_of_executed_units: 23312\n{\n "codec": "png",\n "seconds": 60,\n "cpu_seconds": 55,\n'
+        ' "seed": 1,\n "inputs": 14166,\n "pool": 3\n}\n'
+    )
+    command(DOCS / "tables.py", "--root", root, "--printed", f"fuzz={log}")
+    rows = table_rows(block(root / "docs" / "reliability.md", "fuzz"))[1:]
+    assert rows == [
+        ["`png`", "40 s, 1,900, 66", "60 s, 14,166"],
+        ["`raw`", "20 s, 23,312, 26", "–"],
+        ["together", "60 s, 25,212", "60 s, 14,166"],
+    ]
+
+
+def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) -> None:
+    printed = tmp_path / "processes.txt"
+    printed.write_text("begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n")
+    command(DOCS / "tables.py", "--root", root, "--printed", f"processes={printed}")
+    rows = table_rows(block(root / "docs" / "performance.md", "processes"))
+    assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
+
+
+@pytest.mark.thorough
+def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_path: Path) -> None:
+    pictures = [np.random.default_rng(seed).integers(0, 256, (40, 56, 3), np.uint8) for seed in range(2)]
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.ascontiguousarray(picture[..., ::-1]))
+    command(DOCS / "tables.py", "--root", root, "--pictures", tmp_path)
+    heads, *rows = table_rows(block(root / "docs" / "multilevel.md", "sizes"))
+    assert [row[0] for row in rows] == ["5", "10", "15", "20", "50", "75", "100"]
+    for row in rows:
+        one, two = (Multilevel.create(qf=float(row[0]), levels=levels) for levels in (1, 2))
+        sizes = [sum(len(codec.encode(picture)) for picture in pictures) for codec in (one, two)]
+        assert row[heads.index("KiB")] == f"{sizes[0] / 2048:.1f}"
+        assert row[heads.index("two levels")] == f"{100 * (sizes[1] / sizes[0] - 1):+.1f} %"
+
+
+def test_commands_are_timed(tmp_path: Path) -> None:
+    program = ROOT / "tests" / "benchmarks" / "processes.py"
+    out = command(program, "--time", f"{sys.executable} -c pass", "--time", f"{sys.executable} --version")
+    heads, *rows = table_rows(out)
+    assert heads == ["command", "time"]
+    assert [row[0] for row in rows] == [f"`{sys.executable} -c pass`", f"`{sys.executable} --version`"]
+    assert all(re.fullmatch(r"0 min \d+ s", row[1]) for row in rows)
+
+
+def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
+    """From a file as pytest-benchmark writes it, cut down to what is read."""
+
+    def entry(file: str, name: str, median_s: float, **params: object) -> dict[str, object]:
+        stage = name.partition("[")[2].rstrip("]") or None
+        return {
+            "name": name, "fullname": f"tests/benchmarks/{file}.py::{name}", "param": stage, "params": params or None,
+            "stats": {"median": median_s}, "extra_info": {"setting": "q=7"} if name.startswith("test_encode[") else {},
+        }  # fmt: skip
+
+    found = [
+        entry("test_slam_solvers", "test_pose_graph[150]", 0.0781),
+        entry("test_evaluators", "test_ms_ssim", 0.002),
+    ]
+    for number, (way, picture) in enumerate([(w, p) for w in ("encode", "decode") for p in ("gray", "rgb")]):
+        found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), picture=picture, codec="x"))
+    for levels in (1, 2):
+        for qf in (5, 20, 100):
+            name = "test_encode_and_decode[x]"
+            found.append(entry("test_multilevel", name, qf * levels / 1e3, picture="gray", levels=levels, qf=qf))
+    for build, stages in (("fast", (1e-3, 2e-3)), ("counting", (4e-3, 5e-3))):
+        for number, seconds in enumerate(stages):
+            stage = ("x/encode/dct", "x/decode/idct")[number]
+            found.append(entry("test_kernels", f"test_stage[{stage}-{build}]", seconds, build=build))
+    (tmp_path / "found.json").write_text(json.dumps({"benchmarks": found}))
+    command(DOCS / "tables.py", "--root", root, "--benchmarks", tmp_path / "found.json")
+    page = root / "docs" / "performance.md"
+    assert table_rows(block(page, "solvers"))[1:] == [["pose graph, 150", "78.1 ms"]]
+    assert table_rows(block(page, "evaluators"))[1:] == [["ms ssim", "2 ms"]]
+    assert table_rows(block(page, "codecs"))[1:] == [["`x`, q=7", "1 / 3", "2 / 4"]]
+    assert table_rows(block(page, "multilevel"))[2] == ["gray, levels 2", "10.0 ms", "40.0 ms", "200.0 ms"]
+    assert table_rows(block(page, "kernels"))[1:] == [["`x`", "3.0 ms", "9.0 ms", "3.0"]]
