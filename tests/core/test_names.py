@@ -18,12 +18,12 @@ from codecbench.core.engine.registry import Registry
 
 CORE = Path(codecbench.__file__).parent / "core"
 OURS = Registry(point for point in entry_points(group="codecbench") if point.dist and point.dist.name == "codecbench")
-NAMES = {plugin.offer.name for kind in KINDS for plugin in OURS.plugins(kind)}
+NAMES = {plugin.spec.name for kind in KINDS for plugin in OURS.plugins(kind)}
 METRICS = {
     metric.name
     for plugin in OURS.plugins("evaluator")
     if plugin.missing is None
-    for metric in OURS.load("evaluator", plugin.offer.name).metrics
+    for metric in OURS.load("evaluator", plugin.spec.name).metrics
 }
 VOCABULARY = set(get_args(Role))
 """Roles are words of core; that an evaluator or a metric is called like the role that it plays is no dependence."""

@@ -200,7 +200,7 @@ class _Reader:
             self.problems.add(("run",), f"must be a mapping; got {plain(section)!r}")
             return None
         values = plain(section)
-        usual = next((plugin.offer.name for plugin in self.registry.plugins("executor")), None)
+        usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
         executor = list(self.entries("executor", ("run", "executor"), section.get("executor", usual)))
         values.pop("executor", None)
         try:
