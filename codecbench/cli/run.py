@@ -66,7 +66,6 @@ class _Display:
     """The bar, and one line for every cell that fails."""
 
     def __init__(self, console: Console, keep_going: bool) -> None:
-        self._console = console
         self._keep_going = keep_going
         columns = (
             TextColumn("{task.description}"),

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-SHAPES = ("wide", "tidy")
 FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 
 

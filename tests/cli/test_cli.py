@@ -8,15 +8,24 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from distributions import register
 from project import ROOT, SUPPORT
 
 import codecbench
 from codecbench.cli import COMMANDS
+from codecbench.cli.data import data
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.plugins.datasets import catalog
+from codecbench.plugins.datasets.catalog import DATASETS, CatalogEntry
 
 MATRIX = """
 version: 1
@@ -41,9 +50,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def call(place: Path, *words: str, status: int = 0) -> str:
+def call(place: Path, *words: str, status: int = 0, **variables: str) -> str:
     """Standard output of a command, after checking its exit status."""
-    environment = {**os.environ, "PYTHONPATH": str(place / "site"), "COLUMNS": "200"}
+    environment = {**os.environ, "PYTHONPATH": str(place / "site"), "COLUMNS": "200", **variables}
     command = [sys.executable, "-m", "codecbench", *words]
     done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == status, done.stdout + done.stderr
@@ -129,6 +138,81 @@ def test_schema_describes_what_is_installed(place: Path) -> None:
     assert "shift" in json.dumps(whole["properties"]["codecs"])
     assert json.loads(call(place, "schema", "shift"))["properties"]["bits"]["maximum"] == 7
     assert "did you mean 'shift'" in call(place, "schema", "shfit", status=2)
+
+
+def test_data_lists_every_dataset_with_its_state_licence_and_citation(place: Path) -> None:
+    (place / "cache" / "data" / "kodak").mkdir(parents=True)
+    out = call(place, "data", "list", CODECBENCH_CACHE=str(place / "cache"))
+    blocks = re.split(r"^(?=\S)", out, flags=re.MULTILINE)[1:]
+    assert [block.split()[0] for block in blocks] == [entry.name for entry in DATASETS]
+    states = {}
+    for block, entry in zip(blocks, DATASETS, strict=True):
+        head, licence, citation = block.splitlines()
+        assert licence.strip() == f"{entry.licence}; {entry.homepage}"
+        assert citation.strip() == entry.citation
+        assert head.endswith(f"sequence: use: {entry.kind}")
+        states[entry.name] = re.search(r"\[(.*)\]", head)[1]  # type: ignore[index]
+    assert (states["kodak"], states["kitti_odometry"]) == ("there", "by hand")
+    sizes = [states[entry.name] for entry in DATASETS if entry.size_bytes and not entry.manual and not entry.is_there]
+    assert sizes
+    assert all(re.fullmatch(r"[\d,]+ MB", size) for size in sizes if size != "there")
+
+
+def test_data_path_is_the_folder_of_what_was_fetched_and_says_how_to_fetch_the_rest(place: Path) -> None:
+    cache = place / "other-cache"
+    missing = call(place, "data", "path", "kodak", status=2, CODECBENCH_CACHE=str(cache))
+    assert f"{cache / 'data' / 'kodak'}: dataset kodak is not there yet; run `codecbench data fetch kodak`" in missing
+    (cache / "data" / "kodak").mkdir(parents=True)
+    assert call(place, "data", "path", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"
+    assert call(place, "data", "fetch", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"
+    assert "no dataset is called 'kodack'; did you mean kodak?" in call(place, "data", "path", "kodack", status=2)
+    assert "no dataset is called 'kodack'; did you mean kodak?" in call(place, "data", "fetch", "kodack", status=2)
+    manual = call(place, "data", "fetch", "kitti_odometry", status=2, CODECBENCH_CACHE=str(cache))
+    assert str(cache / "data" / "kitti_odometry") in manual
+    assert "cvlibs.net" in manual
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ThreadingHTTPServer]:
+    """A server on this machine whose two files are the only dataset of the catalogue."""
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "a.png").write_bytes(b"first" * 1000)
+    (source / "b.png").write_bytes(b"second")
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(source)))
+    Thread(target=server.serve_forever, daemon=True).start()
+    urls = tuple(f"http://127.0.0.1:{server.server_port}/{name}" for name in ("a.png", "b.png"))
+    entry = CatalogEntry("tiny", "folder", "http://nowhere.example", "CC0", "Nobody, 2024", urls)
+    monkeypatch.setattr(catalog, "DATASETS", (entry,))
+    monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "cache"))
+    for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+def test_data_fetch_brings_the_files_and_prints_only_their_folder(served: ThreadingHTTPServer, tmp_path: Path) -> None:
+    folder = tmp_path / "cache" / "data" / "tiny"
+    done = CliRunner().invoke(data, ["fetch", "tiny"])
+    assert (done.exit_code, done.stdout) == (0, f"{folder}\n"), done.stderr
+    assert "tiny: CC0\nNobody, 2024\n" in done.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"first" * 1000, "b.png": b"second"}
+    served.shutdown()
+    again = CliRunner().invoke(data, ["fetch", "tiny"])
+    assert (again.exit_code, again.stdout) == (0, f"{folder}\n"), "what is there is not asked for again"
+
+
+def test_data_fetch_refuses_files_that_are_not_those_of_the_first_fetch(
+    served: ThreadingHTTPServer, tmp_path: Path
+) -> None:
+    assert CliRunner().invoke(data, ["fetch", "tiny"]).exit_code == 0
+    shutil.rmtree(tmp_path / "cache" / "data" / "tiny")
+    (tmp_path / "source" / "b.png").write_bytes(b"forged")
+    done = CliRunner().invoke(data, ["fetch", "tiny"])
+    assert isinstance(done.exception, DatasetError)
+    assert "b.png: what came does not have the right checksum" in str(done.exception)
+    assert not (tmp_path / "cache" / "data" / "tiny").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.run import RunSummary, run_plan
-from codecbench.core.engine.storage.record import Record
+from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store
 
@@ -66,7 +66,7 @@ def contents(store: Store, plan: Plan) -> dict[str, Any]:
         record = store.read_record(cell.id)
         samples = store.samples(record)
         rows = None if samples is None else str(table_from_parquet(samples).to_pylist())
-        artifacts = {name: store.read_file(record, name) for name in record.artifacts}
+        artifacts = {name: store.read_file(record, name) for name in record.files if name != SAMPLES_FILE}
         key = (record.status, record.reason, record.measurements, tuple(sorted(record.summaries.items())), rows)
         found[cell.id] = (key, artifacts)
     return found

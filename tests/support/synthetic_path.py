@@ -86,7 +86,7 @@ class Told(SlamBackend[NoParams]):
             frames=tuple(states),
             trajectory=part(self.answer, kept),
             trajectory_before_loops=part(self.before, kept),
-            keyframe_indices=np.array([one.index for one in states if one.keyframe], dtype=np.int64),
+            keyframe_indices=np.array([state.index for state in states if state.keyframe], dtype=np.int64),
             points_world=np.arange(12.0).reshape(4, 3),
             loops=self.loops,
             maps=1,

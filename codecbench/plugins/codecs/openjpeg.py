@@ -1,7 +1,13 @@
 """Finding OpenJPEG for glymur, which brings none of its own.
 
-Order: what glymur finds itself (its configuration file, then the system's library), then the copy inside
-Pillow's wheel, so that JPEG 2000 works after a bare `pip install`.
+Order: what glymur finds itself (its configuration file, then the system's library), then the copy inside Pillow's
+wheel, so that JPEG 2000 works after a bare `pip install`. glymur's own way to name a library, a `glymurrc` in the
+working or the user's configuration folder, is read once, at the first import, and is the user's to write.
+
+Pillow's own JPEG 2000 plugin needs none of this. With the same OpenJPEG it writes the same bytes and reads the same
+pixels (567 codings of 27 pictures; a test repeats some), encodes colour in 4 % less time and decodes gray in 8 to
+18 % less, but decodes colour in 8 to 24 % more, and it always uses its own OpenJPEG: going through glymur, a codec
+that is measured is that of the system, as other programs use it.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ def _keypoints(detector: Any, gray: Image) -> Keypoints:
     found, descriptors = detector.detectAndCompute(gray, None) if has_room else ((), None)
     if not found:
         return Keypoints(np.empty((0, 3)), np.empty((0, 4), np.uint64))
-    levels = np.array([one.octave for one in found], dtype=np.float64)
+    levels = np.array([keypoint.octave for keypoint in found], dtype=np.float64)
     places = np.column_stack([cv2.KeyPoint.convert(found), levels])
     return Keypoints(places, np.ascontiguousarray(descriptors).view(np.uint64))
 

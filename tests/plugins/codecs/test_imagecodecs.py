@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import io
+import re
 from typing import Any
 
 import numpy as np
@@ -76,3 +78,11 @@ def test_bitstreams_of_the_others_are_refused(codec_class: Any) -> None:
         if other is not codec_class:
             with pytest.raises(BitstreamError, match="not a bitstream of this codec"):
                 codec_class.create().decode(other.create().encode(GRAY))
+
+
+@EVERY_CODEC
+def test_the_library_that_codes_is_recorded_with_its_version(codec_class: Any) -> None:
+    (binding, own), (library, version) = codec_class.create().libraries().items()
+    assert (binding, own) == ("imagecodecs", importlib.metadata.version("imagecodecs"))
+    assert library in ("libjxl", "charls", "openjph", "libwebp", "libavif")
+    assert re.match(r"\d+\.\d+\.\d+", version)

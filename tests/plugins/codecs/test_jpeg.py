@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import io
 
+import cv2
 import numpy as np
 import PIL.Image
 import pytest
@@ -17,6 +19,7 @@ from codecbench.plugins.codecs.jpeg import Jpeg
 
 PICTURE = skimage.data.astronaut()[100:228, 150:300]
 GRAY = np.ascontiguousarray(PICTURE[..., 1])
+_WHEEL = importlib.metadata.packages_distributions()["cv2"][0]
 
 
 def _segments(bitstream: bytes) -> dict[int, bytes]:
@@ -108,10 +111,28 @@ def test_many_scans_are_refused() -> None:
         Jpeg.create().decode(bitstream[:-2] + 40 * scan + b"\xff\xd9")
 
 
-def test_libraries_are_recorded() -> None:
+def test_libraries_are_those_that_opencv_was_built_with() -> None:
+    (line,) = (line for line in cv2.getBuildInformation().splitlines() if line.split()[:1] == ["JPEG:"])
+    before, _, version = line.rstrip(")").rpartition("(ver ")
+    assert "jpeg" in before
     libraries = Jpeg.create().libraries()
-    assert libraries["opencv"][0].isdigit()
-    assert libraries["libjpeg-turbo"][0].isdigit()
+    assert set(libraries) == {"opencv", "libjpeg-turbo"}
+    assert libraries["libjpeg-turbo"] == version
+    assert importlib.metadata.version(_WHEEL).split(".")[:3] == libraries["opencv"].split(".")
+
+
+@pytest.mark.parametrize(
+    ("information", "version"),
+    [
+        ("  PNG:   libpng.so (ver 1.6.58)\n  JPEG:  build-libjpeg-turbo (ver 3.1.2-70)\n", "3.1.2-70"),
+        ("  JPEG 2000:  build (ver 2.5.3)\n  JPEG:  /usr/lib/libjpeg.so (ver 80)\n", "80"),
+        ("  JPEG 2000:  build (ver 2.5.3)\n  JPEG:  NO\n", "unknown"),
+        ("", "unknown"),
+    ],
+)
+def test_the_version_is_that_of_the_jpeg_row(information: str, version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "getBuildInformation", lambda: information)
+    assert Jpeg.create().libraries()["libjpeg-turbo"] == version
 
 
 @pytest.mark.parametrize("values", [{"quality": 0}, {"quality": 101}, {"subsampling": "411"}, {"qualty": 5}])

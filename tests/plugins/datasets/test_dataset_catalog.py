@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import tarfile
 import threading
 import zipfile
@@ -106,16 +107,16 @@ CONTENT = {"top/rgb.txt": b"list", "top/rgb/1.png": b"picture" * 4000, "top/dept
 
 def test_an_archive_is_fetched_and_unpacked(server, own_cache):
     server.files["some.tgz"] = tar_of(CONTENT)
-    told = []
-    one = entry(server, inside="top", leave_out=("*/depth/*",))
-    assert not one.is_there
-    folder = fetch_entry(one, lambda name, done, total: told.append((name, done, total)))
+    progress = []
+    wanted = entry(server, inside="top", leave_out=("*/depth/*",))
+    assert not wanted.is_there
+    folder = fetch_entry(wanted, lambda name, done, total: progress.append((name, done, total)))
     assert folder == own_cache / "data" / "some"
     assert {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()} == {"rgb.txt", "rgb/1.png"}
     assert (folder / "rgb/1.png").read_bytes() == CONTENT["top/rgb/1.png"]
     size = len(server.files["some.tgz"])
-    assert told[-1] == ("some.tgz", size, size)
-    fetch_entry(one)
+    assert progress[-1] == ("some.tgz", size, size)
+    fetch_entry(wanted)
     assert len(server.asked) == 1
     assert not list(own_cache.rglob("*.tgz*"))
 
@@ -267,13 +268,16 @@ def test_damaged_archives_leave_nothing(tmp_path, kind, rng):
 def test_the_catalogue_is_complete_and_the_paper_comes_first():
     entries = catalog.list_datasets()
     assert entries[0].name == "freiburg3_long_office_household"
-    assert {one.kind for one in entries} == {"tum", "euroc", "kitti", "folder"}
-    assert len({one.name for one in entries}) == len(entries)
-    for one in entries:
-        assert one.licence
-        assert one.citation
-        assert one.homepage
-        assert bool(one.urls) != bool(one.manual)
+    assert {entry.kind for entry in entries} == {"tum", "euroc", "kitti", "folder"}
+    assert len({entry.name for entry in entries}) == len(entries)
+    for entry in entries:
+        assert entry.licence.strip()
+        assert re.search(r"\d{4}", entry.citation), entry
+        assert re.match(r"https?://[\w.-]+/", entry.homepage), entry
+        assert bool(entry.urls) != bool(entry.manual)
+        assert all(re.match(r"https?://[\w.-]+/\S+$", url) for url in entry.urls), entry
+    urls = [url for entry in entries for url in entry.urls]
+    assert len(set(urls)) == len(urls)
 
 
 def test_names_that_are_not_there():
@@ -292,8 +296,8 @@ def test_fetch_by_name_and_use_in_a_dataset(server, monkeypatch):
     from codecbench.plugins.datasets.folder import Folder
 
     server.files["a.png"] = cv2.imencode(".png", np.zeros((4, 5), np.uint8))[1].tobytes()
-    one = CatalogEntry("pictures", "folder", "", "CC0", "nobody", urls=(server.url("a.png"),))
-    monkeypatch.setattr(catalog, "DATASETS", (one,))
+    entry = CatalogEntry("pictures", "folder", "", "CC0", "nobody", urls=(server.url("a.png"),))
+    monkeypatch.setattr(catalog, "DATASETS", (entry,))
     with pytest.raises(DatasetError, match="run `codecbench data fetch pictures`"):
         Folder.create(fetched="pictures").open()
     assert catalog.fetch("pictures") == catalog.path("pictures")

@@ -90,7 +90,7 @@ def test_tum_gives_frames_times_camera_and_the_whole_true_path(tum):
     assert len(sequence.ground_truth) == 8
     np.testing.assert_allclose(sequence.ground_truth.world_from_camera, random_poses(8), atol=1e-10)
     np.testing.assert_allclose(sequence.ground_truth.timestamps_s, 99.9 + np.arange(8) * 0.05)
-    assert [one.index for one in sequence] == [0, 1]
+    assert [frame.index for frame in sequence] == [0, 1]
 
 
 def test_tum_finds_its_camera(tum, tmp_path):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 import shutil
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -17,12 +18,13 @@ from PIL import Image as PillowImage
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import Unsupported
+from codecbench.plugins.codecs import jpeg2000
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 from codecbench.plugins.codecs.raw import Raw
-from codecbench.plugins.evaluators.operations import Operations, codec_models, machine
+from codecbench.plugins.evaluators.operations import Operations, codec_models, machine, machine_child
 from codecbench.plugins.evaluators.operations.instructions import classified, counters_of, read_profile, relocated
 
 FRAMES = MemorySequence([textured(480, 640, seed) for seed in range(3)])
@@ -33,10 +35,10 @@ def values(codec: Any, folder: Path, sequence: MemorySequence = FRAMES, **params
     """Metric -> stage -> value, of the only frame sampled."""
     found: dict[str, dict[str, float]] = defaultdict(dict)
     declared = {metric.name for metric in Operations.metrics}
-    for one in Operations.create(**params).evaluate(codec, sequence, context(folder)):
-        assert one.metric in declared
-        assert one.stage not in found[one.metric]
-        found[one.metric][one.stage or ""] = one.value
+    for measured in Operations.create(**params).evaluate(codec, sequence, context(folder)):
+        assert measured.metric in declared
+        assert measured.stage not in found[measured.metric]
+        found[measured.metric][measured.stage or ""] = measured.value
     return found
 
 
@@ -85,7 +87,7 @@ def test_a_codec_with_neither_is_unsupported_with_both_reasons(tmp_path: Path) -
 
 def test_frames_are_spread_over_the_sequence(tmp_path: Path) -> None:
     evaluator = Operations.create(frames=2, families=["model"])
-    frames = {one.frame for one in evaluator.evaluate(Jpeg.create(), SMALL, context(tmp_path))}
+    frames = {measured.frame for measured in evaluator.evaluate(Jpeg.create(), SMALL, context(tmp_path))}
     assert frames == {1, 3}
 
 
@@ -188,6 +190,28 @@ def test_a_machine_without_valgrind_gives_a_reason_and_no_number(
     assert found["model_total"]["encode"] > 0
     with pytest.raises(Unsupported, match="valgrind is not installed: apt-get install valgrind"):
         values(Jpeg.create(), tmp_path, SMALL, families=["machine"])
+
+
+class _Profiler:
+    """Stands in for callgrind: what it was asked to profile, by label."""
+
+    profiled: ClassVar[dict[str, Any]] = {}
+
+    def profile(self, function: Any, argument: Any, label: str) -> Any:
+        self.profiled[label] = function
+        return function(argument)
+
+
+def test_the_profiled_process_searches_before_it_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    codec = Jpeg2000.create(cr_percent=80)
+    expected = codec.encode(textured(64, 80, 1))
+    (tmp_path / "task.pickle").write_bytes(pickle.dumps((Jpeg2000, codec.params, textured(64, 80, 1))))
+    monkeypatch.setattr(machine_child, "Callgrind", _Profiler)
+    monkeypatch.setattr(machine_child, "_SET_PARENT_DEATH_SIGNAL", 0)  # no such request: this process goes on
+    machine_child.main(tmp_path)
+    monkeypatch.setattr(jpeg2000, "png_bytes", None)  # a search would ask for the size of the PNG
+    assert _Profiler.profiled["encode"](textured(64, 80, 1)) == expected
+    assert (tmp_path / "kernels.pickle").exists()
 
 
 @pytest.mark.slow

@@ -93,18 +93,18 @@ def frames(levels: list[int], interval_s: float = 0.01) -> Iterator[Frame]:
 @pytest.mark.usefixtures("stand_in")
 def test_a_run_is_read_from_answers_files_and_log() -> None:
     run = OrbSlam3.create().run(frames([0, 1, 203, 4, 5, 9, 6, 202, 8]), CAMERA, seed=0)
-    assert [one.state for one in run.frames] == [
+    assert [frame.state for frame in run.frames] == [
         "not_initialized", "not_initialized", "tracked", "tracked", "tracked", "lost", "tracked", "tracked", "tracked",
     ]  # fmt: skip
-    assert [one.index for one in run.frames] == list(range(5, 14))
+    assert [frame.index for frame in run.frames] == list(range(5, 14))
     assert run.frames[5].reason == "recently_lost"
     assert run.frames[3].inliers == 104
-    assert all(one.elapsed_ms >= 0 for one in run.frames)
+    assert all(frame.elapsed_ms >= 0 for frame in run.frames)
     np.testing.assert_allclose(run.trajectory.timestamps_s - 1.4e9, [0.02, 0.03, 0.04, 0.06, 0.07, 0.08], atol=1e-6)
     np.testing.assert_allclose(run.trajectory.positions_world[:, 0], np.arange(6))
     np.testing.assert_allclose(run.trajectory_before_loops.positions_world[:, 0], [203, 4, 5, 6, 202, 8])
     assert run.keyframe_indices.tolist() == [7, 9, 12]
-    assert [one.index for one in run.frames if one.keyframe] == [7, 9, 12]
+    assert [frame.index for frame in run.frames if frame.keyframe] == [7, 9, 12]
     assert [(loop.frame, loop.merged_maps) for loop in run.loops] == [(12, False)]
     assert run.maps == 1
 

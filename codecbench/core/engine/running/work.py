@@ -32,7 +32,6 @@ from codecbench.core.contracts.executor import Status
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
-from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.atomic import open_whole
@@ -53,8 +52,8 @@ class Order:
     """
 
     work: Work
-    bitstreams: Path | bytes | None = field(default=None, repr=False)
-    cache_bytes: int = MOST_BYTES
+    bitstreams: Path | bytes | None = field(repr=False)
+    cache_bytes: int
 
 
 def prepare_worker() -> None:

@@ -62,11 +62,6 @@ class Record:
     contents: dict[str, bytes] = field(default_factory=dict, repr=False)
     environment_description: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    @property
-    def artifacts(self) -> list[str]:
-        """Names of the files that the evaluator left, in alphabetical order."""
-        return sorted(set(self.files) - {SAMPLES_FILE})
-
 
 def cell_description(cell: Cell) -> dict[str, Any]:
     """What entered the cell's identity, in readable form, so that a record means something on its own."""

@@ -1,8 +1,13 @@
 """Runs a codec once under callgrind, counting only the encoding and then only the decoding.
 
 Callgrind is told when to count by client requests: a fixed sequence of instructions that does nothing on a
-processor and that valgrind recognises (valgrind.h, "special instruction preamble"). Ours is put into memory
-by hand, so that no compiler is needed.
+processor and that valgrind recognises (valgrind.h, "special instruction preamble"). Ours is put into memory by
+hand, so that no compiler is needed.
+
+valgrind's own command for this, `callgrind_control`, can be run from here instead, without a byte of machine code.
+It was measured beside on JPEG, 320x240: every count was 0.9 % higher (16,000 instructions, of starting and awaiting
+the command while counting is on), and a cell took 4 s longer. `--toggle-collect` counts by names of C functions,
+which neither compiled kernels nor calls from Python have.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Accuracy:
 
     def _penalised(self, pairs: Pairs, truth: Trajectory) -> float:
         """Where no similarity is defined, every frame counts as untracked."""
-        stamps_s = np.array([one.timestamp_s for one in self._run.frames])
+        stamps_s = np.array([frame.timestamp_s for frame in self._run.frames])
         nearest = nearest_stamps(stamps_s, truth.timestamps_s, self._association_s)
         positions = truth.positions_world[nearest[nearest >= 0]]
         if len(positions) == 0:

@@ -112,6 +112,7 @@ def test_an_unset_variable_is_named(tmp_path: Path) -> None:
         ("evaluators: [quality]", "evaluators: []", "15:13: evaluators: must be a list with at least one evaluator"),
         ("evaluators: [quality]", "evaluators: quality", "evaluators: must be a list"),
         ("workers: 2", "workers: 0", "16:16: run.workers: Input should be greater than or equal to 1; got 0"),
+        ("timeout_s: 60", "timeout_s: .inf", "run.timeout_s: Input should be a finite number; got inf"),
         ("workers: 2", "worker: 2", "16:7: run.worker: unknown; did you mean 'workers'?"),
         ("seed: 7", "seed: 7, executor: nowhere", "run.executor.use: no executor is called 'nowhere'"),
         (

@@ -15,6 +15,7 @@ import pytest
 from engine_bench import FRAMES, Bench, bench_in, contents, grid, matrix
 from project import SUPPORT
 
+import codecbench
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.progress import Progress
@@ -61,7 +62,7 @@ def test_records_say_what_where_and_when(bench: Bench) -> None:
         assert record.duration_s > 0
         assert record.worker["pid"] > 0
     (whole,) = [record for cell, record in bench.records(plan).values() if cell.evaluator.name == "whole"]
-    assert whole.artifacts == ["total.txt"]
+    assert list(whole.files) == ["total.txt"]
     size = FRAMES * (3 + 16 * 24)
     assert bench.store().read_file(whole, "total.txt") == f"{size}\n".encode()
     assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
@@ -78,6 +79,23 @@ def test_a_further_evaluator_encodes_nothing(bench: Bench) -> None:
     bench.run(matrix(STEPS, "wandering"), workers=1)
     more = bench.run(matrix(STEPS, "wandering, whole"), workers=1)
     assert (more.computed, more.kept, more.encoded) == (4, 4, 0)
+
+
+def test_python_recomputes_by_name_too(bench: Bench) -> None:
+    text = matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering, whole")
+    plan = bench.plan(text)
+    bench.run(plan)
+    before = bench.records(plan)
+    again = codecbench.run(bench.folder / "matrix.yaml", out=bench.folder / "run", recompute=["whole"])
+    assert not again.failed
+    after = bench.records(plan)
+    computed = {
+        cell.evaluator.name for cell, record in after.values() if record.started_utc != before[cell.id][1].started_utc
+    }
+    assert computed == {"whole"}
+    assert {record.metrics for cell, record in after.values() if cell.evaluator.name == "whole"} == {
+        ("size_bytes", "draw")
+    }
 
 
 def test_exclusive_cells_come_last_alone_pinned_and_interleaved(bench: Bench) -> None:

@@ -81,7 +81,7 @@ def test_a_record_is_replaced_whole(tmp_path: Path) -> None:
         store.write_record(replace(RECORD, status="failed", reason="first", contents={"old.txt": b"old"}))
         store.write_record(replace(RECORD, contents={"new.txt": b"new"}))
     record = store.read_record(RECORD.cell_id)
-    assert record.artifacts == ["new.txt"]
+    assert list(record.files) == ["new.txt"]
     assert store.read_file(record, "new.txt") == b"new"
     assert sorted(path.name for path in store.record_folder(RECORD.cell_id).iterdir()) == ["new.txt", "record.json"]
     assert store.entries()[RECORD.cell_id].status == "ok"

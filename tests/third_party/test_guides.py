@@ -1,0 +1,95 @@
+"""The packages of the guides, each installed on a path and used by the command in a process of its own."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributions import THIRD_PARTY, register
+
+DOCS = THIRD_PARTY.parent.parent / "docs"
+GUIDES = {"npy": "writing-a-dataset.md", "drift": "writing-a-slam-backend.md", "inline": "writing-an-executor.md"}
+Call = Callable[..., str]
+
+
+def _page(name: str) -> str:
+    return (DOCS / GUIDES[name]).read_text()
+
+
+def _matrix(name: str) -> str:
+    (block,) = re.findall(r"```yaml\n(.*?)```", _page(name), re.DOTALL)
+    return block
+
+
+@pytest.fixture
+def call(request: pytest.FixtureRequest, tmp_path: Path) -> Call:
+    """Runs `codecbench` in `tmp_path`, where the package that the test names is installed and its matrix lies."""
+    name = request.param
+    package = THIRD_PARTY / name / f"codecbench_{name}"
+    site = tmp_path / "site"
+    shutil.copytree(package, site / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+    register(site, f"codecbench-{name}", "0.1.0", package.name)
+    (tmp_path / "matrix.yaml").write_text(_matrix(name))
+
+    def codecbench(*words: str, status: int = 0) -> str:
+        environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200"}
+        command = [sys.executable, "-m", "codecbench", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+        assert done.returncode == status, done.stdout + done.stderr
+        return done.stdout + done.stderr if status else done.stdout
+
+    return codecbench
+
+
+def _samples(text: str, metric: str) -> list[float]:
+    return [float(row["value"]) for row in csv.DictReader(io.StringIO(text)) if row["metric"] == metric]
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_the_guide_shows_the_package_that_is_tested(name: str) -> None:
+    package = THIRD_PARTY / name
+    for file in [package / "pyproject.toml", *sorted(package.glob("codecbench_*/*.py"))]:
+        assert file.read_text() in _page(name), file
+
+
+@pytest.mark.parametrize("call", ["npy"], indirect=True)
+def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np.random.Generator) -> None:
+    frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)
+    np.save(tmp_path / "frames.npy", frames)
+    assert "frames in one NumPy file" in call("list", "datasets")
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
+    raw_bits = _samples(call("table", "run", "--tidy", "--format", "csv"), "size_bytes")
+    assert len(raw_bits) == 5
+    assert min(raw_bits) == max(raw_bits) >= 24 * 32 * 3
+    assert "of them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
+    np.save(tmp_path / "frames.npy", frames.astype(np.float32))
+    assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)
+
+
+@pytest.mark.parametrize("call", ["drift"], indirect=True)
+def test_a_backend_is_run_by_the_trajectory_evaluator(call: Call) -> None:
+    assert "shifts between frames" in call("list", "slam_backends")
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
+    table = call("table", "run", "--tidy", "--format", "csv")
+    assert _samples(table, "tracked_fraction") == [1.0]
+    assert 0.0 < _samples(table, "ate_rmse_m")[0] < 0.2
+
+
+@pytest.mark.parametrize("call", ["inline"], indirect=True)
+def test_an_executor_runs_every_cell_where_it_says(call: Call, tmp_path: Path) -> None:
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
+    assert len(_samples(call("table", "run", "--tidy", "--format", "csv"), "psnr_gray_db")) == 6
+    local = re.sub(r"executor: \w+", "executor: local", (tmp_path / "matrix.yaml").read_text())
+    (tmp_path / "matrix.yaml").write_text(local)
+    call("run", "matrix.yaml", "--quiet", "--out", "beside")
+    tables = [call("table", folder, "--tidy", "--format", "csv") for folder in ("run", "beside")]
+    assert tables[0] == tables[1]
