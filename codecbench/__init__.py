@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         Evaluator,
         FrameEvaluator,
         Measurement,
-        Metric,
         Outcome,
         PluginUse,
         SequenceEvaluator,
@@ -40,9 +39,11 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.executor import Executor, Finished, Task
     from codecbench.core.contracts.hooks import PluginSpec, hookimpl
     from codecbench.core.contracts.image import Image, check_image, gray_from_image
+    from codecbench.core.contracts.metric import Metric
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
+    from codecbench.core.contracts.view import Drawing, Line, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
     from codecbench.core.results.collect import open_run
@@ -59,14 +60,16 @@ _HOMES = {
     ),
     _CONTRACTS + "evaluator": (
         "CodecEvaluator", "CodedFrame", "CodedSequence", "Context", "Evaluator", "FrameEvaluator",
-        "Measurement", "Metric", "Outcome", "PluginUse", "SequenceEvaluator",
+        "Measurement", "Outcome", "PluginUse", "SequenceEvaluator",
     ),
     _CONTRACTS + "executor": ("Executor", "Finished", "Task"),
     _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
     _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
+    _CONTRACTS + "metric": ("Metric",),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Sequence", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
+    _CONTRACTS + "view": ("Drawing", "Line", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
     "codecbench.core.results.collect": ("open_run",),

@@ -27,7 +27,7 @@ def report(run: Path, out: Path | None, format_: str) -> None:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A folder; default: RUN/report.")
 @click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
 def plot(run: Path, out: Path | None, format_: str) -> None:
-    """Draw the figures of the RUN folder: rate curves, operations, trajectories over ground truth, maps."""
+    """Draw the figures of the RUN folder: curves over the rate, bars by stage, and maps."""
     from codecbench.core.results.collect import open_run
     from codecbench.core.results.figures import draw_all
 

@@ -12,21 +12,6 @@ from rich.table import Table
 if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
 
-_BRIEF: Final = {
-    "quality.rate_bpp.mean": "bpp",
-    "quality.cr_percent.mean": "CR %",
-    "quality.psnr_gray_db.mean": "PSNR dB",
-    "quality.ssim_matlab.mean": "SSIM",
-    "features.keypoint_repeatability.mean": "features",
-    "timing.encode_wall_ms.median": "enc ms",
-    "timing.decode_wall_ms.median": "dec ms",
-    "operations.source_total.encode.mean": "enc Mops",
-    "operations.model_total.encode.mean": "model Mops",
-    "trajectory.ate_rmse_m.median": "ATE m",
-    "trajectory.tracked_fraction.median": "tracked",
-    "trajectory.success.mean": "success",
-}
-_MEGA: Final = ("enc Mops", "model Mops")
 _MOST_ROWS: Final = 400
 _LEADING: Final = ("sequence", "codec", "setting")
 """Columns that say which row is which, in every part of a table too wide for the screen."""
@@ -37,14 +22,10 @@ _FRAME: Final = 3
 
 
 def show_summary(result: RunResult) -> None:
-    """The columns of the wide table that most people ask for first."""
-    wide = result.wide
-    names = {name: short for name, short in _BRIEF.items() if name in wide.columns and wide[name].notna().any()}
-    shown = wide[["sequence", "codec", "setting", *names, "status"]].rename(columns=names)
-    for name in _MEGA:
-        if name in shown.columns:
-            shown[name] = shown[name] / 1e6
-    show_table(shown, result)
+    """What evaluators declare as their headlines: the numbers that most people ask for first."""
+    from codecbench.core.results.export import short_table
+
+    show_table(short_table(result, brief=True), result)
 
 
 def show_table(frame: pd.DataFrame, result: RunResult) -> None:
@@ -54,7 +35,7 @@ def show_table(frame: pd.DataFrame, result: RunResult) -> None:
         console = Console(width=160)
     texts = [[_cell(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     heads = [str(name).replace(".", "\n") for name in frame.columns]
-    numeric = [pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns]
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     for part in _parts(heads, texts, [str(name) in _LEADING for name in frame.columns], console.width):
         table = Table(title=result.plan.name, title_justify="left", header_style="bold", row_styles=["", "dim"])
         for column in part:

@@ -79,9 +79,9 @@ def _header(measured: Measured) -> str:
 def _levels(measured: Measured) -> str:
     found = []
     for qf in (5.0, 20.0, 100.0):
-        one, two = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
+        single, double = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
         for sequence in measured.sequences:
-            sizes = [measured.size_kib(sequence, setting) for setting in (one, two)]
+            sizes = [measured.size_kib(sequence, setting) for setting in (single, double)]
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
                 found.append(f"QF {qf:g} on {sequence}: two levels change the size by {change:+.1f} %")
@@ -138,8 +138,8 @@ def _rounding(measured: Measured) -> str:
 
 
 def _real_jpeg(measured: Measured) -> str:
-    quality = measured.run.of("quality")
-    rates = bd_rates(quality, quality, measured.run.curves, "psnr_gray_db")
+    column = measured.run.columns.get("quality.psnr_gray_db.mean")
+    rates = {} if column is None else bd_rates(measured.run, column)
     found = [
         f"{curve} on {sequence}: {rate}" for (sequence, curve), rate in rates.items() if curve.startswith("multilevel")
     ]

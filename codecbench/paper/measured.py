@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.results.run_result import RunResult
 
@@ -54,12 +52,6 @@ class Measured:
     def size_kib(self, sequence: str, setting: PluginSetting | None) -> float:
         """Mean size of a coded frame in KiB."""
         return self.value(sequence, setting, "quality.size_bytes.mean") / KIB
-
-    def over_sequences(self, setting: PluginSetting | None, column: str, sequences: list[str]) -> float:
-        """Mean over several sequences of one column; NaN where none has it."""
-        values = np.array([self.value(sequence, setting, column) for sequence in sequences])
-        values = values[~np.isnan(values)]
-        return float(values.mean()) if len(values) else float("nan")
 
 
 def _same(first: Any, second: Any) -> bool:

@@ -12,7 +12,7 @@ from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.figures import draw_all
 from codecbench.core.results.markdown import table
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import Limit, trajectory_limits
+from codecbench.core.results.verdicts import Limit, limits
 from codecbench.paper import facts
 from codecbench.paper.contradictions import contradictions
 from codecbench.paper.measured import Measured
@@ -44,8 +44,8 @@ def write_page(runs: list[RunResult], path: Path) -> list[Path]:
     figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
     parts = [*_introduction(runs), *quality_tables(measured[0]), *operation_tables(measured[0])]
     parts += _limits_introduction(runs)
-    for one in measured:
-        parts += _trajectories(one)
+    for of_run in measured:
+        parts += _trajectories(of_run)
     parts += [*_figures(figures, path), *_contradictions(measured), *_closing()]
     write_file(path, "\n".join(parts).encode())
     return [path, *figures]
@@ -86,7 +86,7 @@ def _introduction(runs: list[RunResult]) -> Iterator[str]:
 
 def _provenance(run: RunResult) -> str:
     """Where a run was computed, how much of it, and what it took."""
-    machines = sorted({str(one.get("machine", {}).get("cpu")) for one in run.environments.values()})
+    machines = sorted({str(known.get("machine", {}).get("cpu")) for known in run.environments.values()})
     done = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
     machine = ", ".join(machines) or "an unknown machine"
@@ -99,7 +99,7 @@ def _provenance(run: RunResult) -> str:
 
 
 def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
-    if not any((run.tidy["metric"] == "success").any() for run in runs):
+    if not any(run.headlines("success") for run in runs):
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
@@ -113,25 +113,29 @@ def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
 
 def _trajectories(measured: Measured) -> Iterator[str]:
     run = measured.run
-    success = run.tidy[run.tidy["metric"] == "success"]
     tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
     untracked = [str(name) for name, most in tracked.items() if most == 0.0]
     if untracked:
         yield f"Too short for a first map, with every codec and with raw frames: {', '.join(untracked)}.\n"
-        success = success[~success["sequence"].isin(untracked)]
-    for evaluator in dict.fromkeys(success["evaluator"]):
-        limits = trajectory_limits(run.wide, success[success["evaluator"] == evaluator], run.curves)
-        rows = [[sequence, curve, *_limit(limit), _paper(curve)] for (sequence, curve), limit in limits.items()]
+    for column in run.headlines("success"):
+        rows = [
+            [sequence, curve, *_limit(limit), _paper(curve)]
+            for (sequence, curve), limit in limits(run, column).items()
+            if sequence not in untracked
+        ]
+        if not rows:
+            continue
+        evaluator = column.evaluator.title
         yield f"### {run.plan.name}, {evaluator}\n"
         yield table(["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows)
-        yield from _errors(measured, str(evaluator))
+        yield from _errors(measured, evaluator)
 
 
-def _limit(limit: Limit | None) -> list[object]:
-    if limit is None:
-        return ["fails at every setting", None, "", ""]
+def _limit(limit: Limit) -> list[object]:
+    if limit.reason:
+        return [limit.reason, None, "", ""]
     share = f"{limit.successes}/{limit.runs}, at least {100 * limit.low:.0f} %"
-    return [limit.point or "its setting", limit.rate_bpp, share, limit.next_failing or "none"]
+    return [limit.point or "its setting", limit.rate, share, limit.next_failing or "none"]
 
 
 def _paper(curve: str) -> str:

@@ -26,11 +26,11 @@ def quality_tables(measured: Measured) -> Iterator[str]:
     yield _sized(measured, "jpeg2000", "cr_percent", facts.table("table2_jpeg2000"), {})
     paper = facts.table("table3_multilevel")
     for levels in (1, 2):
-        one = paper.rename(
+        renamed = paper.rename(
             columns={f"l{levels}_{name}": name for name in ("size_kb", "cr_percent", "encode_s", "decode_s")}
         )
         yield f"## Table 3: multi-level, {'one level' if levels == 1 else 'two levels'}\n"
-        yield _sized(measured, "multilevel", "qf", one, {"levels": levels})
+        yield _sized(measured, "multilevel", "qf", renamed, {"levels": levels})
 
 
 def _sized(measured: Measured, codec: str, key: str, paper: pd.DataFrame, fixed: dict[str, Any]) -> str:

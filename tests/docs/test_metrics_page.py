@@ -1,32 +1,78 @@
-"""docs/metrics.md defines every metric that is declared, with its unit and direction, and no other."""
+"""docs/metrics.md defines every metric that is declared, with label, unit, direction and role, and no other."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import pytest
 from project import DOCS
 
 from codecbench.core.contracts.evaluator import Evaluator
+from codecbench.core.contracts.metric import Metric
 from codecbench.plugins.evaluators import codecbench_evaluators
 from codecbench.plugins.evaluators.features import Features
+from codecbench.plugins.evaluators.operations import Operations
 from codecbench.plugins.evaluators.quality import Quality
+from codecbench.plugins.evaluators.timing import Timing
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 
 PAGE = (DOCS / "metrics.md").read_text()
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]}
-EVALUATORS = (Quality, Features, TrajectoryEvaluator)
+EVALUATORS = (Quality, Features, Timing, Operations, TrajectoryEvaluator)
+each = pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)
 
 
-@pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)
-def test_every_metric_is_defined_with_unit_and_direction(evaluator: type[Evaluator]) -> None:
-    rows = re.findall(
-        r"^\| `(\w+)` \| ([^|]+) \| (higher|lower|neither) \| .+ \|$", SECTIONS[evaluator.name], re.MULTILINE
-    )
-    assert rows == [(metric.name, metric.unit, metric.better) for metric in evaluator.metrics]
+@dataclass(frozen=True)
+class Row:
+    """A row of the page: the metrics that share it, and what it says of them."""
+
+    names: tuple[str, ...]
+    label: str
+    unit: str
+    better: str
+    role: str
+    definition: str
 
 
-@pytest.mark.parametrize("evaluator", [Features, TrajectoryEvaluator], ids=lambda evaluator: evaluator.name)
+def rows(evaluator: type[Evaluator]) -> list[Row]:
+    found = []
+    for line in SECTIONS[evaluator.name].splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        if len(cells) == 6 and cells[0].startswith("`"):
+            found.append(Row(tuple(re.findall(r"`(\w+)`", cells[0])), *cells[1:]))
+    return found
+
+
+def role_of(metric: Metric) -> str:
+    return f"{metric.role}, headline" if metric.headline else metric.role
+
+
+@each
+def test_every_metric_is_defined_and_no_other(evaluator: type[Evaluator]) -> None:
+    named = [name for row in rows(evaluator) for name in row.names]
+    assert sorted(named) == sorted(metric.name for metric in evaluator.metrics)
+    assert all(len(row.definition) > 8 for row in rows(evaluator))
+
+
+@each
+def test_every_row_says_what_its_metrics_declare(evaluator: type[Evaluator]) -> None:
+    """Metrics of several families share a row: their labels begin alike, and it names the family that is a headline."""
+    declared = {metric.name: metric for metric in evaluator.metrics}
+    for row in rows(evaluator):
+        metrics = [declared[name] for name in row.names]
+        assert {(metric.unit, metric.better) for metric in metrics} == {(row.unit, row.better)}, row.names
+        if len(metrics) == 1 and evaluator is not Operations:
+            assert (row.label, row.role) == (metrics[0].label, role_of(metrics[0])), row.names
+            continue
+        families = [name.partition("_")[0] for name in row.names]
+        assert [metric.label for metric in metrics] == [f"{row.label}, {family}" for family in families]
+        assert {metric.role for metric in metrics} == {row.role.partition(",")[0]}
+        headlines = [family for family, metric in zip(families, metrics, strict=True) if metric.headline]
+        assert re.findall(r"`(\w+)`", row.role) == headlines
+
+
+@pytest.mark.parametrize("evaluator", EVALUATORS[1:], ids=lambda evaluator: evaluator.name)
 def test_every_parameter_is_named(evaluator: type[Evaluator]) -> None:
     for name in evaluator.params_type.model_fields:
         assert f"`{name}`" in SECTIONS[evaluator.name]
@@ -37,17 +83,22 @@ def test_every_file_is_named() -> None:
     assert set(named) == {value for name, value in vars(files).items() if name.isupper() and isinstance(value, str)}
 
 
-def test_offers_lead_to_the_classes_that_they_name() -> None:
+def test_every_evaluator_that_is_offered_is_on_the_page() -> None:
     specs = {spec.name: spec for spec in codecbench_evaluators()}
+    assert set(specs) == {evaluator.name for evaluator in EVALUATORS}
     for evaluator in EVALUATORS:
         module, _, name = specs[evaluator.name].target.partition(":")
         assert evaluator.__name__ == name
         assert evaluator.__module__.startswith(module)
 
 
-@pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)
-def test_aggregates_are_ones_that_tables_know(evaluator: type[Evaluator]) -> None:
-    from codecbench.core.engine.aggregate import AGGREGATES
+@each
+def test_labels_tell_metrics_apart(evaluator: type[Evaluator]) -> None:
+    labels = [metric.label for metric in evaluator.metrics]
+    assert len(set(labels)) == len(labels)
 
-    for metric in evaluator.metrics:
-        assert set(metric.aggregates) <= set(AGGREGATES)
+
+def test_headlines_have_heads_of_their_own() -> None:
+    heads = [metric.brief for evaluator in EVALUATORS for metric in evaluator.metrics if metric.headline]
+    assert len(set(heads)) == len(heads)
+    assert max(map(len, heads)) <= 12

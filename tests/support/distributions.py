@@ -16,10 +16,19 @@ def install_source(site: Path, name: str, version: str, source: str) -> None:
 
 
 def install_posterize(site: Path) -> None:
-    """Put the example distribution into the folder `site`."""
-    package = THIRD_PARTY / "posterize" / "codecbench_posterize"
+    """Put the example distribution with a codec into the folder `site`."""
+    _install_package(site, "codecbench-posterize", "0.3.0")
+
+
+def install_edges(site: Path) -> None:
+    """Put the example distribution with an evaluator into the folder `site`."""
+    _install_package(site, "codecbench-edges", "0.1.0")
+
+
+def _install_package(site: Path, name: str, version: str) -> None:
+    package = THIRD_PARTY / name.removeprefix("codecbench-") / name.replace("-", "_")
     shutil.copytree(package, site / package.name, ignore=shutil.ignore_patterns("__pycache__"))
-    register(site, "codecbench-posterize", "0.3.0", package.name)
+    register(site, name, version, package.name)
 
 
 def register(site: Path, name: str, version: str, module: str) -> None:

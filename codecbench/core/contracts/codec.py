@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 P = TypeVar("P", bound=Params)
+
+Reference = Literal["", "baseline", "anchor"]
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,9 @@ class Codec(ABC, Generic[P]):
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
-    settings on which the conformance kit and the benchmarks exercise this codec; `kernels`, the packages and modules
-    whose listed kernels it calls, which a run compiles ahead.
+    settings on which the conformance kit and the benchmarks exercise this codec; `reference`, what it is to
+    others: the `baseline` that a task without compression is judged by, or the `anchor` of BD-rates; `kernels`, the
+    packages and modules whose listed kernels it calls, which a run compiles ahead.
     """
 
     name: ClassVar[str]
@@ -49,6 +52,7 @@ class Codec(ABC, Generic[P]):
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
     kernels: ClassVar[tuple[str, ...]] = ()
+    reference: ClassVar[Reference] = ""
 
     def __init__(self, params: P) -> None:
         """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""

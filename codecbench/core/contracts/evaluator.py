@@ -17,30 +17,15 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 import numpy as np
 
 from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.view import Drawing, View
 
 P = TypeVar("P", bound=Params)
-
-
-@dataclass(frozen=True)
-class Metric:
-    """A quantity that an evaluator measures.
-
-    name: ends in its unit where it has one (`psnr_gray_db`). unit: `dB`, `bytes`, `1` for pure numbers.
-    better: which direction a codec author wants, `neither` where there is none.
-    aggregates: how the wide table summarises it over frames and repeats; names as in `codecbench table --help`.
-    repeatable: equal code on equal input gives equal values; False for times, which are compared statistically.
-    """
-
-    name: str
-    unit: str
-    better: Literal["higher", "lower", "neither"]
-    summary: str
-    aggregates: tuple[str, ...] = ("mean",)
-    repeatable: bool = True
 
 
 @dataclass(frozen=True)
@@ -136,18 +121,35 @@ class Outcome:
 class Evaluator(ABC, Generic[P]):
     """Base of the three kinds of evaluator; subclass one of those.
 
-    metrics: everything that `evaluate` and `compare` may yield. needs: what the sequence must have.
-    exclusive: nothing else may run on the machine meanwhile. kernels: the packages and modules whose listed kernels it
-    calls, which a run compiles ahead.
+    metrics: everything that `evaluate` and `compare` may yield. views: what it offers to draw of them, beyond
+    what their roles say. needs: what the sequence must have. exclusive: nothing else may run on the machine meanwhile.
+    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
+    typical_ms_per_frame: of a cell on a 640x480 colour frame, decoding included, for estimates before anything is
+    measured; None for evaluators that look at a few frames, whatever the length of the sequence.
     """
 
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
     metrics: ClassVar[tuple[Metric, ...]]
+    views: ClassVar[tuple[View, ...]] = ()
     needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
     exclusive: ClassVar[bool] = False
     kernels: ClassVar[tuple[str, ...]] = ()
+    typical_ms_per_frame: ClassVar[float | None] = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Raise PluginError where metrics and views name metrics that are not declared, or one twice."""
+        super().__init_subclass__(**options)
+        names = [metric.name for metric in getattr(cls, "metrics", ())]
+        meant = [(f"metric {metric.name!r}", other) for metric in getattr(cls, "metrics", ())
+                 for other in (metric.confirmed_by, metric.in_units_of) if other]  # fmt: skip
+        meant += [(f"view {view.title!r}", name) for view in cls.views for name in view.metrics]
+        for where, name in meant:
+            if name not in names:
+                raise PluginError(f"{cls.__name__}: {where} names {name!r}; declared are {', '.join(names)}")
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise PluginError(f"{cls.__name__}: metrics declares {', '.join(twice)} twice")
 
     def __init__(self, params: P) -> None:
         self.params = params
@@ -180,11 +182,15 @@ class Evaluator(ABC, Generic[P]):
         return self.params.identity()
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        """Measurements that need the raw codec's outcomes on the same sequence; made when tables are built.
+        """Measurements that need the baseline codec's outcomes on the same sequence; made when tables are built.
 
-        `baseline` is empty where the matrix has no raw codec: yield NaN with that reason, or nothing.
+        `baseline` is empty where the matrix has no baseline codec: yield NaN with that reason, or nothing.
         """
         return iter(())
+
+    def drawing(self, outcome: Outcome) -> Drawing | None:
+        """What a finished cell left, for a view of kind `map`; None where there is nothing to draw."""
+        return None
 
 
 class FrameEvaluator(Evaluator[P]):

@@ -41,10 +41,10 @@ def _expand(value: Any) -> Any:
 
 
 def _anchor(path: Path, info: ValidationInfo) -> Path:
-    folder = (info.context or {}).get("folder")
+    folder = (info.context or {}).get("relative_to")
     return path if path.is_absolute() or folder is None else Path(folder) / path
 
 
 PathParam = Annotated[Path, BeforeValidator(_expand), AfterValidator(_anchor)]
 """A path in a matrix: `~` and `${VAR}` expand; a relative path starts at the folder of the matrix file,
-which validation receives as `context={"folder": ...}`."""
+which validation receives as `context={"relative_to": ...}`."""

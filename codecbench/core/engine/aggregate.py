@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
 
 Values = NDArray[np.float64]
 

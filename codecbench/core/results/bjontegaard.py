@@ -132,11 +132,13 @@ class _Curve:
 
     def hull(self) -> _Curve:
         best = np.maximum.accumulate(np.concatenate([[-np.inf], self.qualities[:-1]]))
-        keep = self.qualities > best
+        keep = (self.qualities > best) | np.isnan(self.rates)
         return _Curve(self.side, self.rates[keep], self.qualities[keep], self.failures)
 
     def fault(self, method: Method) -> str:
         """Why no curve can be drawn through these points, or nothing."""
+        if np.isnan(self.rates).any():
+            return f"the {self.side} curve has a setting whose rate is not known"
         if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
             return f"the {self.side} curve has an infinite value (a lossless setting has no place on it)"
         if len(self.rates) < _LEAST_POINTS[method]:

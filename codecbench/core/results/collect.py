@@ -1,4 +1,4 @@
-"""From a run folder to results: every record of the plan, with what can be said beside the raw codec."""
+"""From a run folder to results: every record of the plan, with what can be said beside the baseline codec."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import logging
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
-from codecbench.core.contracts.evaluator import Evaluator, Measurement, Metric, Outcome
+from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.meaning import meaning_of
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.table import CellResult
 
 if TYPE_CHECKING:
     import pyarrow
-
-BASELINE: Final = "raw"
-"""The codec that others are compared with where an evaluator compares."""
 
 log = logging.getLogger("codecbench.results")
 
@@ -35,19 +36,22 @@ def open_run(folder: str | Path, registry: Registry | None = None) -> RunResult:
     Damaged records are left out and reported to the log; the next run computes them again. Raises StoreError
     for a folder that is not a run.
     """
+    registry = registry or installed()
     store = Store(Path(folder))
     plan = store.read_plan()
     found = _records(store, plan)
-    evaluators = _evaluators(found, registry or installed())
-    baselines: dict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
+    evaluators = _evaluators(found, registry)
+    meaning = meaning_of(plan, evaluators, registry)
+    baselines: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
     for cell, record in found:
-        if cell.codec.name == BASELINE and record.status == "ok":
+        if cell.codec.name in meaning.baselines and record.status == "ok":
             baselines[_group(cell)].append(_outcome(store, cell, record))
     results = []
     for cell, record in found:
-        evaluator = evaluators.get((cell.evaluator.name, cell.evaluator.label))
-        results.append(_result(store, cell, record, evaluator, baselines[_group(cell)]))
-    return RunResult(Path(folder), plan, tuple(results), store.environments())
+        evaluator = evaluators.get(cell.evaluator.title)
+        metrics = dict(meaning.metrics[cell.evaluator.title])
+        results.append(_result(store, cell, record, evaluator, metrics, baselines[_group(cell)]))
+    return RunResult(Path(folder), plan, tuple(results), store.environments(), meaning)
 
 
 def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
@@ -62,23 +66,19 @@ def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
     return found
 
 
-def _evaluators(found: list[tuple[Cell, Record]], registry: Registry) -> dict[tuple[str, str], Evaluator[Any]]:
-    """Instances by name and label; one that is no longer installed is left out, and its units with it."""
-    instances: dict[tuple[str, str], Evaluator[Any]] = {}
-    tried: set[tuple[str, str]] = set()
-    for cell, _ in found:
-        key = (cell.evaluator.name, cell.evaluator.label)
-        if key not in tried:
-            tried.add(key)
-            try:
-                instances[key] = registry.create("evaluator", cell.evaluator.name, cell.evaluator.params)
-            except (CodecbenchError, ValueError) as error:
-                log.warning("evaluator %s: %s; its units and comparisons are missing", cell.evaluator.name, error)
+def _evaluators(found: list[tuple[Cell, Record]], registry: Registry) -> dict[str, Evaluator[Any]]:
+    """Instances by title; one that is no longer installed is left out, and its comparisons and drawings with it."""
+    instances: dict[str, Evaluator[Any]] = {}
+    for setting in dict.fromkeys(cell.evaluator for cell, _ in found):
+        try:
+            instances[setting.title] = registry.create("evaluator", setting.name, setting.params)
+        except (CodecbenchError, ValueError) as error:
+            log.warning("evaluator %s: %s; its comparisons and drawings are missing", setting.name, error)
     return instances
 
 
-def _group(cell: Cell) -> tuple[str, str, str]:
-    return cell.sequence.name, cell.evaluator.name, cell.evaluator.label
+def _group(cell: Cell) -> tuple[str, str]:
+    return cell.sequence.name, cell.evaluator.title
 
 
 def _outcome(store: Store, cell: Cell, record: Record) -> Outcome:
@@ -86,40 +86,52 @@ def _outcome(store: Store, cell: Cell, record: Record) -> Outcome:
 
 
 def _result(
-    store: Store, cell: Cell, record: Record, evaluator: Evaluator[Any] | None, baseline: list[Outcome]
+    store: Store,
+    cell: Cell,
+    record: Record,
+    evaluator: Evaluator[Any] | None,
+    metrics: dict[str, Metric],
+    baseline: list[Outcome],
 ) -> CellResult:
-    measurements: tuple[Measurement, ...] = record.measurements
     outcome = _outcome(store, cell, record)
-    metrics: dict[str, Metric] = {}
-    if evaluator is not None:
-        metrics = {metric.name: metric for metric in evaluator.metrics}
-        if record.status == "ok":
-            measurements += tuple(evaluator.compare(outcome, baseline))
-            measurements += tuple(_declared_later(evaluator, record, measurements))
+    if evaluator is not None and record.status == "ok":
+        measured = (*record.measurements, *evaluator.compare(outcome, baseline))
+        outcome = replace(outcome, measurements=(*measured, *_declared_later(cell, metrics, record, measured)))
     return CellResult(
         cell,
         record.status,
         record.reason,
-        measurements,
+        outcome.measurements,
         record.summaries,
         metrics,
         partial(_samples, store, record),
         outcome.artifacts,
         record.duration_s,
+        partial(_drawing, evaluator if record.status == "ok" else None, outcome),
     )
 
 
 def _declared_later(
-    evaluator: Evaluator[Any], record: Record, measurements: tuple[Measurement, ...]
+    cell: Cell, metrics: dict[str, Metric], record: Record, measured: tuple[Measurement, ...]
 ) -> Iterator[Measurement]:
     """A missing value for each metric that the evaluator did not have yet when it measured the cell."""
     if not record.metrics:
         return
-    known = {*record.metrics, *(measurement.metric for measurement in measurements)}
-    reason = f"declared after this cell was measured; `codecbench run --recompute {evaluator.name}` measures it"
-    for metric in evaluator.metrics:
-        if metric.name not in known:
-            yield Measurement(metric.name, math.nan, reason=reason)
+    known = {*record.metrics, *(measurement.metric for measurement in measured)}
+    name = cell.evaluator.name
+    reason = f"declared after this cell was measured; `codecbench run --recompute {name}` measures it"
+    for metric in metrics:
+        if metric not in known:
+            yield Measurement(metric, math.nan, reason=reason)
+
+
+def _drawing(evaluator: Evaluator[Any] | None, outcome: Outcome) -> Drawing | None:
+    """What a cell left, as its evaluator draws it; None, with a line in the log, where its files are damaged."""
+    try:
+        return None if evaluator is None else evaluator.drawing(outcome)
+    except (CodecbenchError, OSError, ValueError, KeyError) as error:
+        log.warning("%s: no drawing: %s", outcome.artifacts, error)
+        return None
 
 
 def _samples(store: Store, record: Record) -> pyarrow.Table:

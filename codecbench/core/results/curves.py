@@ -44,7 +44,7 @@ def _swept(params: list[dict[str, object]]) -> str | None:
     """The numeric parameter with most different values; of equals the first."""
     best, most = None, 1
     for key in params[0] if params else ():
-        values = [one.get(key) for one in params]
+        values = [setting.get(key) for setting in params]
         numbers = {value for value in values if isinstance(value, int | float) and not isinstance(value, bool)}
         if len(numbers) > most:
             best, most = key, len(numbers)

@@ -7,11 +7,15 @@ import fnmatch
 import io
 import json
 import math
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import table as markdown_table
+
+if TYPE_CHECKING:
+    from codecbench.core.results.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
 
@@ -57,6 +61,19 @@ def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
     return frame[chosen]
 
 
+def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
+    """The headlines of a run in the units that people are shown, under heads for people.
+
+    brief: narrow heads, on several lines where there is more to say than the metric.
+    """
+    headlines = run.headlines()
+    parts = [run.wide[[*_KEYS]], *(run.wide[column.name] * column.factor for column in headlines), run.wide[["status"]]]
+    table = pd.concat(parts, axis=1)
+    heads = [column.brief if brief else column.heading for column in headlines]
+    table.columns = pd.Index([*_KEYS, *heads, "status"])
+    return table
+
+
 def _objects(frame: pd.DataFrame) -> pd.DataFrame:
     """The table with None for whatever is missing."""
     return frame.astype(object).where(frame.notna(), None)
@@ -71,7 +88,7 @@ def json_value(value: object) -> object:
 
 def _latex(frame: pd.DataFrame) -> str:
     """A booktabs table; pandas would want jinja2's styler for less control."""
-    numeric = [pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns]
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     lines = ["\\begin{tabular}{" + "".join("r" if is_number else "l" for is_number in numeric) + "}", "\\toprule"]
     lines.append(" & ".join(_escaped(str(name)) for name in frame.columns) + " \\\\")
     lines.append("\\midrule")

@@ -1,4 +1,4 @@
-"""Figures for print: rate curves, operation counts, trajectories over ground truth, and maps."""
+"""Figures for print: rate curves, bars by stage, and maps, as evaluators declare them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.planning.model import SequenceEntry
+from codecbench.core.results.columns import Column
 from codecbench.core.results.report import page_data
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.trajectories import SavedTrajectory, saved_trajectories
+from codecbench.core.results.style import FAILED, PALETTE, STROKES
+from codecbench.core.results.views import Bars, CurveView, Drawn, bars_views, curve_views, map_views
 
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#777777")
-MARKERS: Final = ("o", "s", "D", "^", "P", "X", "*", "h")
 _STYLE: Final[Any] = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False,
     "figure.constrained_layout.use": True, "svg.hashsalt": "codecbench", "legend.frameon": False,
 }  # fmt: skip
-_CURVES: Final = (
-    ("rate_psnr", "quality.rate_bpp.mean", "quality.psnr_gray_db.mean", "rate [bit/pixel]", "PSNR gray [dB]", False),
-    ("rate_ssim", "quality.rate_bpp.mean", "quality.ssim_matlab.mean", "rate [bit/pixel]", "SSIM", False),
-    ("rate_features", "quality.rate_bpp.mean", "features.keypoint_repeatability.mean", "rate [bit/pixel]",
-     "share of ORB keypoints found again", False),
-    ("rate_ate", "quality.rate_bpp.mean", "trajectory.ate_rmse_m.median", "rate [bit/pixel]", "ATE RMSE [m]", True),
-)  # fmt: skip
+
+_HATCHES: Final = ("", "////", "....", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
@@ -47,122 +43,162 @@ def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Pat
 
 
 def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
+    over_rate = [view for view in curve_views(run) if view.x == run.rate]
     for entry in run.plan.sequences:
-        for name, x, y, across, up, log in _CURVES:
-            for column in page_data.matching([str(name) for name in run.wide.columns], y):
-                figure = curve_figure(run, entry, x, column, across, up, log)
-                if figure is not None:
-                    yield f"{_file_name(entry.name)}-{name}{_suffix(column)}", figure
-    yield from trajectory_figures(run)
-    operations = operations_figure(run)
-    if operations is not None:
-        yield "operations", operations
+        for view in over_rate:
+            figure = curve_figure(run, entry, view)
+            if figure is not None:
+                yield _file_name(entry.name, "rate", view.y.metric.name, view.y.evaluator.label), figure
+    yield from map_figures(run)
+    for bars in bars_views(run):
+        drawn = bars_figure(run, bars)
+        if drawn is not None:
+            yield _file_name(bars.name), drawn
 
 
-def curve_figure(
-    run: RunResult, entry: SequenceEntry, x: str, y: str, across: str, up: str, log: bool
-) -> Figure | None:
-    """One line a curve of settings, rates on a logarithmic axis; None where no setting has both values.
+def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figure | None:
+    """One line a curve of settings; None where no setting has both values.
 
     Bars are the 95 % intervals of medians over repeats, where there are any.
     """
-    rows = run.wide[run.wide["sequence"] == entry.name]
-    if x not in rows or y not in rows:
-        return None
-    ends = page_data.intervals(run.wide).get(y, ())
+    ends = page_data.intervals(run.wide).get(view.y.name, ())
     lines: dict[str, list[tuple[float, float, float, float]]] = {}
-    for row in rows.to_dict("records"):
-        value = float(row[y])
-        low, high = (float(row[end]) for end in ends) if ends else (math.nan, math.nan)
-        point = (float(row[x]), value, value - low, high - value)
+    for row in run.wide[run.wide["sequence"] == entry.name].to_dict("records"):
+        value = _shown(row, view.y)
+        low, high = (float(row[end]) * view.y.factor for end in ends) if ends else (math.nan, math.nan)
+        point = (_shown(row, view.x), value, value - low, high - value)
         if all(map(math.isfinite, point[:2])):
             lines.setdefault(run.curves[row["codec"], row["setting"]].curve, []).append(point)
     if not lines:
         return None
     figure, axes = plt.subplots(figsize=(5.2, 4.0))
-    for index, (curve, points) in enumerate(lines.items()):
+    handles = []
+    for curve, points in lines.items():
         points.sort()
-        style: dict[str, Any] = {
-            "color": COLOURS[index % len(COLOURS)],
-            "marker": MARKERS[index % len(MARKERS)],
-            "markersize": 4,
-        }
-        rates, values, below, above = zip(*points, strict=True)
-        axes.errorbar(rates, values, (below, above), label=curve, linewidth=1.2, elinewidth=0.6, capsize=2, **style)
-    axes.set_xscale("log")
-    if log:
-        axes.set_yscale("log")
-    axes.set(xlabel=across, ylabel=up, title=entry.name)
-    axes.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
-    figure.legend(loc="outside lower center", ncols=2, fontsize=7)
+        style = run.styles[curve]
+        across, values, below, above = zip(*points, strict=True)
+        drawn = axes.errorbar(
+            across, values, (below, above) if ends else None, label=curve, color=style.colour, marker=style.marker,
+            markersize=4, linewidth=1.2, elinewidth=0.6, capsize=2,
+        )  # fmt: skip
+        handles.append(drawn.lines[0])
+    _scale(axes.xaxis, view.x)
+    _scale(axes.yaxis, view.y)
+    axes.set(xlabel=view.x.heading, ylabel=view.y.heading, title=entry.name)
+    figure.legend(handles, list(lines), loc="outside lower center", ncols=2, fontsize=7)
     return figure
 
 
-def trajectory_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
-    """The paper's Figures 7 to 11: for each sequence and codec, small multiples over its settings, first repeat."""
-    groups: dict[tuple[str, str, str], list[SavedTrajectory]] = {}
-    for one in saved_trajectories(run):
-        if one.repeat == 0:
-            groups.setdefault((one.sequence, one.codec, one.evaluator_label), []).append(one)
-    for (sequence, codec, label), members in groups.items():
-        name = "-".join(filter(None, (_file_name(sequence), "trajectory", codec, _file_name(label))))
-        yield name, _multiples(f"{sequence}: {codec} {label}".strip(), members)
+def _scale(axis: Any, column: Column) -> None:
+    """The scale that a metric declares; logarithmic axes are labelled with plain numbers, at 1, 2 and 5."""
+    if column.metric.scale == "log":
+        getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
+        axis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
+        axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
-def _multiples(title: str, members: list[SavedTrajectory]) -> Figure:
+def _shown(row: dict[Any, Any], column: Column) -> float:
+    """A value of the table in the unit that people are shown."""
+    return float(row[column.name]) * column.factor
+
+
+def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
+    """For each sequence and codec, small multiples over its settings, first repeat."""
+    for view in map_views(run):
+        groups: dict[tuple[str, str, str], list[Drawn]] = {}
+        for drawn in view.drawings:
+            cell = drawn.result.cell
+            groups.setdefault((cell.sequence.name, cell.codec.name, cell.evaluator.label), []).append(drawn)
+        for (sequence, codec, label), members in groups.items():
+            title = f"{sequence}: {codec} {label}".strip()
+            yield _file_name(sequence, view.name, codec, label), _multiples(title, members)
+
+
+def _multiples(title: str, members: list[Drawn]) -> Figure:
     across = min(4, len(members))
     down = math.ceil(len(members) / across)
     figure, grid = plt.subplots(down, across, figsize=(max(3.6, 2.6 * across), 2.7 * down + 0.5), squeeze=False)
     for axes in grid.flat[len(members) :]:
         axes.set_visible(False)
-    for axes, one in zip(grid.flat, members, strict=False):
-        _draw(axes, one)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    for axes, drawn in zip(grid.flat, members, strict=False):
+        codec = drawn.result.cell.codec
+        _draw(axes, codec.label or codec.name, drawn.drawing)
+    named = {
+        label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=3, fontsize=8)
     figure.suptitle(title, fontsize=10)
     return figure
 
 
-def _draw(axes: Any, one: SavedTrajectory) -> None:
-    for points, label, style in (
-        (one.truth, "ground truth", {"color": "#8a8f98", "linewidth": 2.6, "alpha": 0.7}),
-        (one.estimated, "estimated", {"color": "#E69F00", "linewidth": 1.0, "linestyle": "--"}),
-        (one.optimised, "optimised", {"color": "#0072B2", "linewidth": 1.1}),
-    ):
-        if points is not None and len(points):
-            axes.plot(points[:, 0], points[:, 1], label=label, **style)
+def _draw(axes: Any, name: str, drawing: Drawing) -> None:
+    for line in drawing.lines:
+        style = STROKES[line.stroke]
+        axes.plot(*line.points.T, label=line.name, color=style.colour, linestyle=style.dash, linewidth=style.width)
     axes.set_aspect("equal", adjustable="datalim")
-    colour = "#a02020" if one.success is False else "black"
-    axes.set_title(f"{one.setting or one.codec}\n{one.caption}", fontsize=7, color=colour)
+    axes.set_title(f"{name}\n{drawing.caption}", fontsize=7, color=FAILED if drawing.holds is False else "black")
     axes.tick_params(labelsize=6)
 
 
-def operations_figure(run: RunResult) -> Figure | None:
-    """The paper's Figure 12: operations a frame, encoding and decoding, by family, the first sequence."""
-    bars = page_data.operations(run.wide)
-    if not bars:
-        return None
+def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
+    """Stages stacked, of the first sequence: a row of pictures a metric, one a direction; None where it has none."""
     sequence = run.plan.sequences[0].name
-    totals: dict[tuple[str, str], dict[str, float]] = {}
-    for bar in bars:
-        if bar["sequence"] == sequence:
-            found = totals.setdefault((bar["family"], bar["direction"]), {})
-            found[bar["bar"]] = found.get(bar["bar"], 0.0) + bar["value"]
-    height = 0.17 * max(map(len, totals.values())) + 1.2
-    figure, grid = plt.subplots(1, len(totals), figsize=(3.4 * len(totals), height), squeeze=False)
-    for axes, ((family, direction), values) in zip(grid.flat, sorted(totals.items()), strict=True):
-        names = list(values)
-        axes.barh(names, np.array([values[name] for name in names]) / 1e6, color=COLOURS[0])
-        axes.invert_yaxis()
-        axes.tick_params(labelsize=6)
-        axes.set(title=f"{family}, {direction}", xlabel="million operations a frame")
+    stacks: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for part in bars.parts:
+        if part.sequence == sequence:
+            stages = stacks.setdefault(part.choice, {}).setdefault(part.direction, {})
+            stages.setdefault(part.stage, {})[part.setting] = part.value
+    if not stacks:
+        return None
+    names = list(dict.fromkeys(part.stage for part in bars.parts))
+    directions = list(dict.fromkeys(part.direction for part in bars.parts))
+    settings = {
+        choice: list(
+            dict.fromkeys(setting for found in pictures.values() for stage in found.values() for setting in stage)
+        )
+        for choice, pictures in stacks.items()
+    }
+    heights = [0.16 * len(known) + 0.7 for known in settings.values()]
+    figure, grid = plt.subplots(
+        len(stacks), len(directions), figsize=(2.0 + 2.8 * len(directions), sum(heights) + 0.25 * len(names) / 4 + 0.4),
+        squeeze=False, sharey="row", height_ratios=heights,
+    )  # fmt: skip
+    for row, (choice, pictures) in zip(grid, stacks.items(), strict=True):
+        for axes, direction in zip(row, directions, strict=True):
+            _stack(axes, settings[choice], pictures.get(direction, {}), names)
+            axes.set_title(f"{choice}, {direction}", fontsize=8)
+            axes.set_xlabel(f"{bars.unit} a frame", fontsize=7)
+        row[0].invert_yaxis()
+    swatches = [matplotlib.patches.Patch(**_fill(at)) for at in range(len(names))]
+    figure.legend(swatches, names, loc="outside lower center", ncols=4, fontsize=7)
     return figure
 
 
-def _suffix(column: str) -> str:
-    label = column.partition("(")[2].partition(")")[0]
-    return f"-{_file_name(label)}" if label else ""
+def _stack(axes: Any, settings: list[str], stages: dict[str, dict[str, float]], names: list[str]) -> None:
+    starts = np.zeros(len(settings))
+    for at, name in enumerate(names):
+        values = np.array([stages.get(name, {}).get(setting, 0.0) for setting in settings])
+        axes.barh(settings, values, left=starts, **_fill(at))
+        starts += values
+    axes.tick_params(labelsize=6)
+    axes.grid(visible=False, axis="y")
+    axes.set_axisbelow(True)
 
 
-def _file_name(text: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in text)
+def _fill(at: int) -> dict[str, Any]:
+    """Colour and pattern of a stage: patterns tell apart those that share a colour."""
+    turns, colour = divmod(at, len(PALETTE))
+    return {
+        "facecolor": PALETTE[colour],
+        "hatch": _HATCHES[turns % len(_HATCHES)],
+        "edgecolor": "white",
+        "linewidth": 0,
+    }
+
+
+def _file_name(*parts: str) -> str:
+    """The parts that are not empty, joined by dashes, of letters that every file system takes."""
+    return "-".join(
+        "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in part) for part in parts if part
+    )

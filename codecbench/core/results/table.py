@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.aggregate import aggregate
-from codecbench.core.engine.planning.model import Cell, PluginSetting
+from codecbench.core.engine.planning.model import Cell
 
 if TYPE_CHECKING:
     import pyarrow
@@ -32,10 +34,11 @@ _OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
 class CellResult:
     """A cell beside what became of it, as tables need it.
 
-    measurements: those that belong to no frame, with those that compare with the raw codec. summaries:
+    measurements: those that belong to no frame, with those that compare with the baseline codec. summaries:
     aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
     declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
     folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
+    drawing: makes the picture of what it left, where its evaluator offers one.
     """
 
     cell: Cell
@@ -47,16 +50,12 @@ class CellResult:
     samples: Callable[[], pyarrow.Table]
     folder: Path
     duration_s: float = 0.0
+    drawing: Callable[[], Drawing | None] = lambda: None
 
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""
         frames: pd.DataFrame = self.samples().to_pandas()
         return frames
-
-
-def shown(setting: PluginSetting) -> str:
-    """What tables call a setting of an evaluator: its name, and its label where it has several settings."""
-    return f"{setting.name}({setting.label})" if setting.label else setting.name
 
 
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
@@ -109,7 +108,7 @@ def _rows(result: CellResult) -> dict[str, Any]:
         "sequence": cell.sequence.name,
         "codec": cell.codec.name,
         "setting": cell.codec.label,
-        "evaluator": shown(cell.evaluator),
+        "evaluator": cell.evaluator.title,
         "status": result.status,
     }
     nothing, count = count == 0, max(count, 1)
@@ -119,14 +118,14 @@ def _rows(result: CellResult) -> dict[str, Any]:
         blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
         columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
         return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
-    metric = _chained(_codes([one.metric for one in own]), samples, "metric")
+    metric = _chained(_codes([measured.metric for measured in own]), samples, "metric")
     codes, names = metric
     columns["metric"] = metric
     columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
-    columns["stage"] = _chained(_codes([one.stage for one in own]), samples, "stage")
-    columns["reason"] = _chained(_codes([one.reason for one in own]), samples, "reason")
+    columns["stage"] = _chained(_codes([measured.stage for measured in own]), samples, "stage")
+    columns["reason"] = _chained(_codes([measured.reason for measured in own]), samples, "reason")
     columns["frame"] = np.full(len(own), np.nan)
-    columns["value"] = np.array([one.value for one in own], dtype=np.float64)
+    columns["value"] = np.array([measured.value for measured in own], dtype=np.float64)
     if samples is not None:
         for name in ("frame", "value"):
             columns[name] = np.concatenate([columns[name], samples[name].to_numpy()])
@@ -168,7 +167,7 @@ def _verdict(members: list[CellResult]) -> dict[str, str]:
         return {"status": "ok", "reason": ""}
     counts: dict[str, int] = {}
     for member in bad:
-        word = f"{shown(member.cell.evaluator)} {member.status}"
+        word = f"{member.cell.evaluator.title} {member.status}"
         counts[word] = counts.get(word, 0) + 1
     status = ", ".join(word if count == 1 else f"{word} ({count} repeats)" for word, count in counts.items())
     return {"status": status, "reason": bad[0].reason}
@@ -179,7 +178,7 @@ def _summarised(members: list[CellResult]) -> dict[str, float]:
     by_evaluator: dict[str, list[CellResult]] = defaultdict(list)
     for member in members:
         if member.status == "ok":
-            by_evaluator[shown(member.cell.evaluator)].append(member)
+            by_evaluator[member.cell.evaluator.title].append(member)
     columns: dict[str, float] = {}
     for evaluator, repeats in by_evaluator.items():
         for name, value in _over_repeats(repeats):
@@ -194,8 +193,8 @@ def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
     for repeat in repeats:
         for key, value in repeat.summaries.items():
             per_repeat[key].append(value)
-        for one in repeat.measurements:
-            single[one.metric, one.stage or ""].append(one.value)
+        for measured in repeat.measurements:
+            single[measured.metric, measured.stage or ""].append(measured.value)
     for (name, stage, how), values in per_repeat.items():
         yield _column(name, stage, how), _of_repeats(_OVER_REPEATS.get(how, "median"), values)
     for (name, stage), values in single.items():

@@ -1,51 +1,59 @@
-"""What a run says about each codec, sequence by sequence: rate at equal quality, how far tracking holds, time."""
+"""What a run says about each codec, sequence by sequence: rate at equal quality, how far a task holds, who is ahead.
+
+All of it goes by what evaluators declare of their metrics: role, direction, headline.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from codecbench.core.engine.aggregate import percentile
 from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
+from codecbench.core.results.columns import Column
 from codecbench.core.results.curves import CurvePoint
 from codecbench.core.results.pareto import pareto_front
+from codecbench.core.results.run_result import Key, RunResult
 from codecbench.core.results.table import CellResult
 
-RATE: Final = "rate_bpp"
-QUALITIES: Final = ("psnr_gray_db", "ssim_matlab", "ms_ssim")
-"""Frame qualities of the evaluator `quality` for which a BD-rate is given."""
-
-PREFERRED_ANCHOR: Final = "jpeg"
+Points = Mapping[tuple[str, str], CurvePoint]
+"""The curve of each codec setting, by codec name and label."""
+SequenceCurve = tuple[str, str]
+"""A sequence and a curve on it."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """How hard a codec may compress before tracking fails.
+    """How hard a codec may compress before a task fails.
 
-    point: the setting of least rate that succeeds, with every setting of more rate succeeding too.
-    successes, runs: of that setting. low: 95 % lower confidence bound of its success rate (Wilson).
-    next_failing: the setting after it, or nothing where the sweep never failed.
+    point: the setting of least rate that succeeds, with every setting of more rate succeeding too. rate: its rate.
+    successes, runs: of that setting. low: 95 % lower confidence bound of its success rate (Wilson 1927,
+    doi:10.1080/01621459.1927.10502953). next_failing: the setting after it, or nothing where the sweep never failed.
+    reason: why there is no limit, and then the rest means nothing.
     """
 
-    point: str
-    rate_bpp: float
-    successes: int
-    runs: int
-    low: float
+    point: str = ""
+    rate: float = float("nan")
+    successes: int = 0
+    runs: int = 0
+    low: float = float("nan")
     next_failing: str = ""
+    reason: str = ""
 
 
-def frame_matrix(results: list[CellResult], metric: str) -> tuple[list[str], np.ndarray]:
+def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tuple[list[str], np.ndarray]:
     """Labels and a (settings, frames) array of a per-frame metric, one row a codec setting, NaN where missing."""
     labels, rows = [], []
     for result in results:
         frames = result.frames()
-        values = frames[frames["metric"] == metric]
+        of_stage = frames["stage"] == stage if stage else frames["stage"].isna()
+        values = frames[(frames["metric"] == metric) & of_stage]
         row = np.full(result.cell.sequence.frames, np.nan)
         row[values["frame"].to_numpy(int)] = values["value"].to_numpy(float)
         labels.append(result.cell.codec.label)
@@ -53,31 +61,60 @@ def frame_matrix(results: list[CellResult], metric: str) -> tuple[list[str], np.
     return labels, np.array(rows)
 
 
-def bd_rates(
-    rates: list[CellResult],
-    qualities: list[CellResult],
-    points: dict[tuple[str, str], CurvePoint],
-    metric: str,
-    *,
-    resamples: int = 200,
-) -> dict[tuple[str, str], BdRate]:
-    """BD-rate of every curve against the anchor, by sequence and curve, with an interval over frames.
+def bd_rates(run: RunResult, column: Column, *, resamples: int = 200) -> dict[SequenceCurve, BdRate]:
+    """BD-rate of every curve against the anchor at equal values of a column, with an interval.
 
-    `rates` are the ok cells of the evaluator `quality`, `qualities` those of the evaluator that measures `metric` a
-    frame: the same, or `features`. Frames that lack the metric in every setting do not count. The anchor is JPEG where
-    it was run; it is left out.
+    The interval is over frames where the metric is measured a frame, else over repeats; repeats are noisy, so that
+    their curves are first reduced to monotone hulls. A metric that is better when lower counts as its negative, or as
+    minus its logarithm where its scale is logarithmic, so that halving an error counts the same everywhere. Nothing
+    where the run has no rate.
     """
-    coded = {_coding(result): result for result in rates}
-    pairs = [(coded[_coding(result)], result) for result in qualities if _coding(result) in coded]
+    if run.rate is None:
+        return {}
+    results = run.of(column.evaluator.title)
+    key = (column.metric.name, column.stage, column.aggregate)
+    if any(key in result.summaries for result in results):
+        return _bd_rates_over_frames(run, run.rate, results, column, resamples)
+    values = {row: _as_quality(np.array(many), column) for row, many in values_of_repeats(run, column).items()}
+    return bd_rates_over_repeats(run.rates, values, run.curves, run.meaning.anchors, resamples=resamples)
+
+
+def _as_quality(values: np.ndarray, column: Column) -> np.ndarray:
+    """Values that are better when higher."""
+    if column.metric.better == "higher":
+        return values
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return -np.log10(values) if column.metric.scale == "log" else -values
+
+
+_Pair = tuple[CellResult, CellResult]
+
+
+def _bd_rates_over_frames(
+    run: RunResult, rate: Column, qualities: list[CellResult], column: Column, resamples: int
+) -> dict[SequenceCurve, BdRate]:
+    """Frames that lack the metric in every setting do not count."""
+    coded = {_row(result): result for result in run.of(rate.evaluator.title)}
+    curves: dict[str, dict[str, list[_Pair]]] = defaultdict(lambda: defaultdict(list))
+    for result in qualities:
+        if _row(result) in coded:
+            sequence, *setting = _row(result)
+            curves[sequence][run.curves[setting[0], setting[1]].curve].append((coded[_row(result)], result))
+
+    def arrays(members: list[_Pair]) -> tuple[np.ndarray, np.ndarray]:
+        rates = frame_matrix([pair[0] for pair in members], rate.metric.name, rate.stage)[1]
+        values = frame_matrix([pair[1] for pair in members], column.metric.name, column.stage)[1]
+        return rates, _as_quality(values, column)
+
     found = {}
-    for sequence, curves in _by_curve(pairs, points).items():
-        anchor = anchor_of(curves)
+    for sequence, lines in curves.items():
+        anchor = anchor_of(lines, run.meaning.anchors)
         if anchor is None:
             continue
-        base = _rates_and_qualities(curves[anchor], metric)
-        for curve, members in curves.items():
+        base = arrays(lines[anchor])
+        for curve, members in lines.items():
             if curve != anchor and len(members) > 1:
-                test = _rates_and_qualities(members, metric)
+                test = arrays(members)
                 there = ~(np.isnan(base[1]).all(axis=0) | np.isnan(test[1]).all(axis=0))
                 four = (array[:, there] for array in (*base, *test))
                 rng = np.random.default_rng(0)
@@ -85,46 +122,45 @@ def bd_rates(
     return found
 
 
-_Pair = tuple[CellResult, CellResult]
-
-
-def _coding(result: CellResult) -> tuple[str, str, str]:
+def _row(result: CellResult) -> Key:
     return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
 
 
-def _by_curve(pairs: list[_Pair], points: dict[tuple[str, str], CurvePoint]) -> dict[str, dict[str, list[_Pair]]]:
-    """Pairs of cells of one setting, by sequence and curve."""
-    grouped: dict[str, dict[str, list[_Pair]]] = defaultdict(lambda: defaultdict(list))
-    for pair in pairs:
-        cell = pair[0].cell
-        grouped[cell.sequence.name][points[cell.codec.name, cell.codec.label].curve].append(pair)
-    return grouped
+def values_of_repeats(run: RunResult, column: Column) -> dict[Key, list[float]]:
+    """The value of each repeat, in order, by row; a metric measured a frame counts with its summary over frames."""
+    found: dict[Key, list[tuple[int, float]]] = defaultdict(list)
+    for result in run.of(column.evaluator.title):
+        own = [
+            measured.value
+            for measured in result.measurements
+            if (measured.metric, measured.stage or "") == (column.metric.name, column.stage)
+        ]
+        over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
+        for value in own or ([] if over_frames is None else [over_frames]):
+            found[_row(result)].append((result.cell.repeat, value))
+    return {row: [value for _, value in sorted(values, key=lambda pair: pair[0])] for row, values in found.items()}
 
 
-def _rates_and_qualities(members: list[_Pair], metric: str) -> tuple[np.ndarray, np.ndarray]:
-    """(settings, frames) each."""
-    rates = frame_matrix([rate for rate, _ in members], RATE)[1]
-    return rates, frame_matrix([quality for _, quality in members], metric)[1]
+def bd_rates_over_repeats(
+    rates: Mapping[Key, float],
+    qualities: Mapping[Key, np.ndarray],
+    points: Points,
+    anchors: Iterable[str],
+    *,
+    resamples: int = 200,
+) -> dict[SequenceCurve, BdRate]:
+    """BD-rate of every curve against the anchor at equal quality, by sequence and curve, with an interval over repeats.
 
-
-def trajectory_bd_rates(
-    wide: pd.DataFrame, errors: pd.DataFrame, points: dict[tuple[str, str], CurvePoint], *, resamples: int = 200
-) -> dict[tuple[str, str], BdRate]:
-    """BD-rate of every curve against the anchor at equal trajectory error, by sequence and curve.
-
-    wide: the wide table, for rates. errors: rows of the tidy table for one evaluator's `ate_rmse_m`. Quality is minus
-    the logarithm of the error, so that halving it counts the same everywhere. Errors are noisy: the curves
-    are monotone hulls, and the interval is over repeats. A setting with a run without a trajectory is a failure.
+    qualities: one value a repeat, better when higher. The curves are monotone hulls. A setting with a NaN among its
+    repeats is a failure. Codecs that were not repeated as often as the anchor have no BD-rate.
     """
-    rates = _rates(wide)
     curves: dict[str, dict[str, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
-    for key, group in errors.groupby(["sequence", "codec", "setting"], sort=False, observed=True):
-        sequence, codec, setting = (str(part) for part in key)
-        values = -np.log10(group.sort_values("repeat")["value"].to_numpy(float))
-        curves[sequence][points[codec, setting].curve].append((rates[sequence, codec, setting], values))
+    for (sequence, codec, setting), values in qualities.items():
+        rate = rates.get((sequence, codec, setting), np.nan)
+        curves[sequence][points[codec, setting].curve].append((rate, values))
     found = {}
     for sequence, members in curves.items():
-        anchor = anchor_of(members)
+        anchor = anchor_of(members, anchors)
         for curve, settings in members.items():
             repeats = {len(values) for name in (anchor, curve) if name for _, values in members[name]}
             if anchor is None or curve == anchor or len(settings) < 2 or len(repeats) != 1:
@@ -141,85 +177,75 @@ def _repeated(settings: list[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.
     return np.repeat(np.array([[rate] for rate, _ in settings]), qualities.shape[1], axis=1), qualities
 
 
-def anchor_of(curves: Mapping[str, Sequence[Any]]) -> str | None:
-    """The curve that others are compared with: JPEG, or else the first with several settings."""
-    several = [curve for curve, members in curves.items() if len(members) > 1]
-    return next(
-        (curve for curve in several if curve.split(" ")[0] == PREFERRED_ANCHOR), several[0] if several else None
-    )
+def anchor_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> str | None:
+    """The curve that others are compared with: of a codec that declares itself an anchor, or else the first.
 
-
-def trajectory_limits(
-    wide: pd.DataFrame, tidy_success: pd.DataFrame, points: dict[tuple[str, str], CurvePoint]
-) -> dict[tuple[str, str], Limit | None]:
-    """The limit of each curve on each sequence, by (sequence, curve); None where not even its best setting succeeds.
-
-    wide: the wide table, for rates. tidy_success: rows of the tidy table for one evaluator's `success`.
-    A setting holds where more than half of its runs succeed; a failed run counts as a run without success.
+    Only curves of several settings can be one.
     """
-    rates = _rates(wide)
-    curves: dict[tuple[str, str], list[tuple[float, str, int, int]]] = defaultdict(list)
-    for key, group in tidy_success.groupby(["sequence", "codec", "setting"], sort=False, observed=True):
-        sequence, codec, setting = (str(part) for part in key)
+    names = set(anchors)
+    several = [curve for curve, members in curves.items() if len(members) > 1]
+    return next((curve for curve in several if curve.split(" ")[0] in names), several[0] if several else None)
+
+
+def limits(run: RunResult, column: Column) -> dict[SequenceCurve, Limit]:
+    """The limit of each curve on each sequence, for a column of role `success`."""
+    successes = values_of_repeats(run, column)
+    found = limits_of(run.rates, successes, run.curves)
+    if run.rate is None:
+        reason = "no rate was measured; add an evaluator with a headline of role rate"
+        return {key: Limit(reason=reason) for key in found}
+    return found
+
+
+def limits_of(
+    rates: Mapping[Key, float], successes: Mapping[Key, Sequence[float]], points: Points
+) -> dict[SequenceCurve, Limit]:
+    """The limit of each curve by (sequence, curve), with a reason where there is none.
+
+    successes: a value a run, 1 where it succeeded. A setting holds where more than half of its runs succeed; a value
+    that is missing counts as a run without success. A curve with a setting whose rate is not known has no limit,
+    because nobody can say where that setting stands in the sweep.
+    """
+    curves: dict[SequenceCurve, list[tuple[float, str, int, int]]] = defaultdict(list)
+    for (sequence, codec, setting), values in successes.items():
         point = points[codec, setting]
-        successes = int((group["value"] == 1.0).sum())
+        held = sum(value == 1.0 for value in values)
         rate = rates.get((sequence, codec, setting), np.nan)
-        curves[sequence, point.curve].append((rate, point.point, successes, len(group)))
-    return {key: _limit(sorted(members, reverse=True)) for key, members in curves.items()}
+        curves[sequence, point.curve].append((rate, point.point, held, len(values)))
+    return {key: _limit(members) for key, members in curves.items()}
 
 
-def _rates(wide: pd.DataFrame) -> dict[tuple[str, str, str], float]:
-    """Mean rate in bpp by sequence, codec and setting; NaN where it was not measured."""
-    return {
-        (row["sequence"], row["codec"], row["setting"]): float(row.get(f"quality.{RATE}.mean", np.nan))
-        for row in wide.to_dict("records")
-    }
-
-
-def _limit(members: list[tuple[float, str, int, int]]) -> Limit | None:
+def _limit(members: list[tuple[float, str, int, int]]) -> Limit:
     """Go down in rate until a setting does not hold."""
-    limit = None
-    for rate, point, successes, runs in members:
+    if unknown := [point or "its setting" for rate, point, *_ in members if np.isnan(rate)]:
+        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
+    limit = Limit(reason="fails at every setting")
+    for rate, point, successes, runs in sorted(members, reverse=True):
         if 2 * successes <= runs:
-            return None if limit is None else Limit(**{**vars(limit), "next_failing": point})
-        limit = Limit(point, rate, successes, runs, wilson_low(successes, runs))
+            return limit if limit.reason else replace(limit, next_failing=point)
+        interval = binomtest(successes, runs).proportion_ci(method="wilson")
+        limit = Limit(point, rate, successes, runs, float(interval.low))
     return limit
 
 
-PARETO_CRITERIA: Final[tuple[tuple[str, str, Literal["higher", "lower"]], ...]] = (
-    ("rate", "quality.rate_bpp.mean", "lower"),
-    ("PSNR", "quality.psnr_gray_db.mean", "higher"),
-    ("features kept", "features.keypoint_repeatability.mean", "higher"),
-    ("trajectory error", "trajectory.ate_rmse_m.median", "lower"),
-    ("encoding time", "timing.encode_cpu_ms.median", "lower"),
-    ("decoding time", "timing.decode_cpu_ms.median", "lower"),
-    ("operations", "operations.source_total.encode.mean", "lower"),
-)
-"""What settings are compared in at once: name, column of the wide table, direction."""
-
-
-def pareto_settings(wide: pd.DataFrame) -> tuple[list[str], np.ndarray]:
+def pareto_settings(wide: pd.DataFrame, criteria: Iterable[Column]) -> tuple[list[str], np.ndarray]:
     """The criteria that every setting of one sequence has, and which settings no other beats in all of them.
 
     wide: rows of one sequence. A criterion that some setting lacks (operations of an opaque library, the error of a
     run that failed everywhere) would bar that setting from the front, so it is left out for all.
     """
-    usable = [c for c in PARETO_CRITERIA if c[1] in wide.columns and wide[c[1]].notna().all()]
+    usable = [column for column in criteria if column.name in wide.columns and wide[column.name].notna().all()]
     if not usable:
         return [], np.zeros(len(wide), dtype=bool)
-    front = pareto_front(wide[[column for _, column, _ in usable]].to_numpy(float), [way for *_, way in usable])
-    return [name for name, *_ in usable], front
+    ways = [cast(Literal["higher", "lower"], column.metric.better) for column in usable]
+    front = pareto_front(wide[[column.name for column in usable]].to_numpy(float), ways)
+    return [column.label for column in usable], front
 
 
-def wilson_low(successes: int, runs: int) -> float:
-    """Lower end of the 95 % Wilson score interval of a proportion (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
-    if runs == 0:
-        return float("nan")
-    z = 1.959963984540054
-    share = successes / runs
-    centre = share + z * z / (2 * runs)
-    spread = z * np.sqrt(share * (1 - share) / runs + z * z / (4 * runs * runs))
-    return float((centre - spread) / (1 + z * z / runs))
+def pareto_criteria(run: RunResult) -> list[Column]:
+    """What settings are compared in at once: the rate, and every headline of quality, task, time and operations."""
+    ranked = run.headlines("quality", "task", "time", "operations")
+    return [column for column in (run.rate, *ranked) if column is not None and column.metric.better != "neither"]
 
 
 def spread(values: np.ndarray) -> str:

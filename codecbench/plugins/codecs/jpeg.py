@@ -55,6 +55,7 @@ class Jpeg(Codec[JpegParams]):
     version = "1"
     params_type = JpegParams
     capabilities = Capabilities()
+    reference = "anchor"
     examples = (
         {},
         {"quality": 1, "subsampling": "444", "optimize": True},

@@ -37,6 +37,7 @@ class Raw(Codec[NoParams]):
     params_type = NoParams
     capabilities = Capabilities(lossless=True)
     examples = ({},)
+    reference = "baseline"
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, Metric, SequenceEvaluator
+from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.hamming import hamming
@@ -74,12 +75,21 @@ class Features(SequenceEvaluator[FeaturesParams]):
     version = "1"
     kernels = ("codecbench.plugins.evaluators.features",)
     params_type = FeaturesParams
+    typical_ms_per_frame = 25.0
     metrics: ClassVar[tuple[Metric, ...]] = (
-        Metric("keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again"),
-        Metric("descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again"),
-        Metric("matches_kept", "1", "higher", "share of matches with the previous frame that survive coding"),
-        Metric("inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix"),
-    )
+        Metric(
+            "keypoint_repeatability", "1", "higher", "share of the original's ORB keypoints found again",
+            role="task", headline=True, label="features kept", brief="features",
+        ),
+        Metric(
+            "descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again",
+            role="task", label="descriptor distance",
+        ),
+        Metric(
+            "matches_kept", "1", "higher", "share of matches with the previous frame that survive coding", role="task"
+        ),
+        Metric("inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix", role="task"),
+    )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         detector = cv2.ORB.create(self.params.keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=BORDER_PX)

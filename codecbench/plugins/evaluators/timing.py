@@ -21,8 +21,9 @@ import cv2
 from pydantic import Field
 
 from codecbench.core.contracts.codec import Codec
-from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
@@ -30,6 +31,7 @@ from codecbench.plugins.evaluators.sampling import evenly_spread
 _MAX_LOOPS = 1000
 _YARDSTICK = bytes((index * index >> 5) & 255 for index in range(1 << 16))
 _AGGREGATES = ("median", "p95")
+_YARDSTICK_MS = "yardstick_ms"
 
 
 class TimingParams(Params):
@@ -62,6 +64,23 @@ class _Durations:
     yardstick: Duration
 
 
+def _time(name: str, summary: str, label: str, brief: str = "", confirmed_by: str = "") -> Metric:
+    """A time of one frame; a headline where it has a brief name."""
+    return Metric(
+        name, "ms", "lower", summary, _AGGREGATES, False,
+        role="time", headline=bool(brief), label=label, brief=brief, scale="log",
+        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS,
+    )  # fmt: skip
+
+
+def _pace(name: str, summary: str, label: str, confirmed_by: str) -> Metric:
+    """Megapixels a second."""
+    return Metric(
+        name, "Mpx/s", "higher", summary, _AGGREGATES, False,
+        role="time", label=label, scale="log", confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS,
+    )  # fmt: skip
+
+
 class Timing(CodecEvaluator[TimingParams]):
     """Encode and decode time per frame."""
 
@@ -70,25 +89,19 @@ class Timing(CodecEvaluator[TimingParams]):
     params_type = TimingParams
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
-        Metric("encode_wall_ms", "ms", "lower", "time from image to bitstream", _AGGREGATES, repeatable=False),
-        Metric("decode_wall_ms", "ms", "lower", "time from bitstream to image", _AGGREGATES, repeatable=False),
-        Metric("encode_cpu_ms", "ms", "lower", "processor time from image to bitstream", _AGGREGATES, repeatable=False),
-        Metric("decode_cpu_ms", "ms", "lower", "processor time from bitstream to image", _AGGREGATES, repeatable=False),
-        Metric("encode_mpix_per_s", "Mpx/s", "higher", "megapixels encoded a second", _AGGREGATES, repeatable=False),
-        Metric("decode_mpix_per_s", "Mpx/s", "higher", "megapixels decoded a second", _AGGREGATES, repeatable=False),
+        _time("encode_wall_ms", "time from image to bitstream", "encoding time", "enc ms", "encode_cpu_ms"),
+        _time("decode_wall_ms", "time from bitstream to image", "decoding time", "dec ms", "decode_cpu_ms"),
+        _time("encode_cpu_ms", "processor time from image to bitstream", "encoding processor time"),
+        _time("decode_cpu_ms", "processor time from bitstream to image", "decoding processor time"),
+        _pace("encode_mpix_per_s", "megapixels encoded a second", "encoding pace", "encode_cpu_ms"),
+        _pace("decode_mpix_per_s", "megapixels decoded a second", "decoding pace", "decode_cpu_ms"),
+        _time("prepare_wall_ms", "time to find what depends on the frame", "preparation time", "", "prepare_cpu_ms"),
+        _time("prepare_cpu_ms", "processor time to find it", "preparation processor time"),
         Metric(
-            "prepare_wall_ms", "ms", "lower", "time to find what depends on the frame", _AGGREGATES, repeatable=False
+            _YARDSTICK_MS, "ms", "neither", "a fixed piece of work, timed beside each frame", ("median",), False,
+            label="yardstick",
         ),
-        Metric("prepare_cpu_ms", "ms", "lower", "processor time to find it", _AGGREGATES, repeatable=False),
-        Metric(
-            "yardstick_ms",
-            "ms",
-            "neither",
-            "a fixed piece of work, timed beside each frame",
-            ("median",),
-            repeatable=False,
-        ),
-    )
+    )  # fmt: skip
 
     @property
     def repeats(self) -> int:
@@ -107,7 +120,7 @@ class Timing(CodecEvaluator[TimingParams]):
         with _no_collection():
             taken = {index: self._durations(codec, image) for index, image in images.items()}
         for index, durations in taken.items():
-            yield Measurement("yardstick_ms", durations.yardstick.wall_ms, index)
+            yield Measurement(_YARDSTICK_MS, durations.yardstick.wall_ms, index)
             yield from _measurements("encode", durations.encoding, images[index], index)
             yield from _measurements("decode", durations.decoding, images[index], index)
             preparing = durations.preparing

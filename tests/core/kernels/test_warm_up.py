@@ -34,6 +34,7 @@ def halve(pixels, out):
     "codec.py": """
 import numpy as np
 from plain_plugins import Shift
+from project import SUPPORT
 from codecbench import Capabilities, NULL_TRACE
 from halving.kernels import halve
 
@@ -67,7 +68,7 @@ class Place:
         (self.site / "halving").mkdir(parents=True)
         for name, text in PACKAGE.items():
             (self.site / "halving" / name).write_text(text)
-        plain = Path(__file__).parent.parent / "plain_plugins.py"
+        plain = SUPPORT / "plain_plugins.py"
         (self.site / plain.name).write_text(plain.read_text())
         register(self.site, "plain", "1", "plain_plugins")
         register(self.site, "halving", "1", "halving")

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval, summarise
 from codecbench.core.engine.planning.model import Cell, PluginSetting, SequenceEntry
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet

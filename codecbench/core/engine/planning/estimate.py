@@ -9,8 +9,6 @@ from typing import Final
 
 from codecbench.core.engine.planning.model import Cell, Plan
 
-TYPICAL_MS_PER_FRAME: Final = {"quality": 30.0, "features": 25.0, "trajectory": 30.0}
-"""A cell of these evaluators on a 640x480 colour frame, decoding included, on one core of a small server."""
 _TYPICAL_CELL_S: Final = 3.0
 """Evaluators that look at a few frames, whatever the length of the sequence."""
 _TYPICAL_CODING_MS: Final = 25.0
@@ -30,8 +28,9 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     """The time for the missing cells and the coding jobs that have no file yet, spread over the workers.
 
     durations: seconds of finished cells by id. A cell is estimated from the median cost per frame of finished
-    cells of the same codec and evaluator, where there are any.
+    cells of the same codec and evaluator, where there are any, else from what its evaluator declares as typical.
     """
+    declared = plan.declared.get("evaluators", {})
     costs: dict[tuple[str, str], list[float]] = defaultdict(list)
     for cell in plan.cells:
         if cell.id in durations:
@@ -40,7 +39,7 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     measured = 0
     for cell in missing:
         known = sorted(costs.get((cell.codec.name, cell.evaluator.name), []))
-        typical = TYPICAL_MS_PER_FRAME.get(cell.evaluator.name)
+        typical = declared.get(cell.evaluator.title, {}).get("typical_ms_per_frame")
         if known:
             seconds = known[len(known) // 2] * cell.sequence.frames
             measured += 1

@@ -174,7 +174,7 @@ class _Reader:
             return None
         values = {key: value for key, (_, value) in point.items()}
         try:
-            params = cls.params_type.model_validate(values, context={"folder": self.folder})
+            params = cls.params_type.model_validate(values, context={"relative_to": self.folder})
         except ValidationError as error:
             for detail in error.errors():
                 self.note(where, point, detail, list(cls.params_type.model_fields))
@@ -200,7 +200,8 @@ class _Reader:
             self.problems.add(("run",), f"must be a mapping; got {plain(section)!r}")
             return None
         values = plain(section)
-        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", "local")))
+        usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
+        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", usual)))
         values.pop("executor", None)
         try:
             run = RunSection.model_validate(values)

@@ -28,6 +28,11 @@ class PluginSetting:
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
 
+    @property
+    def title(self) -> str:
+        """What tables call the setting of an evaluator: its name, and its label where it has several settings."""
+        return f"{self.name}({self.label})" if self.label else self.name
+
     def effective_params(self) -> dict[str, Any]:
         """The parameters that can change a result, those at their default among them."""
         return {name: value for name, value in self.params.items() if name not in self.inert}
@@ -91,7 +96,10 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a matrix asks for, in the order in which tables show it."""
+    """What a matrix asks for, in the order in which tables show it.
+
+    declared: what its plugins said of their meaning when the plan was made; see `planning.declared`.
+    """
 
     name: str
     matrix_text: str
@@ -99,6 +107,7 @@ class Plan:
     sequences: tuple[SequenceEntry, ...]
     jobs: tuple[CodingJob, ...]
     cells: tuple[Cell, ...]
+    declared: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """The plan as JSON types; `plan_from_json` reads it back.
@@ -124,6 +133,7 @@ class Plan:
             "settings": [asdict(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
+            "declared": self.declared,
         }
 
 
@@ -142,6 +152,7 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
             Cell(id_, sequences[at], settings[codec], settings[evaluator], *rest)
             for id_, at, codec, evaluator, *rest in value["cells"]
         ),
+        declared=value.get("declared", {}),
     )
 
 

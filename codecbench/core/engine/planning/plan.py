@@ -10,6 +10,7 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsup
 from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator, PluginUse
 from codecbench.core.contracts.params import Params
 from codecbench.core.engine.identity import digest, seed_from, without_defaults
+from codecbench.core.engine.planning.declared import declared
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
 from codecbench.core.engine.registry import Registry, installed
@@ -59,6 +60,9 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         sequences=tuple(sequences),
         jobs=tuple(jobs.values()),
         cells=tuple(cells.values()),
+        declared=declared(
+            (codec.instance for codec in codecs), ((side.setting.title, side.instance) for side in evaluators)
+        ),
     )
 
 

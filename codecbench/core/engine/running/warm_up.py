@@ -95,7 +95,7 @@ def all_kernels(registry: Registry) -> WarmUp:
     names: dict[str, None] = {}
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
         try:
-            names |= dict.fromkeys(getattr(registry.load(plugin.kind, plugin.offer.name), "kernels", ()))
+            names |= dict.fromkeys(getattr(registry.load(plugin.kind, plugin.spec.name), "kernels", ()))
         except (Unsupported, PluginError) as error:
             log.info("%s", error)
     return WarmUp(missing(names, "fast", "counting"))

@@ -1,11 +1,11 @@
 """Better, worse, same, or cannot tell.
 
-Values that repeat (sizes, quality, operation counts) are compared exactly. Times are divided by the yardstick that
-was timed between them, which takes the machine's own ups and downs out, and then tested over repeats: a change
+Values that repeat (sizes, quality, operation counts) are compared exactly. Those that do not are divided by the
+yardstick that their metric names, which takes the machine's own ups and downs out, and tested over repeats: a change
 counts where the Mann-Whitney test over repeats finds it beyond chance and the median moved by more than a
 tolerance. Source of the test: Mann and Whitney 1947, doi:10.1214/aoms/1177730491, exact distribution. Time by the
 clock on the wall also holds what other programs took, for a whole run at a time, which no test within that run can see:
-its verdict stands only where processor time moved the same way.
+its verdict stands only where the metric that it names as its confirmation, processor time, moved the same way.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ LEAST_CHANGE_MS: Final = 0.01
 """Milliseconds by which a median time must move: less depends on where the memory of a process happens to lie."""
 
 LEAST_REPEATS: Final = 5
-YARDSTICK: Final = "yardstick_ms"
-ON_THE_WALL: Final = ("_wall_ms", "_mpix_per_s")
-"""Endings of metrics that are, or come from, time by the clock on the wall; `_cpu_ms` is beside them."""
+_MILLISECONDS: Final = "ms"
 
 
 @dataclass(frozen=True)
@@ -61,55 +59,63 @@ def compare(
     metrics: patterns (`quality.psnr*`) of `evaluator.metric` to look at; all where none is given.
     """
     patterns = list(metrics)
-    first, second = ({one.key: one for one in snapshot.series} for snapshot in (before, after))
-    yardsticks = (_yardsticks(before), _yardsticks(after))
+    first, second = ({series.key: series for series in snapshot.series} for snapshot in (before, after))
     same_machine = bool(before.machines) and set(before.machines) == set(after.machines)
+    meant = {key: _Meaning.of(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])}
+    yardsticks = {(*key[:4], meaning.in_units_of) for key, meaning in meant.items() if meaning.in_units_of}
 
     def judged(key: Key) -> Comparison:
         old, new = first.get(key), second.get(key)
         if old is None or new is None:
             missing = "not in the first run" if old is None else "not in the second run"
             return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
-        scaled = [_scaled(one, known) for one, known in zip((old, new), yardsticks, strict=True)]
+        unit = (*key[:4], meant[key].in_units_of)
+        scaled = [_scaled(series, known.get(unit)) for series, known in ((old, first), (new, second))]
         return _compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
 
     found = []
-    for key in dict.fromkeys([*first, *second]):
+    for key, meaning in meant.items():
         name = f"{key[3]}.{key[4]}"
-        if key[4] == YARDSTICK or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
+        if key in yardsticks or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
             continue
-        processor = _processor_time(key)
-        one = judged(key)
-        found.append(_supported(one, judged(processor)) if processor in first and processor in second else one)
+        witness = (*key[:4], meaning.confirmed_by)
+        comparison = judged(key)
+        if witness in first and witness in second:
+            comparison = _confirmed(comparison, judged(witness))
+        found.append(comparison)
     return found
 
 
-def _processor_time(key: Key) -> Key | None:
-    """The processor time beside a time by the clock on the wall, or None for what is no such time."""
-    for ending in ON_THE_WALL:
-        if key[4].endswith(ending):
-            return (*key[:4], key[4].removesuffix(ending) + "_cpu_ms")
-    return None
+@dataclass(frozen=True)
+class _Meaning:
+    """What a series' metric declares, from whichever snapshot knows."""
+
+    confirmed_by: str
+    in_units_of: str
+
+    @classmethod
+    def of(cls, old: Series | None, new: Series | None) -> _Meaning:
+        known = [series for series in (new, old) if series is not None]
+        return cls(
+            next((series.confirmed_by for series in known if series.confirmed_by), ""),
+            next((series.in_units_of for series in known if series.in_units_of), ""),
+        )
 
 
-def _supported(wall: Comparison, processor: Comparison) -> Comparison:
-    if wall.verdict not in ("better", "worse") or wall.verdict == processor.verdict:
-        return wall
-    note = f"processor time: {processor.verdict} ({processor.change:+.1%}); other programs may have taken the rest"
-    return replace(wall, verdict="cannot tell", note=note)
+def _confirmed(claim: Comparison, witness: Comparison) -> Comparison:
+    """A change that the metric declared as its witness does not share cannot be told from what other programs took."""
+    if claim.verdict not in ("better", "worse") or claim.verdict == witness.verdict:
+        return claim
+    note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have taken the rest"
+    return replace(claim, verdict="cannot tell", note=note)
 
 
-def _yardsticks(snapshot: Snapshot) -> dict[tuple[str, str, str, str], tuple[float, ...]]:
-    return {one.key[:4]: one.values for one in snapshot.series if one.metric == YARDSTICK}
-
-
-def _scaled(series: Series, yardsticks: dict[tuple[str, str, str, str], tuple[float, ...]]) -> np.ndarray:
+def _scaled(series: Series, yardstick: Series | None) -> np.ndarray:
     """The values in units of the yardstick timed in the same repeats, where there is one and they are times."""
     values = np.array(series.values, dtype=np.float64)
-    unit = yardsticks.get(series.key[:4])
-    if series.repeatable or unit is None or len(unit) != len(values):
+    if series.repeatable or yardstick is None or len(yardstick.values) != len(values):
         return values
-    factor = np.array(unit)
+    factor = np.array(yardstick.values)
     scaled: np.ndarray = values * factor if series.better == "higher" else values / factor
     return scaled
 
@@ -126,7 +132,7 @@ def _compared(
         return Comparison(old.key, *shown, math.nan, verdict, f"{worse.status}: {worse.reason}")
     if old.repeatable:
         return _exact(old, new, shown)
-    return _timed(old, before, after, shown, same_machine, tolerance)
+    return _timed(old, new.unit, before, after, shown, same_machine, tolerance)
 
 
 def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
@@ -142,8 +148,9 @@ def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
 
 
 def _timed(
-    old: Series, before: np.ndarray, after: np.ndarray, shown: tuple[float, float], same_machine: bool, tolerance: float
-) -> Comparison:
+    old: Series, new_unit: str, before: np.ndarray, after: np.ndarray, shown: tuple[float, float], same_machine: bool,
+    tolerance: float,
+) -> Comparison:  # fmt: skip
     before, after = before[~np.isnan(before)], after[~np.isnan(after)]
     few = min(len(before), len(after))
     if few == 0 or (before <= 0).any() or (after <= 0).any():
@@ -155,7 +162,7 @@ def _timed(
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
     if not same_machine:
         return Comparison(old.key, *shown, change, "cannot tell", f"another machine; {note}")
-    too_short = old.metric.endswith("_ms") and abs(change) * shown[0] < LEAST_CHANGE_MS
+    too_short = _MILLISECONDS in (old.unit, new_unit) and abs(change) * shown[0] < LEAST_CHANGE_MS
     if abs(change) <= tolerance or too_short:
         return Comparison(old.key, *shown, change, "same", note)
     if chance > SIGNIFICANCE:

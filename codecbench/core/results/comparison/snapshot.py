@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import StoreError
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.collect import open_run
 from codecbench.core.results.export import json_value
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.table import CellResult, shown
+from codecbench.core.results.table import CellResult
 
 FORMAT: Final = 1
 
@@ -23,7 +24,8 @@ class Series:
     """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order.
 
     Per-frame metrics are aggregated by the first aggregate that the metric declares. status and reason: of the
-    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values.
+    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values. unit,
+    confirmed_by, in_units_of: as the metric declares; empty in baseline files of earlier versions.
     """
 
     sequence: str
@@ -37,6 +39,9 @@ class Series:
     status: str
     reason: str
     fingerprint: str
+    unit: str = ""
+    confirmed_by: str = ""
+    in_units_of: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
@@ -57,8 +62,8 @@ def snapshot_of(run: RunResult) -> Snapshot:
     cells: dict[tuple[str, str, str, str], list[CellResult]] = defaultdict(list)
     for result in run.results:
         cell = result.cell
-        cells[cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator)].append(result)
-    series = tuple(one for members in cells.values() for one in _series(members))
+        cells[cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title].append(result)
+    series = tuple(series for members in cells.values() for series in _series(members))
     return Snapshot(run.plan.name, tuple(sorted(map(_machine, run.environments.values()))), series)
 
 
@@ -72,18 +77,22 @@ def _series(members: list[CellResult]) -> list[Series]:
         for (name, stage, how), value in result.summaries.items():
             if name in metrics and how == metrics[name].aggregates[0]:
                 values[f"{name}.{stage}" if stage else name].append(value)
-        for one in result.measurements:
-            values[f"{one.metric}.{one.stage}" if one.stage else one.metric].append(one.value)
+        for measured in result.measurements:
+            name = f"{measured.metric}.{measured.stage}" if measured.stage else measured.metric
+            values[name].append(measured.value)
     if not values:
         values["status"] = []
     found = []
     for name, numbers in values.items():
-        metric = metrics.get(name.partition(".")[0])
+        measured, _, stage = name.partition(".")
+        metric = metrics.get(measured) or Metric(measured, "", "neither", "")
+        confirmed_by = f"{metric.confirmed_by}.{stage}" if metric.confirmed_by and stage else metric.confirmed_by
         found.append(
             Series(
-                cell.sequence.name, cell.codec.name, cell.codec.label, shown(cell.evaluator), name,
-                metric.better if metric else "neither", metric.repeatable if metric else True, tuple(numbers),
+                cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title, name,
+                metric.better, metric.repeatable, tuple(numbers),
                 bad.status if bad else "ok", bad.reason if bad else "", cell.sequence.fingerprint,
+                metric.unit, confirmed_by, metric.in_units_of,
             )
         )  # fmt: skip
     return found
@@ -96,7 +105,10 @@ def _machine(environment: dict[str, Any]) -> str:
 
 def write_snapshot(snapshot: Snapshot, path: Path) -> None:
     """Keep a snapshot as JSON, one line a series, so that version control shows what changed."""
-    lines = [json.dumps({**asdict(one), "values": [json_value(v) for v in one.values]}) for one in snapshot.series]
+    lines = [
+        json.dumps({**asdict(series), "values": [json_value(value) for value in series.values]})
+        for series in snapshot.series
+    ]
     head = json.dumps({"format": FORMAT, "name": snapshot.name, "machines": snapshot.machines})
     write_file(path, ("\n".join([head, *lines]) + "\n").encode())
 

@@ -2,17 +2,11 @@
 const DATA = JSON.parse(document.getElementById("data").textContent);
 DATA.rows = DATA.table.sequence.map((_, i) => Object.fromEntries(Object.entries(DATA.table).map(([name, values]) => [name, values[i]])));
 const dark = matchMedia("(prefers-color-scheme: dark)");
-// Okabe and Ito's palette, which colour-blind readers can tell apart, with marker shapes beside it.
-const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#999999"];
-const SYMBOLS = ["circle", "square", "diamond", "triangle-up", "cross", "x", "star", "hexagon"];
-const codecs = [...new Set(DATA.rows.map((row) => row.curve))];
-const style = Object.fromEntries(codecs.map((codec, i) => [codec, {
-  color: codec === "raw" ? "#777777" : COLOURS[i % COLOURS.length], symbol: SYMBOLS[i % SYMBOLS.length],
-}]));
+const curveNames = [...new Set(DATA.rows.map((row) => row.curve))];
+const baseline = (codec) => DATA.baselines.includes(codec);
 const $ = (id) => document.getElementById(id);
 const number = (value) => typeof value === "number" ? value : value === "inf" ? Infinity : NaN;
-const shown = (value) => {
-  const x = number(value);
+const shown = (x) => {
   if (Number.isNaN(x)) return "–";
   if (!Number.isFinite(x)) return "∞";
   return x === 0 ? "0" : Math.abs(x) >= 1e5 ? x.toExponential(3) : String(Number(x.toPrecision(4)));
@@ -39,24 +33,37 @@ function fill(select, values, chosen, names) {
     select.add(option);
   }
 }
-const columnName = (column) => {
-  const facts = DATA.columns[column];
-  return facts && facts.unit && facts.unit !== "1" ? `${column} [${facts.unit}]` : column;
-};
+/* Columns of the table, with what the evaluators say of them; values are shown in the unit of the label. */
+const columnName = (column) => (DATA.columns[column] || {}).label || column;
+const measured = (row, column) => number(row[column]) * ((DATA.columns[column] || {}).factor ?? 1);
+function fillColumns(select, chosen) {
+  const groups = new Map();
+  for (const [column, facts] of Object.entries(DATA.columns)) {
+    if (!groups.has(facts.group)) {
+      const group = document.createElement("optgroup");
+      group.label = facts.group;
+      groups.set(facts.group, group);
+      select.append(group);
+    }
+    const option = new Option(facts.label, column, false, column === chosen);
+    option.title = `${column}: ${facts.summary}`;
+    groups.get(facts.group).append(option);
+  }
+}
 
 /* Curves: any column against any other. */
 function curves() {
   const columns = Object.keys(DATA.columns);
-  const pick = (...wanted) => wanted.find((name) => columns.includes(name)) || columns[0];
-  fill($("x"), columns, pick("quality.rate_bpp.mean", "quality.size_bytes.mean"), columnName);
-  fill($("y"), columns, pick("quality.psnr_gray_db.mean", "trajectory.ate_rmse_m.median"), columnName);
+  fillColumns($("x"), columns[0]);
+  fillColumns($("y"), columns[1] || columns[0]);
   fill($("sequence"), DATA.sequences, DATA.sequences[0]);
   fill($("preset"), DATA.presets.map((_, i) => i), 0, (i) => DATA.presets[i].title);
+  const rescale = (axis) => { $(`log${axis}`).checked = (DATA.columns[$(axis).value] || {}).scale === "log"; };
   const apply = () => {
     const preset = DATA.presets[$("preset").value];
     if (!preset) return;
     $("x").value = preset.x; $("y").value = preset.y;
-    $("logx").checked = preset.logx; $("logy").checked = preset.logy;
+    for (const axis of ["x", "y"]) rescale(axis);
     plot();
   };
   /* Points that no other beats in both of the chosen columns; none where a column has no better direction. */
@@ -71,25 +78,26 @@ function curves() {
   const scale = (log) => log ? { type: "log", dtick: Math.log10(2), tick0: 0, tickformat: ".3~g" } : { type: "linear" };
   const plot = () => {
     const [x, y, sequence] = [$("x").value, $("y").value, $("sequence").value];
-    const traces = codecs.map((codec) => {
-      const rows = DATA.rows.filter((row) => row.curve === codec && row.sequence === sequence
-        && Number.isFinite(number(row[x])) && Number.isFinite(number(row[y])))
-        .sort((a, b) => number(a[x]) - number(b[x]));
+    const traces = curveNames.map((curve) => {
+      const rows = DATA.rows.filter((row) => row.curve === curve && row.sequence === sequence
+        && Number.isFinite(measured(row, x)) && Number.isFinite(measured(row, y)))
+        .sort((a, b) => measured(a, x) - measured(b, x));
+      const style = DATA.styles[curve];
       const bars = (column) => {
         const [low, high] = DATA.intervals[column] || [];
         if (!low) return undefined;
-        return { type: "data", symmetric: false, thickness: 1, array: rows.map((r) => number(r[high]) - number(r[column])),
-          arrayminus: rows.map((r) => number(r[column]) - number(r[low])) };
+        return { type: "data", symmetric: false, thickness: 1, array: rows.map((r) => measured(r, high) - measured(r, column)),
+          arrayminus: rows.map((r) => measured(r, column) - measured(r, low)) };
       };
-      return { name: codec, x: rows.map((r) => number(r[x])), y: rows.map((r) => number(r[y])),
+      return { name: curve, x: rows.map((r) => measured(r, x)), y: rows.map((r) => measured(r, y)),
         text: rows.map((r) => r.setting), mode: "lines+markers", type: "scatter", error_y: bars(y), error_x: bars(x),
-        line: { color: style[codec].color, width: 1.6 }, marker: { symbol: style[codec].symbol, size: 9, color: style[codec].color },
-        hovertemplate: `<b>${codec}</b> %{text}<br>${x} %{x:.5g}<br>${y} %{y:.5g}<extra></extra>` };
+        line: { color: style.colour, width: 1.6 }, marker: { symbol: style.symbol, size: 9, color: style.colour },
+        hovertemplate: `<b>${curve}</b> %{text}<br>${columnName(x)} %{x:.5g}<br>${columnName(y)} %{y:.5g}<extra></extra>` };
     }).filter((trace) => trace.x.length);
     const front = $("front").checked ? frontOf(traces, x, y) : [];
     if (front.length) traces.push({ name: "Pareto front", x: front.map((p) => p[0]), y: front.map((p) => p[1]), mode: "lines",
       type: "scatter", line: { color: "#8a8f98", width: 8 }, opacity: 0.35, hoverinfo: "skip" });
-    const left = DATA.rows.filter((row) => row.sequence === sequence && !(Number.isFinite(number(row[x])) && Number.isFinite(number(row[y]))));
+    const left = DATA.rows.filter((row) => row.sequence === sequence && !(Number.isFinite(measured(row, x)) && Number.isFinite(measured(row, y))));
     $("left-out").textContent = left.length
       ? `Without a finite value here: ${left.map((r) => `${r.codec} ${r.setting}`.trim()).join("; ")}.` : "";
     draw("curve", traces, {
@@ -98,44 +106,47 @@ function curves() {
       yaxis: { title: { text: columnName(y) }, ...scale($("logy").checked) },
     });
   };
-  for (const id of ["x", "y", "sequence", "logx", "logy", "front"]) $(id).addEventListener("change", plot);
+  for (const axis of ["x", "y"]) $(axis).addEventListener("change", () => { rescale(axis); plot(); });
+  for (const id of ["sequence", "logx", "logy", "front"]) $(id).addEventListener("change", plot);
   $("preset").addEventListener("change", apply);
-  if (DATA.presets.length) apply(); else plot();
+  if (!DATA.presets.length) $("preset").parentElement.remove();
+  if (DATA.presets.length) apply(); else if (columns.length) plot();
 }
 
-/* Trajectories: small multiples over ground truth. */
-function trajectories() {
-  if (!DATA.trajectories.length) return;
-  const sequences = [...new Set(DATA.trajectories.map((one) => one.sequence))];
-  fill($("trajectory-sequence"), sequences, sequences[0]);
-  const names = [...new Set(DATA.trajectories.map((one) => one.codec))];
-  const few = DATA.trajectories.filter((one) => one.sequence === sequences[0]).length <= 12;
-  fill($("trajectory-codec"), ["all codecs", ...names], few ? "all codecs" : names.find((name) => name !== "raw"));
+/* Maps: small multiples of the drawings that an evaluator made of what its cells left. */
+function map(view, id) {
+  const part = (name) => $(`${id}-${name}`);
+  const sequences = [...new Set(view.drawings.map((drawing) => drawing.sequence))];
+  fill(part("sequence"), sequences, sequences[0]);
+  const names = [...new Set(view.drawings.map((drawing) => drawing.codec))];
+  const few = view.drawings.filter((drawing) => drawing.sequence === sequences[0]).length <= 12;
+  const all = "all codecs";
+  fill(part("codec"), [all, ...names], few ? all : names.find((name) => !baseline(name)) || all);
   const plot = () => {
-    const host = $("multiples");
+    const host = part("multiples");
     for (const old of host.querySelectorAll(".plot")) Plotly.purge(old);
     host.replaceChildren();
-    const codec = $("trajectory-codec").value;
-    const chosen = DATA.trajectories.filter((one) => one.sequence === $("trajectory-sequence").value
-      && (codec === "all codecs" || one.codec === codec || one.codec === "raw"));
-    chosen.forEach((one, i) => {
+    const codec = part("codec").value;
+    const chosen = view.drawings.filter((drawing) => drawing.sequence === part("sequence").value
+      && (codec === all || drawing.codec === codec || baseline(drawing.codec)));
+    chosen.forEach((drawing, i) => {
       const box = document.createElement("div");
       const caption = document.createElement("figcaption");
-      caption.textContent = `${one.codec} ${one.setting}`.trim() + ` — ${one.caption}`;
+      caption.textContent = `${drawing.codec} ${drawing.setting}`.trim() + ` — ${drawing.caption}`;
+      caption.className = drawing.holds === false ? "bad" : "";
       const plotted = document.createElement("div");
-      plotted.className = "plot"; plotted.id = `trajectory-${i}`;
+      plotted.className = "plot"; plotted.id = `${id}-${i}`;
       box.append(plotted, caption); host.append(box);
-      const line = (name, points, color, dash, width) => ({ name, x: points[0], y: points[1], mode: "lines", type: "scatter",
-        line: { color, dash, width }, hoverinfo: "name" });
-      const traces = [];
-      if (one.truth) traces.push(line("ground truth", one.truth, "#8a8f98", "solid", 3));
-      if (one.estimate) traces.push(line("estimated", one.estimate, "#E69F00", "dot", 1.4));
-      if (one.optimised) traces.push(line("optimised", one.optimised, "#0072B2", "solid", 1.6));
+      const traces = drawing.lines.map((line) => {
+        const style = DATA.strokes[line.stroke];
+        return { name: line.name, x: line.points[0], y: line.points[1], mode: "lines", type: "scatter", hoverinfo: "name",
+          line: { color: style.colour, dash: style.plotly_dash, width: style.width } };
+      });
       draw(plotted.id, traces, { margin: { l: 34, r: 6, t: 6, b: 26 }, showlegend: false, yaxis: { scaleanchor: "x" } },
         { ...CONFIG, displayModeBar: false });
     });
   };
-  for (const id of ["trajectory-sequence", "trajectory-codec"]) $(id).addEventListener("change", plot);
+  for (const name of ["sequence", "codec"]) part(name).addEventListener("change", plot);
   plot();
 }
 
@@ -163,26 +174,27 @@ function frames() {
   choose();
 }
 
-/* Operations: stages stacked by class. */
-function operations() {
-  if (!DATA.operations.length) return;
-  const kinds = [...new Set(DATA.operations.map((one) => one.family))];
-  const sequences = [...new Set(DATA.operations.map((one) => one.sequence))];
-  fill($("operation-family"), kinds, kinds[0]);
-  fill($("operation-sequence"), sequences, sequences[0]);
+/* Bars: stages stacked, one bar a setting. */
+function bars(view, id) {
+  const part = (name) => $(`${id}-${name}`);
+  for (const name of ["choice", "direction", "sequence"]) {
+    const values = [...new Set(view.parts.map((bar) => bar[name]))];
+    fill(part(name), values, values[0]);
+  }
   const plot = () => {
-    const chosen = DATA.operations.filter((one) => one.family === $("operation-family").value && one.direction === $("operation-direction").value
-      && one.sequence === $("operation-sequence").value);
-    const bars = [...new Set(chosen.map((one) => one.bar))];
-    const stages = [...new Set(chosen.map((one) => one.stage))];
-    draw("operation-bars", stages.map((stage, i) => ({
-      name: stage, type: "bar", orientation: "h", y: bars, marker: { color: COLOURS[i % COLOURS.length] },
-      x: bars.map((bar) => chosen.filter((one) => one.bar === bar && one.stage === stage).reduce((sum, one) => sum + one.value, 0)),
-      hovertemplate: `${stage}: %{x:.4s} operations<extra>%{y}</extra>`,
-    })), { barmode: "stack", xaxis: { title: { text: "operations a frame" } }, yaxis: { automargin: true, autorange: "reversed" },
-      height: Math.max(320, 90 + 26 * bars.length) });
+    const chosen = view.parts.filter((bar) => ["choice", "direction", "sequence"].every((name) => bar[name] === part(name).value));
+    const settings = [...new Set(chosen.map((bar) => bar.setting))];
+    const stages = [...new Set(chosen.map((bar) => bar.stage))];
+    draw(`${id}-plot`, stages.map((stage, i) => ({
+      name: stage, type: "bar", orientation: "h", y: settings, marker: { color: DATA.palette[i % DATA.palette.length],
+        pattern: { shape: ["", "/", ".", "x"][Math.floor(i / DATA.palette.length) % 4], fillmode: "overlay", fgcolor: "#fff" } },
+      x: settings.map((setting) => chosen.filter((bar) => bar.setting === setting && bar.stage === stage)
+        .reduce((sum, bar) => sum + bar.value, 0)),
+      hovertemplate: `${stage}: %{x:.4s} ${view.unit}<extra>%{y}</extra>`,
+    })), { barmode: "stack", xaxis: { title: { text: `${view.unit} a frame` } }, yaxis: { automargin: true, autorange: "reversed" },
+      height: Math.max(320, 90 + 26 * settings.length) });
   };
-  for (const id of ["operation-family", "operation-direction", "operation-sequence"]) $(id).addEventListener("change", plot);
+  for (const name of ["choice", "direction", "sequence"]) part(name).addEventListener("change", plot);
   plot();
 }
 
@@ -217,7 +229,7 @@ function table() {
       const line = document.createElement("tr");
       for (const name of names) {
         const cell = document.createElement("td");
-        cell.textContent = text.has(name) ? row[name] ?? "" : shown(row[name]);
+        cell.textContent = text.has(name) ? row[name] ?? "" : shown(measured(row, name));
         cell.className = name === "reason" ? "text wrap" : text.has(name) ? "text" : "";
         line.append(cell);
       }
@@ -238,6 +250,9 @@ function table() {
   build();
 }
 
-const everything = () => { for (const part of [curves, trajectories, frames, operations, table]) part(); };
-everything();
+curves();
+DATA.map_views.forEach((view, i) => map(view, `map-${i}`));
+frames();
+DATA.bars_views.forEach((view, i) => bars(view, `bars-${i}`));
+table();
 dark.addEventListener("change", () => location.reload());

@@ -1,4 +1,4 @@
-"""Pictures of the report: frames at matched rate, and trajectories over ground truth."""
+"""Pictures of the report: frames at matched rate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.report.frame_views import FrameView, frame_view
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.trajectories import saved_trajectories
 
 log = logging.getLogger("codecbench.report")
 
@@ -33,18 +32,19 @@ def frame_pictures(run: RunResult, budget_bytes: int) -> dict[str, Any]:
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     for entry in run.plan.sequences:
-        views = [(one, rate, view) for one, rate in _chosen(run, entry) if (view := _view(run, entry, one))]
+        views = [(setting, rate, view) for setting, rate in _chosen(run, entry) if (view := _view(run, entry, setting))]
         views = _thinned(views, share)
         for setting, rate, view in views:
             name = f"{setting.name} {setting.label}".strip()
+            spent = _spent(run, rate)
             frames.append(
                 {
                     "sequence": entry.name,
                     "original": len(originals),
-                    "title": f"{rate:.3g} bpp · {name}",
+                    "title": " · ".join(filter(None, (spent, name))),
                     "decoded": view.decoded,
                     "difference": view.difference,
-                    "caption": f"{name}, {rate:.3g} bpp, frame {entry.frames // 2}",
+                    "caption": ", ".join(filter(None, (name, spent, f"frame {entry.frames // 2}"))),
                     "lost": f"difference x4; {view.lost} of {view.features} features lost (red)",
                 }
             )
@@ -53,14 +53,21 @@ def frame_pictures(run: RunResult, budget_bytes: int) -> dict[str, Any]:
 
 
 def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, float]]:
-    """Codec settings by rising rate, thinned evenly."""
-    rates: dict[tuple[str, str], float] = {}
-    for row in run.wide[run.wide["sequence"] == entry.name].to_dict("records"):
-        rates[row["codec"], row["setting"]] = float(row.get("quality.rate_bpp.mean", np.nan))
+    """Codec settings but the baseline's by rising rate, those of unknown rate last, thinned evenly."""
     settings = {(r.cell.codec.name, r.cell.codec.label): r.cell.codec for r in run.results}
-    known = sorted((rate, key) for key, rate in rates.items() if not np.isnan(rate) and key[0] != "raw")
+    known = [
+        (rate, settings[codec, label])
+        for (sequence, codec, label), rate in run.rates.items()
+        if sequence == entry.name and codec not in run.meaning.baselines
+    ]
+    known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
     picks = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SETTINGS_A_SEQUENCE)).round().astype(int))
-    return [(settings[known[pick][1]], known[pick][0]) for pick in picks] if known else []
+    return [(known[pick][1], known[pick][0]) for pick in picks] if known else []
+
+
+def _spent(run: RunResult, rate: float) -> str:
+    """A rate for people; nothing where it is not known."""
+    return "" if run.rate is None or np.isnan(rate) else f"{rate * run.rate.factor:.3g} {run.rate.unit}"
 
 
 _View = tuple[PluginSetting, float, FrameView]
@@ -90,28 +97,3 @@ def _view(run: RunResult, entry: SequenceEntry, setting: PluginSetting) -> Frame
     except (CodecbenchError, OSError, ValueError) as error:
         log.warning("no picture of %s %s on %s: %s", setting.name, setting.label, entry.name, error)
         return None
-
-
-def trajectory_pictures(run: RunResult) -> list[dict[str, Any]]:
-    """One entry a trajectory of the first repeat of each setting, drawn over ground truth where there is some."""
-    return [
-        {
-            "sequence": one.sequence,
-            "codec": one.codec,
-            "setting": " ".join(filter(None, (one.setting, one.evaluator_label))),
-            "caption": one.caption,
-            "truth": _line(one.truth),
-            "estimate": _line(one.estimated),
-            "optimised": _line(one.optimised),
-        }
-        for one in saved_trajectories(run)
-        if one.repeat == 0
-    ]
-
-
-def _line(points: np.ndarray | None, most: int = 400) -> list[list[float]] | None:
-    """At most `most` points of a (N, 2) path as rounded x and y lists."""
-    if points is None or not len(points):
-        return None
-    picks = np.unique(np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int))
-    return [[round(float(value), 4) for value in points[picks, axis]] for axis in (0, 1)]

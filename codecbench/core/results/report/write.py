@@ -7,9 +7,8 @@ from pathlib import Path
 
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.results.export import chosen_columns, exported
-from codecbench.core.results.report import page_data
-from codecbench.core.results.report.pictures import frame_pictures, trajectory_pictures
+from codecbench.core.results.export import exported, short_table
+from codecbench.core.results.report.pictures import frame_pictures
 from codecbench.core.results.report.render import render
 from codecbench.core.results.run_result import RunResult
 
@@ -21,11 +20,9 @@ def write_report(run: RunResult, path: Path, format_: str = "html") -> int:
     for another format.
     """
     if format_ == "html":
-        content = render(run, partial(frame_pictures, run), trajectory_pictures(run)).encode()
+        content = render(run, partial(frame_pictures, run)).encode()
     elif format_ in ("md", "latex"):
-        known = page_data.columns(run.wide, run.results)
-        brief = chosen_columns(run.wide, ",".join([*page_data.brief(known), "status"]))
-        content = exported(brief, "markdown" if format_ == "md" else "latex")
+        content = exported(short_table(run), "markdown" if format_ == "md" else "latex")
     else:
         raise ParamsError(f"format {format_!r} is not one of html, md, latex")
     write_file(path, content)

@@ -16,10 +16,12 @@ from pydantic import AfterValidator, Field
 
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement, Metric
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.view import View
 from codecbench.core.counting.operations import CLASSES, COUNTERS, OperationCounts
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.evaluators.operations import codec_models, machine
@@ -41,6 +43,10 @@ _SUMMARIES = {
     "divisions": "those of the multiplications that are divisions",
     "index_ops": "index and loop arithmetic, not in the total",
 }
+_LABELS = {
+    "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",
+    "index_ops": "index arithmetic",
+}  # fmt: skip
 _BESIDE = {"source": COUNTERS[len(CLASSES) :], "model": (), "machine": ("divisions",)}
 
 
@@ -67,6 +73,15 @@ class OperationsParams(Params):
     nonzero_share: Literal["paper", "measured"] = "paper"
 
 
+def _metric(family: Family, name: str) -> Metric:
+    is_headline = (family, name) == ("source", "total")
+    return Metric(
+        f"{family}_{name}", "ops", "lower", f"{_SUMMARIES[name]}, {family} counts", repeatable=family != "machine",
+        role="operations", headline=is_headline, label=f"{_LABELS.get(name, name)}, {family}",
+        brief="Mops" if is_headline else "", scale="log", display_unit="Mops", display_factor=1e-6,
+    )  # fmt: skip
+
+
 class Operations(CodecEvaluator[OperationsParams]):
     """Operations per frame, by stage (`encode/dct`), with the totals of `encode` and `decode`."""
 
@@ -74,15 +89,16 @@ class Operations(CodecEvaluator[OperationsParams]):
     version = "2"
     params_type = OperationsParams
     metrics: ClassVar[tuple[Metric, ...]] = tuple(
-        Metric(
-            f"{family}_{name}",
-            "ops",
-            "lower",
-            f"{_SUMMARIES[name]}, {family} counts",
-            repeatable=family != "machine",
-        )
-        for family in _FAMILIES
-        for name in _names(family)
+        _metric(family, name) for family in _FAMILIES for name in _names(family)
+    )
+    views = (
+        View(
+            "bars",
+            "Operations a frame, by stage",
+            tuple(f"{family}_total" for family in _FAMILIES),
+            "Counted in the kernels (source), by the paper's closed formulas (model), or as executed instructions "
+            "(machine); they are never added. Codecs in foreign libraries have no source counts, which is not zero.",
+        ),
     )
 
     @property

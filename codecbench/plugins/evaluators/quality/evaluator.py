@@ -6,15 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import ClassVar
 
-from codecbench.core.contracts.evaluator import (
-    CodedFrame,
-    CodedSequence,
-    Context,
-    Measurement,
-    Metric,
-    SequenceEvaluator,
-)
+from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.image import channel_count, gray_from_image
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
 from codecbench.plugins.evaluators.quality.ssim import (
@@ -35,18 +29,43 @@ class Quality(SequenceEvaluator[NoParams]):
     version = "1"
     kernels = ("codecbench.plugins.evaluators.quality",)
     params_type = NoParams
+    typical_ms_per_frame = 30.0
     metrics: ClassVar[tuple[Metric, ...]] = (
-        Metric("size_bytes", "bytes", "lower", "size of the frame's bitstream, headers and tables included"),
-        Metric("rate_bpp", "bit/px", "lower", "bits of bitstream per pixel, whatever the number of channels"),
-        Metric("bitrate_kbps", "kbit/s", "lower", "rate of the frame at the sequence's nominal frame rate"),
-        Metric("compression_ratio", "1", "higher", "bytes of raw samples over bytes of bitstream"),
-        Metric("cr_percent", "%", "higher", "share saved against the PNG of the same frame; negative if larger"),
-        Metric("psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal pictures"),
-        Metric("psnr_rgb_db", "dB", "higher", "PSNR over all three channels; colour frames only"),
-        Metric("ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated"),
-        Metric("ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the picture"),
-        Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray"),
-    )
+        Metric(
+            "size_bytes", "bytes", "lower", "size of the frame's bitstream, headers and tables included",
+            role="rate", label="size", scale="log",
+        ),
+        Metric(
+            "rate_bpp", "bit/px", "lower", "bits of bitstream per pixel, whatever the number of channels",
+            role="rate", headline=True, label="rate", brief="bpp", scale="log",
+        ),
+        Metric(
+            "bitrate_kbps", "kbit/s", "lower", "rate of the frame at the sequence's nominal frame rate",
+            role="rate", label="bit rate", scale="log",
+        ),
+        Metric("compression_ratio", "1", "higher", "bytes of raw samples over bytes of bitstream", role="rate"),
+        Metric(
+            "cr_percent", "%", "higher", "share saved against the PNG of the same frame; negative if larger",
+            role="rate", headline=True, label="saved against PNG", brief="CR %",
+        ),
+        Metric(
+            "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal pictures",
+            role="quality", headline=True, label="PSNR", brief="PSNR dB",
+        ),
+        Metric(
+            "psnr_rgb_db", "dB", "higher", "PSNR over all three channels; colour frames only",
+            role="quality", label="PSNR of colour",
+        ),
+        Metric(
+            "ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated",
+            role="quality", headline=True, label="SSIM",
+        ),
+        Metric(
+            "ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the picture",
+            role="quality", label="SSIM inside",
+        ),
+        Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray", role="quality", label="MS-SSIM"),
+    )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         frame_rate_hz = coded.sequence.frame_rate_hz

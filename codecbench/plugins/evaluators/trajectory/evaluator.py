@@ -14,14 +14,15 @@ from codecbench.core.contracts.evaluator import (
     CodedSequence,
     Context,
     Measurement,
-    Metric,
     Outcome,
     PluginUse,
     SequenceEvaluator,
 )
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.slam import SlamRun
-from codecbench.plugins.evaluators.trajectory import files
+from codecbench.core.contracts.view import Drawing, View
+from codecbench.plugins.evaluators.trajectory import drawn, files
 from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
@@ -48,7 +49,12 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     version = "1"
     params_type = TrajectoryParams
     metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *BEHAVIOUR, *COMPARED)
+    views = (
+        View("curve", "Rate and tracked share", ("tracked_fraction",)),
+        View("map", "Trajectories", note=drawn.NOTE),
+    )
     needs = frozenset({"camera"})
+    typical_ms_per_frame = 30.0
 
     @property
     def repeats(self) -> int:
@@ -98,6 +104,9 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         difference = outcome.value("ate_rmse_m") - same.value("ate_rmse_m")
         missing = "one of the two runs has no ATE" if math.isnan(difference) else None
         yield Measurement("ate_minus_raw_m", difference, reason=missing)
+
+    def drawing(self, outcome: Outcome) -> Drawing | None:
+        return drawn.drawing(outcome)
 
     def _success(self, outcome: Outcome, baseline: list[Outcome]) -> Measurement:
         """Whether enough is tracked and the error is within the limit given, or else within a multiple of raw's."""

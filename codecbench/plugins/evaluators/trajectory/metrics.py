@@ -4,25 +4,35 @@ from __future__ import annotations
 
 from typing import Final
 
-from codecbench.core.contracts.evaluator import Metric
+from codecbench.core.contracts.metric import Metric
 
 _SPREAD = ("median", "iqr", "ci95_low", "ci95_high")
 _MIDDLE = ("median",)
 
+
+def _error(name: str, summary: str, label: str, aggregates: tuple[str, ...] = _MIDDLE, unit: str = "m") -> Metric:
+    return Metric(name, unit, "lower", summary, aggregates, role="task", label=label, scale="log")
+
+
 ACCURACY: Final = (
-    Metric("ate_rmse_m", "m", "lower", "RMS position error after Sim(3) alignment, over all tracked frames", _SPREAD),
-    Metric("ate_median_m", "m", "lower", "median position error after the same alignment", _MIDDLE),
-    Metric("ate_rmse_first_frame_m", "m", "lower", "RMS position error in first-frame coordinates", _MIDDLE),
-    Metric("ate_before_loops_m", "m", "lower", "RMS position error before loop closing moved anything", _MIDDLE),
-    Metric("coverage_penalised_ate_m", "m", "lower", "RMS position error with untracked frames charged", _SPREAD),
-    Metric("rpe_trans_m", "m", "lower", "RMS drift of position over the interval", _MIDDLE),
-    Metric("rpe_rot_deg", "deg", "lower", "RMS drift of orientation over the interval", _MIDDLE),
-    Metric("scale_drift", "1", "lower", "change of the map's scale along the way, |ln| of the ratio", _MIDDLE),
-)
+    Metric(
+        "ate_rmse_m", "m", "lower", "RMS position error after Sim(3) alignment, over all tracked frames", _SPREAD,
+        role="task", headline=True, label="trajectory error", brief="ATE m", scale="log",
+    ),
+    _error("ate_median_m", "median position error after the same alignment", "median trajectory error"),
+    _error("ate_rmse_first_frame_m", "RMS position error in first-frame coordinates", "error from the first frame"),
+    _error("ate_before_loops_m", "RMS position error before loop closing moved anything", "error before loops"),
+    _error("coverage_penalised_ate_m", "RMS position error with untracked frames charged", "error with coverage",
+           _SPREAD),
+    _error("rpe_trans_m", "RMS drift of position over the interval", "drift of position"),
+    _error("rpe_rot_deg", "RMS drift of orientation over the interval", "drift of orientation", unit="deg"),
+    _error("scale_drift", "change of the map's scale along the way, |ln| of the ratio", "drift of scale", unit="1"),
+)  # fmt: skip
 
 BEHAVIOUR: Final = (
     Metric(
-        "tracked_fraction", "1", "higher", "share of the frames that have a pose in the final map", ("median", "min")
+        "tracked_fraction", "1", "higher", "share of the frames that have a pose in the final map", ("median", "min"),
+        headline=True, label="tracked share", brief="tracked",
     ),
     Metric("first_tracked_frame", "frames", "lower", "index of the first frame that has a pose", _MIDDLE),
     Metric("times_lost", "1", "lower", "how often tracking was lost", ("median", "max")),
@@ -32,13 +42,31 @@ BEHAVIOUR: Final = (
     Metric("loops_closed", "1", "higher", "loops closed", ("median", "min")),
     Metric("loop_frame", "frames", "lower", "index of the frame at which the first loop was closed", _MIDDLE),
     Metric("mean_inliers", "1", "higher", "map points that support a tracked frame's pose", _MIDDLE),
-    Metric("slam_ms_per_frame", "ms", "lower", "time that SLAM takes for a frame", _MIDDLE, repeatable=False),
-    Metric("sent_size_bytes", "bytes", "lower", "bytes that the architecture sends: all frames, or keyframes", _MIDDLE),
-    Metric("sent_rate_kbps", "kbit/s", "lower", "the same per second of the sequence", _MIDDLE),
-)
+    Metric(
+        "slam_ms_per_frame", "ms", "lower", "time that SLAM takes for a frame", _MIDDLE, False,
+        role="time", label="SLAM time", scale="log",
+    ),
+    Metric(
+        "sent_size_bytes", "bytes", "lower", "bytes that the architecture sends: all frames, or keyframes", _MIDDLE,
+        role="rate", label="sent size", scale="log",
+    ),
+    Metric(
+        "sent_rate_kbps", "kbit/s", "lower", "the same per second of the sequence", _MIDDLE,
+        role="rate", label="sent rate", scale="log",
+    ),
+)  # fmt: skip
 
 COMPARED: Final = (
-    Metric("success", "1", "higher", "1 where the camera's path holds up, else 0; the mean is the success rate"),
-    Metric("ate_to_raw_m", "m", "lower", "RMS distance from the raw codec's trajectory of the same repeat", _MIDDLE),
-    Metric("ate_minus_raw_m", "m", "lower", "ATE less the raw codec's of the same repeat", _SPREAD),
-)
+    Metric(
+        "success", "1", "higher", "1 where the camera's path holds up, else 0; the mean is the success rate",
+        role="success", headline=True, label="tracking holds", brief="success",
+    ),
+    Metric(
+        "ate_to_raw_m", "m", "lower", "RMS distance from the raw codec's trajectory of the same repeat", _MIDDLE,
+        role="task", label="distance from the raw trajectory", scale="log",
+    ),
+    Metric(
+        "ate_minus_raw_m", "m", "lower", "ATE less the raw codec's of the same repeat", _SPREAD,
+        role="task", label="error beyond the raw codec's",
+    ),
+)  # fmt: skip

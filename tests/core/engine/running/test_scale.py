@@ -28,7 +28,8 @@ from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, write_stack
 from project import SUPPORT
 
-from codecbench.core.contracts.evaluator import Measurement, Metric
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.progress import Progress

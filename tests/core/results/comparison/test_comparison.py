@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +11,23 @@ import numpy as np
 import pytest
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.results.comparison.compare import YARDSTICK, Comparison, compare
+from codecbench.core.results.comparison.compare import Comparison, compare
 from codecbench.core.results.comparison.snapshot import Series, Snapshot, read_snapshot, write_snapshot
 
 MACHINE = ("a processor, 2 cores, here",)
 
 
-def series(metric: str, values: tuple[float, ...], *, better: str = "higher", repeatable: bool = True) -> Series:
-    return Series("room", "jpeg", "quality=10", "test", metric, better, repeatable, values, "ok", "", "f00d")
+YARDSTICK = "work_ms"
+
+
+def series(
+    metric: str, values: tuple[float, ...], *, better: str = "higher", repeatable: bool = True, unit: str = "1",
+    confirmed_by: str = "", in_units_of: str = "",
+) -> Series:  # fmt: skip
+    return Series(
+        "room", "jpeg", "quality=10", "test", metric, better, repeatable, values, "ok", "", "f00d",
+        unit, confirmed_by, in_units_of,
+    )  # fmt: skip
 
 
 def snapshot(*members: Series, machines: tuple[str, ...] = MACHINE) -> Snapshot:
@@ -60,7 +70,7 @@ def timed(rng: np.random.Generator, factor: float, drift: float, repeats: int = 
     times = 8.0 * factor * pace * rng.normal(1.0, 0.01, repeats)
     yardstick = 2.0 * pace * rng.normal(1.0, 0.01, repeats)
     return snapshot(
-        series("encode_wall_ms", tuple(times), better="lower", repeatable=False),
+        series("encode", tuple(times), better="lower", repeatable=False, unit="ms", in_units_of=YARDSTICK),
         series(YARDSTICK, tuple(yardstick), better="neither", repeatable=False),
     )
 
@@ -80,14 +90,14 @@ def test_a_slowdown_of_ten_percent_is_caught_on_a_machine_that_drifts(rng: np.ra
 def test_a_change_of_microseconds_is_not_claimed() -> None:
     def times(ms: float) -> Snapshot:
         values = tuple(ms * (1.0 + 0.001 * k) for k in range(5))
-        return snapshot(series("decode_cpu_ms", values, better="lower", repeatable=False))
+        return snapshot(series("decode", values, better="lower", repeatable=False, unit="ms"))
 
     assert only(compare(times(0.032), times(0.036))).verdict == "same"
     assert only(compare(times(0.32), times(0.36))).verdict == "worse"
 
 
 def test_rates_of_work_are_better_when_higher(rng: np.random.Generator) -> None:
-    slow = series("encode_mpix_per_s", tuple(rng.normal(30, 0.2, 5)), repeatable=False)
+    slow = series("pace", tuple(rng.normal(30, 0.2, 5)), repeatable=False)
     fast = replace(slow, values=tuple(1.3 * value for value in slow.values))
     assert only(compare(snapshot(slow), snapshot(fast))).verdict == "better"
     assert only(compare(snapshot(fast), snapshot(slow))).verdict == "worse"
@@ -132,15 +142,30 @@ def test_time_on_the_wall_needs_the_support_of_processor_time(
     rng: np.random.Generator, cpu_factor: float, verdict: str
 ) -> None:
     """Another program that runs for the whole of one run slows its wall clock alone."""
-    wall = series("decode_wall_ms", tuple(rng.normal(7, 0.02, 7)), better="lower", repeatable=False)
-    rate = series("decode_mpix_per_s", tuple(rng.normal(40, 0.1, 7)), repeatable=False)
-    cpu = series("decode_cpu_ms", tuple(rng.normal(6, 0.02, 7)), better="lower", repeatable=False)
+    wall = series("wall", tuple(rng.normal(7, 0.02, 7)), better="lower", repeatable=False, confirmed_by="cpu")
+    rate = series("pace", tuple(rng.normal(40, 0.1, 7)), repeatable=False, confirmed_by="cpu")
+    cpu = series("cpu", tuple(rng.normal(6, 0.02, 7)), better="lower", repeatable=False)
     after = snapshot(
         replace(wall, values=tuple(1.3 * value for value in wall.values)),
         replace(rate, values=tuple(value / 1.3 for value in rate.values)),
         replace(cpu, values=tuple(cpu_factor * value for value in cpu.values)),
     )
     found = {one.key[4]: one for one in compare(snapshot(wall, rate, cpu), after)}
-    assert found["decode_wall_ms"].verdict == found["decode_mpix_per_s"].verdict == verdict
-    assert ("other programs" in found["decode_wall_ms"].note) == (verdict == "cannot tell")
-    assert only(compare(snapshot(wall, cpu), after, metrics=["*.decode_wall_ms"])).verdict == verdict
+    assert found["wall"].verdict == found["pace"].verdict == verdict
+    assert ("other programs" in found["wall"].note) == (verdict == "cannot tell")
+    assert only(compare(snapshot(wall, cpu), after, metrics=["*.wall"])).verdict == verdict
+
+
+def test_a_baseline_of_an_earlier_version_takes_its_meaning_from_the_run_beside_it(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    before = timed(rng, 1.0, 0.15)
+    write_snapshot(before, tmp_path / "baseline.json")
+    head, *lines = (tmp_path / "baseline.json").read_text().splitlines()
+    unknown = ("unit", "confirmed_by", "in_units_of")
+    stripped = [
+        json.dumps({key: value for key, value in json.loads(line).items() if key not in unknown}) for line in lines
+    ]
+    (tmp_path / "old.json").write_text("\n".join([head, *stripped]) + "\n")
+    after = timed(rng, 1.0, 0.0)
+    assert compare(read_snapshot(tmp_path / "old.json"), after) == compare(before, after)

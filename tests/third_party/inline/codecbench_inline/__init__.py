@@ -1,8 +1,8 @@
 """Offers the executor `inline` to codecbench."""
 
-from codecbench import Offer, hookimpl
+from codecbench import PluginSpec, hookimpl
 
 
 @hookimpl
-def codecbench_executors() -> list[Offer]:
-    return [Offer("inline", "codecbench_inline.executor:Inline", "tasks in the calling process, for a debugger")]
+def codecbench_executors() -> list[PluginSpec]:
+    return [PluginSpec("inline", "codecbench_inline.executor:Inline", "tasks in the calling process, for a debugger")]

@@ -1,8 +1,8 @@
 """Offers the dataset `npy` to codecbench."""
 
-from codecbench import Offer, hookimpl
+from codecbench import PluginSpec, hookimpl
 
 
 @hookimpl
-def codecbench_datasets() -> list[Offer]:
-    return [Offer("npy", "codecbench_npy.dataset:Npy", "frames in one NumPy file")]
+def codecbench_datasets() -> list[PluginSpec]:
+    return [PluginSpec("npy", "codecbench_npy.dataset:Npy", "frames in one NumPy file")]

@@ -1,0 +1,85 @@
+"""What a metric is: a quantity with a unit, a direction, and what it means to those who rank and draw."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, Final, Literal, get_args
+
+from codecbench.core.contracts.errors import PluginError
+
+Better = Literal["higher", "lower", "neither"]
+Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
+Scale = Literal["linear", "log"]
+Aggregate = Literal[
+    "mean", "std", "median", "p95", "iqr", "min", "max", "sum", "infinite", "ci95_low", "ci95_high"
+]  # fmt: skip
+
+AGGREGATES: Final[tuple[Aggregate, ...]] = get_args(Aggregate)
+"""How many values may become one; docs/results.md defines each."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A quantity that an evaluator measures.
+
+    name: ends in its unit where it has one (`psnr_gray_db`). unit: `dB`, `bytes`, `1` for pure numbers.
+    better: which direction a codec author wants, `neither` where there is none.
+    aggregates: how the wide table summarises it over frames and repeats, the first for short tables and figures.
+    repeatable: equal code on equal input gives equal values; False for times, which are compared statistically.
+
+    role: what it means to a ranking. `rate` is what a codec spends; `quality` what is left of the pictures; `task`
+    how well something that reads them does; `time` and `operations` what coding takes; `success` is 1 where a run
+    succeeds and 0 where not; `behaviour` describes and ranks nothing.
+    headline: shown first, and by its role in Pareto fronts, BD-rates and curves.
+    label: for people ("PSNR"), by default made from the name. brief: a narrow column head, by default the label.
+    scale: of its axis. display_unit, display_factor: what people are shown in place of `unit`, where that is unwieldy.
+
+    confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.
+    in_units_of: another metric, timed beside this one, by which two runs are compared whatever the machine's pace.
+    """
+
+    name: str
+    unit: str
+    better: Better
+    summary: str
+    aggregates: tuple[str, ...] = ("mean",)
+    repeatable: bool = True
+    _: KW_ONLY
+    role: Role = "behaviour"
+    headline: bool = False
+    label: str = ""
+    brief: str = ""
+    scale: Scale = "linear"
+    display_unit: str = ""
+    display_factor: float = 1.0
+    confirmed_by: str = ""
+    in_units_of: str = ""
+
+    def __post_init__(self) -> None:
+        self._check("better", self.better, Better)
+        self._check("role", self.role, Role)
+        self._check("scale", self.scale, Scale)
+        if isinstance(self.aggregates, str) or not self.aggregates:
+            raise PluginError(f"metric {self.name!r}: aggregates is {self.aggregates!r}; it is a tuple of names")
+        for how in self.aggregates:
+            self._check("aggregate", how, Aggregate)
+        object.__setattr__(self, "label", self.label or self._plain_name())
+        object.__setattr__(self, "brief", self.brief or self.label)
+        object.__setattr__(self, "display_unit", self.display_unit or self.unit)
+
+    @property
+    def heading(self) -> str:
+        """The label with the unit that people are shown: `PSNR [dB]`."""
+        return f"{self.label} [{self.display_unit}]" if self.display_unit not in ("", "1") else self.label
+
+    def _check(self, what: str, got: object, allowed: Any) -> None:
+        choices = get_args(allowed)
+        if got not in choices:
+            raise PluginError(f"metric {self.name!r}: {what} is {got!r}; it is one of {', '.join(choices)}")
+
+    def _plain_name(self) -> str:
+        """The name in words, without the unit at its end."""
+        words = self.name.split("_")
+        if len(words) > 1 and words[-1].lower() == self.unit.lower():
+            words = words[:-1]
+        return " ".join(words)

@@ -1,0 +1,112 @@
+"""The report's summary: one table a sequence, one row a curve, and in words who is ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from codecbench.core.results.bjontegaard import BdRate
+from codecbench.core.results.columns import Column
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import (
+    Limit,
+    SequenceCurve,
+    anchor_of,
+    bd_rates,
+    limits,
+    pareto_criteria,
+    pareto_settings,
+    spread,
+)
+
+_LEADS: Final = "on the Pareto front"
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What is said of every curve: BD-rates at equal values of some columns, and limits of others."""
+
+    rates: dict[Column, dict[SequenceCurve, BdRate]]
+    limits: dict[Column, dict[SequenceCurve, Limit]]
+
+
+def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
+    """A table for each sequence as the template takes it, and the name of the anchor of its BD-rates, if it has any."""
+    rates = {column: bd_rates(run, column) for column in run.headlines("quality", "task")}
+    judged = _Judged(
+        {column: found for column, found in rates.items() if found},
+        {column: limits(run, column) for column in run.headlines("success")},
+    )
+    ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
+    times = run.headlines("time")
+    heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
+    heads += [f"BD-rate, {column.label}" for column in judged.rates]
+    heads += [f"{column.label} down to" for column in judged.limits]
+    heads += [column.heading for column in times]
+    criteria = pareto_criteria(run)
+    tables, anchor = [], ""
+    for entry in run.plan.sequences:
+        wide = run.wide[run.wide["sequence"] == entry.name]
+        used, front = pareto_settings(wide, criteria)
+        curves: dict[str, list[Any]] = {}
+        for record, leads in zip(wide.to_dict("records"), front, strict=True):
+            curve = run.curves[record["codec"], record["setting"]].curve
+            curves.setdefault(curve, []).append({**record, _LEADS: leads})
+        anchor = anchor_of(curves, run.meaning.anchors) or anchor
+        rows = []
+        for curve, records in curves.items():
+            key = (entry.name, curve)
+            row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
+            row += [_range(records, column) for column in ranges]
+            row += ["anchor" if curve == anchor else str(found.get(key, "–")) for found in judged.rates.values()]
+            row += [_limit(found[key], run.rate) if key in found else "–" for found in judged.limits.values()]
+            rows.append([*row, *(spread(_values(records, column)) for column in times)])
+        note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
+        words = _in_words(entry.name, anchor, judged, run.rate)
+        tables.append({"sequence": entry.name, "heads": heads, "rows": rows, "note": note, "words": words})
+    return tables, anchor if judged.rates else ""
+
+
+def _in_words(sequence: str, anchor: str, judged: _Judged, rate: Column | None) -> list[str]:
+    """Who needs least rate on a sequence, for each thing held equal, and who holds down to the least."""
+    words = []
+    for column, found in judged.rates.items():
+        here = {curve: bd for (name, curve), bd in found.items() if name == sequence and not bd.reason}
+        if here:
+            best = min(here, key=lambda curve: here[curve].percent)
+            ahead = here[best].percent < 0.0
+            text = f"{best} needs least rate: {here[best]} against {anchor}" if ahead else f"{anchor} needs least rate"
+            words.append(f"At equal {column.label}, {text}.")
+    for column, limited in judged.limits.items():
+        held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and not limit.reason}
+        if held:
+            least = min(held, key=lambda curve: held[curve].rate)
+            subject = column.label[:1].upper() + column.label[1:]
+            words.append(f"{subject} down to the least rate with {least}: {_limit(held[least], rate)}.")
+    return words
+
+
+def _values(records: list[Any], column: Column) -> np.ndarray:
+    """A column in the unit that people are shown."""
+    return np.array([float(record.get(column.name, np.nan)) * column.factor for record in records])
+
+
+def _range(records: list[Any], column: Column) -> str:
+    values = _values(records, column)
+    values = values[~np.isnan(values)]
+    if not len(values):
+        return "–"
+    low, high = values.min(), values.max()
+    text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+    return text.replace("inf", "∞")
+
+
+def _limit(limit: Limit, rate: Column | None) -> str:
+    if limit.reason or rate is None:
+        return limit.reason
+    spent = f"{limit.rate * rate.factor:.3g} {rate.unit}"
+    text = f"{limit.point or 'its setting'} ({spent}, {limit.successes}/{limit.runs} runs"
+    text += f", at least {100 * limit.low:.0f} % at 95 %)"
+    return text + (f"; {limit.next_failing} fails" if limit.next_failing else "; never failed here")

@@ -1,0 +1,81 @@
+"""A trajectory cell's files as a drawing: paths over ground truth, from where the true path spreads most."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.evaluator import Outcome
+from codecbench.core.contracts.view import Drawing, Line
+from codecbench.plugins.evaluators.trajectory import files
+
+NOTE: Final = (
+    "Seen from the direction in which the true path spreads most; the estimate is aligned to ground truth by a "
+    "similarity. Estimated is as tracked, optimised is after loops were closed."
+)
+_MARGIN_S: Final = 0.5
+"""Ground truth is drawn this much beyond the first and last frame that SLAM was given."""
+
+
+def drawing(outcome: Outcome) -> Drawing | None:
+    """Ground truth, the path as tracked and after all corrections, in metres; None where nothing was tracked."""
+    folder = outcome.artifacts
+    optimised, estimated = (_positions(folder / name) for name in (files.TRAJECTORY, files.TRAJECTORY_BEFORE_LOOPS))
+    if not len(optimised):
+        return None
+    truth = _positions(folder / files.GROUND_TRUTH)
+    span_s = _span_s(folder / files.STATES)
+    if span_s is not None:
+        truth = truth[(truth[:, 0] >= span_s[0] - _MARGIN_S) & (truth[:, 0] <= span_s[1] + _MARGIN_S)]
+    centre, axes = _plane(truth if len(truth) else optimised)
+    paths = (
+        Line("ground truth", "truth", (truth[:, 1:] - centre) @ axes.T),
+        Line("estimated", "before", (estimated[:, 1:] - centre) @ axes.T),
+        Line("optimised", "after", (optimised[:, 1:] - centre) @ axes.T),
+    )
+    success = outcome.value("success")
+    holds = None if math.isnan(success) else success == 1.0
+    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds)
+
+
+def _caption(outcome: Outcome) -> str:
+    """Error and coverage together: an error alone would flatter a tracker that got lost."""
+    error_m, tracked = outcome.value("ate_rmse_m"), outcome.value("tracked_fraction")
+    words = ["no error known" if math.isnan(error_m) else f"ATE {error_m:.3g} m", f"{100 * tracked:.0f} % tracked"]
+    loops = outcome.value("loops_closed")
+    if loops > 0:
+        words.append(f"{loops:.0f} loop{'s' if loops > 1 else ''}")
+    if outcome.value("success") == 0.0:
+        words.append("fails")
+    return ", ".join(words)
+
+
+def _positions(path: Path) -> NDArray[np.float64]:
+    """Rows timestamp, x, y, z (N, 4) of a file in TUM's format; none where there is no file."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    rows = [line.split()[:4] for line in lines if line and not line.startswith("#")]
+    return np.array(rows, dtype=np.float64).reshape(-1, 4)
+
+
+def _span_s(states: Path) -> tuple[float, float] | None:
+    """Times of the first and the last frame that SLAM was given."""
+    if not states.exists():
+        return None
+    with states.open(newline="") as stream:
+        stamps_s = [float(row["timestamp_s"]) for row in csv.DictReader(stream)]
+    return (min(stamps_s), max(stamps_s)) if stamps_s else None
+
+
+def _plane(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre (3,) and axes (2, 3) of the plane in which positions spread most."""
+    if len(rows) < 3:
+        return np.zeros(3), np.eye(3)[:2]
+    centre = rows[:, 1:].mean(axis=0)
+    _, _, axes = np.linalg.svd(rows[:, 1:] - centre, full_matrices=False)
+    signs = np.where(axes[np.arange(2), np.abs(axes[:2]).argmax(axis=1)] < 0, -1.0, 1.0)
+    return centre, axes[:2] * signs[:, None]

@@ -1,0 +1,155 @@
+"""What metrics, views and evaluators may declare, and what they are told where they may not."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from codecbench import Drawing, Line, Metric, NoParams, SequenceEvaluator, View
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.metric import AGGREGATES
+from codecbench.core.engine import aggregate
+from codecbench.core.engine.planning.declared import declared
+from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry, plan_from_json
+from codecbench.core.results.meaning import meaning_of
+from codecbench.core.results.style import curve_styles
+
+
+def test_a_metric_needs_no_more_than_its_first_four_fields() -> None:
+    metric = Metric("drift_px", "px", "lower", "how far it drifts", ("median", "p95"), False)
+    assert (metric.label, metric.brief, metric.heading) == ("drift", "drift", "drift [px]")
+    assert (metric.role, metric.scale, metric.headline) == ("behaviour", "linear", False)
+    assert not metric.repeatable
+    assert Metric("score", "1", "higher", "").heading == "score"
+    assert Metric("db", "dB", "higher", "").label == "db"
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("better", "up", "metric 'x': better is 'up'; it is one of higher, lower, neither"),
+        ("role", "speed", "metric 'x': role is 'speed'; it is one of rate, quality, task, time, operations"),
+        ("scale", "root", "metric 'x': scale is 'root'; it is one of linear, log"),
+        ("aggregates", ("mean", "mode"), "metric 'x': aggregate is 'mode'; it is one of mean, std, median"),
+        ("aggregates", "mean", "metric 'x': aggregates is 'mean'; it is a tuple of names"),
+        ("aggregates", (), r"metric 'x': aggregates is \(\); it is a tuple of names"),
+    ],
+)
+def test_a_wrong_value_is_refused_where_it_stands(field: str, value: object, message: str) -> None:
+    with pytest.raises(PluginError, match=message):
+        Metric(**{"name": "x", "unit": "1", "better": "higher", "summary": "", field: value})  # type: ignore[arg-type]
+
+
+def test_the_aggregates_that_may_be_named_are_those_that_are_computed() -> None:
+    assert tuple(aggregate.AGGREGATES) == AGGREGATES
+
+
+@pytest.mark.parametrize(
+    ("kind", "metrics", "message"),
+    [
+        ("pie", ("x",), "view 'Seen': kind is 'pie'; it is one of curve, bars, map"),
+        ("curve", (), r"view 'Seen': metrics is \(\); a curve names 1 to 2"),
+        ("curve", ("x", "y", "z"), "a curve names 1 to 2"),
+        ("map", ("x",), "a map names 0"),
+        ("bars", "x", "view 'Seen': metrics is 'x'; a bars names 1 to 100"),
+    ],
+)
+def test_a_wrong_view_is_refused(kind: str, metrics: tuple[str, ...], message: str) -> None:
+    with pytest.raises(PluginError, match=message):
+        View(kind, "Seen", metrics)  # type: ignore[arg-type]
+
+
+def test_a_wrong_line_is_refused() -> None:
+    with pytest.raises(PluginError, match="stroke is 'red'; it is one of truth, before, after"):
+        Line("path", "red", np.zeros((2, 2)))  # type: ignore[arg-type]
+    with pytest.raises(PluginError, match=r"points have shape \(2, 3\); they are \(N, 2\)"):
+        Line("path", "truth", np.zeros((2, 3)))
+    assert Drawing((Line("path", "truth", np.zeros((2, 2))),), "").holds is None
+
+
+@pytest.mark.parametrize(
+    ("metrics", "views", "message"),
+    [
+        (("x",), (View("curve", "Seen", ("y",)),), "view 'Seen' names 'y'; declared are x"),
+        (("x", "x"), (), "metrics declares x twice"),
+    ],
+)
+def test_an_evaluator_that_names_what_it_does_not_declare_is_refused(
+    metrics: tuple[str, ...], views: tuple[View, ...], message: str
+) -> None:
+    members = {"metrics": tuple(Metric(name, "1", "higher", "") for name in metrics), "views": views}
+    with pytest.raises(PluginError, match=message):
+        type("Wrong", (SequenceEvaluator,), members)
+
+
+def test_a_witness_must_be_declared_too() -> None:
+    wall = Metric("wall_ms", "ms", "lower", "", confirmed_by="cpu_ms")
+    with pytest.raises(PluginError, match="Wrong: metric 'wall_ms' names 'cpu_ms'; declared are wall_ms"):
+        type("Wrong", (SequenceEvaluator,), {"metrics": (wall,)})
+
+
+class Grain(SequenceEvaluator[NoParams]):
+    name = "grain"
+    version = "1"
+    params_type = NoParams
+    metrics = (Metric("grain_db", "dB", "lower", "how coarse", ("median",), role="task", headline=True, scale="log"),)
+    views = (View("curve", "Rate and grain", ("grain_db",)), View("map", "Grains"))
+    typical_ms_per_frame = 7.0
+
+    def evaluate(self, coded, context):  # type: ignore[no-untyped-def]
+        return iter(())
+
+
+def plan_with(meaning: dict[str, object]) -> Plan:
+    sequence = SequenceEntry("s", PluginSetting("dataset", "d", "1"), "f00d", 1, 1, False, False)
+    codec, evaluator = PluginSetting("codec", "plain", "1"), PluginSetting("evaluator", "grain", "1", {}, "size=2")
+    cell = Cell("c", sequence, codec, evaluator, 0, 0, False, None)
+    run = RunSettings(1, 1.0, 1, 0, PluginSetting("executor", "here", "1"))
+    return Plan("n", "", run, (sequence,), (), (cell,), meaning)
+
+
+class Nothing:
+    """A registry in which nothing is installed."""
+
+    def load(self, kind: str, name: str) -> object:
+        raise PluginError(f"no {kind} is called {name!r}")
+
+
+def test_meaning_travels_with_the_plan() -> None:
+    codec = SimpleNamespace(name="plain", reference="anchor")
+    meant = declared([codec, None], [("grain(size=2)", Grain.create()), ("gone", None)])
+    plan = plan_from_json(json.loads(json.dumps(plan_with(meant).as_json())))
+    meaning = meaning_of(plan, {}, Nothing())  # type: ignore[arg-type]
+    assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
+    assert meaning.views == {"grain(size=2)": Grain.views}
+    assert (meaning.anchors, meaning.baselines) == ({"plain"}, frozenset())
+    assert meant["evaluators"]["grain(size=2)"]["typical_ms_per_frame"] == 7.0
+
+
+def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed() -> None:
+    stored = plan_with({}).as_json()
+    del stored["declared"]
+    plan = plan_from_json(stored)
+    installed = SimpleNamespace(load=lambda kind, name: SimpleNamespace(reference="baseline"))
+    meaning = meaning_of(plan, {"grain(size=2)": Grain.create()}, installed)  # type: ignore[arg-type]
+    assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
+    assert meaning.views == {"grain(size=2)": Grain.views}
+    assert meaning.baselines == {"plain"}
+
+
+def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> None:
+    meant = declared([], [("grain(size=2)", Grain.create())])
+    meant["evaluators"]["grain(size=2)"]["metrics"][0] |= {"role": "mood", "aura": 1}
+    meaning = meaning_of(plan_with(meant), {"grain(size=2)": Grain.create()}, Nothing())  # type: ignore[arg-type]
+    assert meaning.metrics["grain(size=2)"]["grain_db"] == Grain.metrics[0]
+
+
+def test_curves_are_told_apart_and_baselines_are_neutral() -> None:
+    names = ["raw", *(f"codec{number} level=1" for number in range(20))]
+    styles = curve_styles(names, {"raw"})
+    assert len({(style.colour, style.marker) for style in styles.values()}) == 21
+    assert len({(style.colour, style.symbol) for style in styles.values()}) == 21
+    assert styles["raw"].colour not in {styles[name].colour for name in names[1:]}

@@ -1,0 +1,139 @@
+"""An evaluator of a stranger's distribution shows everywhere that ours do: by what it declares and nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from distributions import install_edges, install_posterize
+
+MATRIX = """
+version: 1
+name: foreign
+sequences: [{use: folder, name: drawn, params: {path: pictures}}]
+codecs:
+  - raw
+  - {use: jpeg, params: {quality: {grid: [5, 15, 40, 90]}}}
+  - {use: posterize, params: {bits: {grid: [1, 2, 3, 5]}}}
+evaluators: [EVALUATORS]
+run: {workers: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with three pictures of shapes under noise, and a site with the distributions of two strangers."""
+    folder = tmp_path_factory.mktemp("foreign")
+    (folder / "site").mkdir()
+    install_edges(folder / "site")
+    install_posterize(folder / "site")
+    (folder / "pictures").mkdir()
+    rng = np.random.default_rng(7)
+    for index in range(3):
+        picture = rng.normal(110, 6, (96, 128)).clip(0, 255).astype(np.uint8)
+        for radius, level in ((40, 150), (24, 60), (9, 230)):
+            cv2.circle(picture, (40 + 8 * index, 48), radius, level, -1)
+        cv2.imwrite(str(folder / "pictures" / f"{index}.png"), picture)
+    (folder / "both.yaml").write_text(MATRIX.replace("EVALUATORS", "quality, edges"))
+    (folder / "alone.yaml").write_text(MATRIX.replace("EVALUATORS", "edges"))
+    return folder
+
+
+def call(place: Path, *words: str, site: bool = True) -> str:
+    """What a command prints, in a process of its own, with or without the strangers' distributions."""
+    environment = {**os.environ, "COLUMNS": "200"}
+    if site:
+        environment["PYTHONPATH"] = str(place / "site")
+    command = [sys.executable, "-m", "codecbench", *words]
+    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def page_of(place: Path, run: str) -> tuple[str, dict[str, Any]]:
+    """The report as text, and what its script draws from."""
+    call(place, "report", run)
+    html = (place / run / "report" / "report.html").read_text()
+    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', html, re.DOTALL)
+    return html, json.loads(data)
+
+
+@pytest.fixture(scope="module")
+def printed(place: Path) -> str:
+    """What the run prints when it ends."""
+    return call(place, "run", "both.yaml")
+
+
+@pytest.fixture(scope="module")
+def page(place: Path, printed: str) -> tuple[str, dict[str, Any]]:
+    return page_of(place, "runs/foreign")
+
+
+def test_its_headlines_stand_in_the_terminal(printed: str) -> None:
+    heads = next(line for line in printed.splitlines() if "sequence" in line)
+    assert [head.strip() for head in heads.split("┃")[4:-1]] == [
+        "bpp", "CR %", "PSNR dB", "SSIM", "edges kept", "edges hold", "status",
+    ]  # fmt: skip
+
+
+def test_it_is_a_criterion_of_the_pareto_front(page: tuple[str, dict[str, Any]]) -> None:
+    assert "settings that no other beats in all of rate, PSNR, SSIM, edges kept." in page[0]
+
+
+def test_it_has_bd_rates_and_limits(page: tuple[str, dict[str, Any]]) -> None:
+    table = page[0].split("<thead>")[1].split("</table>")[0]
+    heads = re.findall(r"<th [^>]*>([^<]*)</th>", table)
+    assert heads[-2:] == ["BD-rate, edges kept", "edges hold down to"]
+    rows = {cells[0]: cells for cells in (re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in table.split("<tr>")[2:])}
+    assert rows["jpeg"][-2] == "anchor"
+    assert re.match(r"[+-]\d+\.\d %|no BD-rate: ", rows["posterize"][-2])
+    assert re.match(r"quality=\d+ \([\d.]+ bit/px, 1/1 runs", rows["jpeg"][-1])
+
+
+def test_its_curves_are_offered_with_its_labels(page: tuple[str, dict[str, Any]]) -> None:
+    presets = {preset["title"]: (preset["x"], preset["y"]) for preset in page[1]["presets"]}
+    assert presets["Rate and edges kept"] == ("quality.rate_bpp.mean", "edges.edges_kept.mean")
+    assert presets["Edges made and kept"] == ("edges.edges_made.mean", "edges.edges_kept.mean")
+    assert page[1]["columns"]["edges.edges_kept.mean"]["label"] == "edges kept"
+    assert "edges.edges_kept.mean" in page[1]["brief"]
+
+
+def test_what_its_cells_left_is_drawn(page: tuple[str, dict[str, Any]]) -> None:
+    (view,) = page[1]["map_views"]
+    assert view["title"] == "Edges along the picture"
+    assert len(view["drawings"]) == 9
+    raw = view["drawings"][0]
+    assert raw["holds"] is True
+    assert [line["name"] for line in raw["lines"]] == ["original", "decoded"]
+    assert raw["lines"][0]["points"] == raw["lines"][1]["points"]
+
+
+def test_its_figures_are_drawn(place: Path, printed: str) -> None:
+    names = {Path(line).name for line in call(place, "plot", "runs/foreign").split()}
+    assert {"drawn-rate-edges_kept.svg", "drawn-edges-jpeg.svg", "drawn-edges-posterize.svg"} <= names
+
+
+def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, printed: str) -> None:
+    """Labels, units and roles travel with the run; only drawings and comparisons need the plugin."""
+    short = [
+        Path(place, call(place, "report", "runs/foreign", "--format", "md", "--out", f"{site}.md", site=site).strip())
+        for site in (True, False)
+    ]
+    assert short[0].read_text() == short[1].read_text()
+    assert "| edges kept | edges hold |" in short[0].read_text()
+
+
+def test_without_a_rate_a_limit_is_refused_with_the_reason(place: Path) -> None:
+    call(place, "run", "alone.yaml", "--out", "runs/alone", "--quiet")
+    html, data = page_of(place, "runs/alone")
+    assert html.count("no rate was measured; add an evaluator with a headline of role rate") == 3
+    assert "BD-rate" not in html.split('id="curves"')[0]
+    assert data["presets"]
