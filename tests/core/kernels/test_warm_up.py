@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 from distributions import register
+from project import SUPPORT
 
 PACKAGE = {
     "__init__.py": """
-from codecbench import Offer, hookimpl
+from codecbench import PluginSpec, hookimpl
 
 @hookimpl
 def codecbench_codecs():
-    return [Offer("halving", "halving.codec:Halving", "a codec with kernels")]
+    return [PluginSpec("halving", "halving.codec:Halving", "a codec with kernels")]
 """,
     "kernels.py": """
 from codecbench import kernel
@@ -34,7 +35,6 @@ def halve(pixels, out):
     "codec.py": """
 import numpy as np
 from plain_plugins import Shift
-from project import SUPPORT
 from codecbench import Capabilities, NULL_TRACE
 from halving.kernels import halve
 
