@@ -33,6 +33,7 @@ CODING = {
     "PSNR dB": Column("quality.psnr_gray_db.mean"),
     "SSIM": Column("quality.ssim_matlab.mean"),
     "features kept": Column("features.keypoint_repeatability.mean"),
+    "search ms": Column("timing.prepare_cpu_ms.median"),
     "encode ms": Column("timing.encode_cpu_ms.median"),
     "decode ms": Column("timing.decode_cpu_ms.median"),
     "counted Mops": Column("operations.source_total.encode.mean", 1e-6),
