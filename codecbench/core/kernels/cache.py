@@ -18,9 +18,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import llvmlite
+import llvmlite  # type: ignore[import-untyped]
 import numba
 from numba.core import caching, compiler, serialize, sigutils
 
@@ -35,6 +35,9 @@ _arguments: Any = sigutils.normalize_signature
 
 _DIGEST_BYTES = 32
 
+Build = Literal["fast", "counting"]
+"""What is made of the source of a kernel: the function itself, or the function with counters in it."""
+
 
 class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     """The cache of one build of one kernel, in the form that a numba dispatcher uses.
@@ -45,7 +48,7 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     be written to costs compile time, nothing else.
     """
 
-    def __init__(self, kernel: str, build: str, fingerprint: Callable[[], str]) -> None:
+    def __init__(self, kernel: str, build: Build, fingerprint: Callable[[], str]) -> None:
         self.kernel, self.build = kernel, build
         self._compute = fingerprint
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from codecbench.core.kernels.cache import CompileOnce, KernelCache
+from codecbench.core.kernels.cache import Build, CompileOnce, KernelCache
 from codecbench.core.kernels.source import fingerprint
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -41,7 +41,7 @@ def compiled(function: Any = None, /, **options: Any) -> Any:
     return kept(numba.njit(**options)(function), function, options, "fast")
 
 
-def kept(dispatcher: Any, function: FunctionType, options: dict[str, Any], build: str, rules: str = "") -> Any:
+def kept(dispatcher: Any, function: FunctionType, options: dict[str, Any], build: Build, rules: str = "") -> Any:
     """The dispatcher, with its signatures kept on disk.
 
     function: the source that it stands for. build: `fast`, or what else was made of that source by `rules`, a digest

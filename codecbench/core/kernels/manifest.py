@@ -16,14 +16,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from numba.core import event
 
 from codecbench.core.kernels.argument_types import ArgumentTypeError, text_from_types, types_from_text
-from codecbench.core.kernels.cache import KernelCache
-
-Build = Literal["fast", "counting"]
+from codecbench.core.kernels.cache import Build, KernelCache
 
 MANIFEST = "kernels.json"
 

@@ -10,9 +10,11 @@ from pathlib import Path
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.engine.planning.matrix import read_matrix
-from codecbench.core.engine.planning.model import Plan
+from codecbench.core.engine.planning.model import CodingJob, Plan
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.running.work import CellOrder, CodingOrder, perform_cell, perform_coding
+from codecbench.core.engine.running.frame_cache import MOST_BYTES
+from codecbench.core.engine.running.work import BITSTREAMS, Order, perform
+from codecbench.core.engine.storage.record import Record
 from codecbench.core.kernels import manifest
 
 
@@ -34,15 +36,19 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
 def _perform(plan: Plan) -> None:
     coded: dict[str | None, bytes | None] = {None: None}
     for job in plan.jobs:
-        done = perform_coding(CodingOrder(job, None))
-        if done.status != "ok":
-            raise RecordingError(f"{job.sequence.name} | {job.codec.name} {job.codec.label}: {done.reason}")
-        coded[job.id] = done.content
+        coded[job.id] = _done(Order(job, None, MOST_BYTES)).contents[BITSTREAMS]
     for cell in plan.cells:
-        record = perform_cell(CellOrder(cell, coded[cell.job_id])).record
-        if record.status != "ok":
-            what = f"{cell.sequence.name} | {cell.codec.name} {cell.codec.label} | {cell.evaluator.name}"
-            raise RecordingError(f"{what}: {record.reason}")
+        _done(Order(cell, coded[cell.job_id], MOST_BYTES))
+
+
+def _done(order: Order) -> Record:
+    """The record of work that was done. Raises RecordingError where it failed."""
+    outcome = perform(order)
+    if isinstance(outcome, Record) and outcome.status == "ok":
+        return outcome
+    work, reason = order.work, outcome.reason if isinstance(outcome, Record) else outcome
+    evaluator = [] if isinstance(work, CodingJob) else [work.evaluator.name]
+    raise RecordingError(f"{' | '.join([work.sequence.name, work.codec.title, *evaluator])}: {reason}")
 
 
 @contextmanager

@@ -84,8 +84,8 @@ def _series(members: list[CellResult]) -> list[Series]:
         values["status"] = []
     found = []
     for name, numbers in values.items():
-        measured, _, stage = name.partition(".")
-        metric = metrics.get(measured) or Metric(measured, "", "neither", "")
+        metric_name, _, stage = name.partition(".")
+        metric = metrics.get(metric_name) or Metric(metric_name, "", "neither", "")
         confirmed_by = f"{metric.confirmed_by}.{stage}" if metric.confirmed_by and stage else metric.confirmed_by
         found.append(
             Series(
