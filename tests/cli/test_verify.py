@@ -61,7 +61,7 @@ def test_a_sound_codec_passes_every_check() -> None:
     assert [line.split()[1] for line in done.output.splitlines() if line.startswith("  pass")] == [
         check.name for check in CHECKS
     ]
-    assert done.output.splitlines()[-1] == "16 passed, 0 failed, 0 skipped"
+    assert done.output.splitlines()[-1] == "17 passed, 0 failed, 0 skipped"
     for check in CHECKS:
         assert check.proves in done.output
 
@@ -121,7 +121,7 @@ def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> No
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1] == "46 passed, 0 failed, 2 skipped"
+    assert done.stdout.splitlines()[-1] == "49 passed, 0 failed, 2 skipped"
     assert done.stderr == ""
 
 
