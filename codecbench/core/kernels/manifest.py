@@ -35,13 +35,15 @@ class Entry:
     """A signature of a kernel that is called from Python.
 
     kernel: `module:function`. arguments: as in `argument_types`. seconds: what compiling it and whatever it calls took
-    when the manifest was made, which says what to start first.
+    when the manifest was made, which says what to start first. stage: 0 for what any work calls, above that for what
+    only longer work comes to, which can begin before it is compiled.
     """
 
     kernel: str
     build: Build
     arguments: str
     seconds: float
+    stage: int = 0
 
     def is_kept(self) -> bool:
         """Whether its machine code is in the cache. Raises ManifestError where there is no such signature."""
@@ -107,11 +109,15 @@ def _read(path: Path) -> list[Entry]:
         raise ManifestError(f"{path} cannot be read: {error}; record it again: codecbench warm-up --help") from error
 
 
-class _Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
-    """Notes what is compiled for calls from Python; what that calls in turn is compiled inside it."""
+class Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
+    """Notes what is compiled for calls from Python; what that calls in turn is compiled inside it.
+
+    entries: what was compiled so far. stage: of what is compiled from now on.
+    """
 
     def __init__(self) -> None:
         self.entries: list[Entry] = []
+        self.stage = 0
         self._started: list[float] = []
 
     def on_start(self, event: Any) -> None:
@@ -123,14 +129,13 @@ class _Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
         if self._started or not isinstance(cache, KernelCache) or "<locals>" in cache.kernel:
             return
         with suppress(ArgumentTypeError):
-            self.entries.append(
-                Entry(cache.kernel, cache.build, text_from_types(event.data["args"]), round(seconds, 1))
-            )
+            arguments = text_from_types(event.data["args"])
+            self.entries.append(Entry(cache.kernel, cache.build, arguments, round(seconds, 1), self.stage))
 
 
 @contextmanager
-def recording() -> Iterator[list[Entry]]:
+def recording() -> Iterator[Recorder]:
     """The signatures that are compiled meanwhile for calls from Python: all that are called, if the cache is empty."""
-    recorder = _Recorder()
+    recorder = Recorder()
     with event.install_listener("numba:compile", recorder):
-        yield recorder.entries
+        yield recorder

@@ -25,12 +25,14 @@ class RecordingError(CodecbenchError):
 def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Path]:
     """Write the manifest of each package from the work of the matrices; returns the files.
 
+    The first matrix stands for what any work calls; what only a later one calls is compiled later.
+
     Raises RecordingError where something of a matrix fails, MatrixError and ManifestError as their names say.
     """
-    with _empty_cache(), manifest.recording() as entries:
-        for matrix in matrices:
+    with _empty_cache(), manifest.recording() as recorder:
+        for recorder.stage, matrix in enumerate(matrices):
             _perform(make_plan(read_matrix(matrix)))
-    return [manifest.write(package, entries) for package in packages]
+    return [manifest.write(package, recorder.entries) for package in packages]
 
 
 def _perform(plan: Plan) -> None:

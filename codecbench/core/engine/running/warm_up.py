@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
@@ -20,19 +19,23 @@ from codecbench.core.kernels.manifest import Entry, ManifestError, listed
 log = logging.getLogger("codecbench.run")
 
 
-@dataclass
 class WarmUp:
-    """Kernels that are not in the cache: those that coding calls, which come first, and those of evaluators."""
+    """Kernels that are not in the cache: those that coding calls, which come first, and those of evaluators.
 
-    coding: list[Entry] = field(default_factory=list)
-    evaluating: list[Entry] = field(default_factory=list)
-    total: int = 0
-    done: int = 0
-    failed: int = 0
-    _under_way: dict[str, Entry] = field(default_factory=dict)
+    Those that only longer work comes to are compiled once all others are, beside the first cells.
+    """
+
+    def __init__(self, coding: Iterable[Entry] = (), evaluating: Iterable[Entry] = ()) -> None:
+        wanted = {True: list(coding), False: list(evaluating)}
+        self._coding, self._evaluating = ([entry for entry in wanted[c] if entry.stage == 0] for c in (True, False))
+        self._later = [entry for entries in wanted.values() for entry in entries if entry.stage > 0]
+        self._under_way: dict[str, Entry] = {}
+        self._executor: Executor[Any] | None = None
+        self.total = len(self._coding) + len(self._evaluating) + len(self._later)
+        self.done = self.failed = 0
 
     def __len__(self) -> int:
-        return len(self.coding) + len(self.evaluating)
+        return self.total - self.done
 
     @property
     def progress(self) -> str:
@@ -40,11 +43,12 @@ class WarmUp:
         return f"compiling kernels, once: {self.done} of {self.total}" if self.done < self.total else ""
 
     def begin(self, executor: Executor[Any], meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Submit everything; `meanwhile` submits the work that waits for no more than the kernels of coding."""
-        self.total = len(self)
-        self._submit(executor, self.coding)
+        """Submit what comes first; `meanwhile` submits the work that waits for no more than the kernels of coding."""
+        self._executor = executor
+        self._submit(self._coding)
         meanwhile()
-        self._submit(executor, self.evaluating)
+        self._submit(self._evaluating)
+        self._submit_later()
 
     def took(self, finished: Finished) -> bool:
         """Whether a task that has ended was one of these. However it ended, the run goes on."""
@@ -55,14 +59,21 @@ class WarmUp:
         if finished.status != "ok":
             self.failed += 1
             log.warning("%s is compiled at its first call: %s", entry.kernel, finished.reason)
+        self._submit_later()
         return True
 
-    def _submit(self, executor: Executor[Any], entries: list[Entry]) -> None:
-        """Largest first, so that no worker is left alone with a large one at the end."""
-        for entry in sorted(entries, key=lambda entry: -entry.seconds):
+    def _submit_later(self) -> None:
+        if not self._under_way and self._later:
+            later, self._later = self._later, []
+            self._submit(later)
+
+    def _submit(self, entries: list[Entry]) -> None:
+        """Earlier stages first, and of one stage the largest: no worker is left alone with a large one at the end."""
+        assert self._executor is not None
+        for entry in sorted(entries, key=lambda entry: (entry.stage, -entry.seconds)):
             id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
             self._under_way[id_] = entry
-            executor.submit(Task(id_, compile_entry, entry))
+            self._executor.submit(Task(id_, compile_entry, entry))
 
 
 def compile_entry(entry: Entry) -> None:

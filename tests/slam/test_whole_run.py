@@ -1,0 +1,40 @@
+"""The SLAM as its users meet it: the whole embedded sequence, through the installed command."""
+
+from __future__ import annotations
+
+import csv
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MATRIX = """
+version: 1
+name: whole
+sequences: [synthetic]
+codecs: [raw]
+evaluators: [trajectory]
+run: {workers: 2}
+"""
+
+
+def command(folder: Path, *words: str) -> str:
+    """Standard output of codecbench, after checking that it went well."""
+    whole = [sys.executable, "-m", "codecbench", *words]
+    done = subprocess.run(whole, cwd=folder, capture_output=True, text=True, timeout=500, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_room_is_tracked_whole_and_its_loop_closed(tmp_path: Path) -> None:
+    (tmp_path / "matrix.yaml").write_text(MATRIX)
+    assert "cells: 1 ok" in command(tmp_path, "run", "matrix.yaml", "--quiet")
+    (row,) = csv.DictReader(io.StringIO(command(tmp_path, "table", "runs/whole", "--format", "csv")))
+    found = {name.removeprefix("trajectory."): float(value) for name, value in row.items() if name.endswith(".median")}
+    assert found["tracked_fraction.median"] > 0.95
+    assert found["loops_closed.median"] >= 1
+    assert found["maps.median"] == 1
+    assert found["ate_rmse_m.median"] == pytest.approx(0.002, abs=0.002)
+    assert (found["ate_before_loops_m.median"]) > found["ate_rmse_m.median"]
