@@ -14,29 +14,30 @@ if TYPE_CHECKING:
 
 
 @click.command("warm-up")
-@click.argument("matrix", required=False, type=click.Path(path_type=Path))
+@click.argument("matrices", nargs=-1, metavar="[MATRIX]...", type=click.Path(path_type=Path))
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one for each core.")
 @click.option(
     "--record", "packages", multiple=True, metavar="PACKAGE", help="Write the kernels.json of PACKAGE; repeatable."
 )
-def warm_up(matrix: Path | None, workers: int | None, packages: tuple[str, ...]) -> None:
-    """Compile ahead the kernels that a run of MATRIX will call, or all that installed plugins list.
+def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str, ...]) -> None:
+    """Compile ahead the kernels that runs of each MATRIX will call, or all that installed plugins list.
 
     For images of containers and continuous integration; a run does the same at its beginning. With --record,
-    do the work of MATRIX in one process and write down which kernels of each PACKAGE it called.
+    do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
     from codecbench.core.engine.registry import installed
     from codecbench.core.engine.running.warm_up import all_kernels, kernels_to_compile
 
     if packages:
-        _record(matrix, packages)
-    elif matrix is None:
+        _record(matrices, packages)
+    elif not matrices:
         _compile(all_kernels(installed()), workers)
     else:
         from codecbench.core.engine.planning.matrix import read_matrix
         from codecbench.core.engine.planning.plan import make_plan
 
-        cells = [cell for cell in make_plan(read_matrix(matrix)).cells if cell.unsupported is None]
+        plans = [make_plan(read_matrix(matrix)) for matrix in matrices]
+        cells = [cell for plan in plans for cell in plan.cells if cell.unsupported is None]
         _compile(kernels_to_compile(cells, installed()), workers)
 
 
@@ -64,10 +65,10 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
     click.echo(f"{wanted.total} kernels to compile, {wanted.failed} failed, {time.monotonic() - started:.1f} s")
 
 
-def _record(matrix: Path | None, packages: tuple[str, ...]) -> None:
+def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:
     from codecbench.core.engine.running.record_kernels import record_kernels
 
-    if matrix is None:
+    if not matrices:
         raise click.UsageError("--record needs a MATRIX whose work calls the kernels")
-    for path in record_kernels(matrix, packages):
+    for path in record_kernels(matrices, packages):
         click.echo(path)

@@ -62,7 +62,7 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
 
     def file(self, signature: Any, codegen: Any) -> Path | None:
         """Where the machine code of a signature is kept once it is compiled; None where it never is."""
-        if _passed_by or self._fingerprint is None:
+        if self._fingerprint is None:
             return None
         arguments, result = _arguments(signature)
         versions = (numba.__version__, llvmlite.__version__, platform.python_version(), platform.machine())
@@ -130,20 +130,6 @@ class CompileOnce:
             made = self._compiler.compile(args, return_type)
             self._cache.save_overload(args, made)
             return made
-
-
-_passed_by: list[None] = []
-"""Not empty while the cache is passed by."""
-
-
-@contextmanager
-def passed_by() -> Iterator[None]:
-    """Meanwhile everything is compiled anew in this process, and nothing is kept."""
-    _passed_by.append(None)
-    try:
-        yield
-    finally:
-        _passed_by.pop()
 
 
 _held: set[Path] = set()

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from numba.core import event
 
 from codecbench.core.kernels.argument_types import ArgumentTypeError, text_from_types, types_from_text
-from codecbench.core.kernels.cache import KernelCache, passed_by
+from codecbench.core.kernels.cache import KernelCache
 
 Build = Literal["fast", "counting"]
 
@@ -132,7 +132,7 @@ class _Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
 
 @contextmanager
 def recording() -> Iterator[list[Entry]]:
-    """The signatures that are compiled meanwhile for calls from Python: all that is called, as the cache is passed by."""
+    """The signatures that are compiled meanwhile for calls from Python: all that are called, if the cache is empty."""
     recorder = _Recorder()
-    with passed_by(), event.install_listener("numba:compile", recorder):
+    with event.install_listener("numba:compile", recorder):
         yield recorder.entries

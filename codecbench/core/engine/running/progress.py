@@ -16,8 +16,8 @@ class Progress:
     """A moment of a run.
 
     Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate,
-    None before there is anything to base one on. compiling: how far kernels
-    that are compiled ahead are, in words, and empty when they are done. cell and record: what just ended, None for a coding job.
+    None before there is anything to base one on. compiling: how many kernels are compiled ahead so far, in words,
+    empty when they all are. cell and record: what just ended, None for a coding job.
     """
 
     cells_total: int

@@ -1,0 +1,81 @@
+"""One process compiles a kernel; whoever wants it meanwhile waits and takes it from the disk."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+KERNELS = """
+from codecbench.core.kernels.compiled import compiled
+
+@compiled
+def plus(a, b):
+    return a + b
+
+@compiled
+def factorial(n):
+    return 1 if n < 2 else n * factorial(n - 1)
+"""
+PLUS = """
+from locked import plus
+
+compiled = []
+compiler = plus._compiler._compiler
+class Noting:
+    def __getattr__(self, name):
+        return getattr(compiler, name)
+    def compile(self, *arguments):
+        compiled.append(arguments)
+        return compiler.compile(*arguments)
+plus._compiler._compiler = Noting()
+print(plus(1, 2), len(compiled))
+"""
+
+
+def start(folder: Path, program: str) -> subprocess.Popen[str]:
+    (folder / "locked.py").write_text(KERNELS)
+    environment = {**os.environ, "CODECBENCH_CACHE": str(folder / "cache")}
+    return subprocess.Popen(
+        [sys.executable, "-c", program], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def output(process: subprocess.Popen[str]) -> str:
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    return out.strip()
+
+
+def test_processes_that_come_together_compile_once(tmp_path: Path) -> None:
+    together = [start(tmp_path, PLUS) for _ in range(3)]
+    assert sorted(output(process) for process in together) == ["3 0", "3 0", "3 1"]
+
+
+def test_who_finds_the_lock_held_waits_for_it(tmp_path: Path) -> None:
+    assert output(start(tmp_path, PLUS)) == "3 1"
+    (kept,) = (tmp_path / "cache" / "kernels").glob("*.bin")
+    content = kept.read_bytes()
+    kept.unlink()
+    with open(kept.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        waiting = start(tmp_path, PLUS)
+        time.sleep(3.0)
+        assert waiting.poll() is None
+        kept.write_bytes(content)
+    assert output(waiting) == "3 0"
+
+
+def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> None:
+    assert output(start(tmp_path, PLUS)) == "3 1"
+    (kept,) = (tmp_path / "cache" / "kernels").glob("*.bin")
+    kept.unlink()
+    kept.with_suffix(".lock").write_text("")
+    assert output(start(tmp_path, PLUS)) == "3 1"
+
+
+def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:
+    assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"

@@ -1,0 +1,156 @@
+"""Kernels compiled ahead: recorded, listed, compiled once by whoever comes first, and never a reason to fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from distributions import register
+
+PACKAGE = {
+    "__init__.py": """
+from codecbench import Offer, hookimpl
+
+@hookimpl
+def codecbench_codecs():
+    return [Offer("halving", "halving.codec:Halving", "a codec with kernels")]
+""",
+    "kernels.py": """
+from codecbench import kernel
+
+@kernel
+def halved(value):
+    return value >> 1
+
+@kernel
+def halve(pixels, out):
+    for i in range(pixels.size):
+        out[i] = halved(pixels[i])
+""",
+    "codec.py": """
+import numpy as np
+from plain_plugins import Shift
+from codecbench import Capabilities, NULL_TRACE
+from halving.kernels import halve
+
+class Halving(Shift):
+    name = "halving"
+    capabilities = Capabilities(channels=(1,), counts_operations=True)
+    kernels = ("halving",)
+
+    def encode(self, image, *, trace=NULL_TRACE):
+        out = np.empty(image.size, np.uint8)
+        with trace.stage("halve") as run:
+            run(halve, np.ascontiguousarray(image).reshape(-1), out)
+        return super().encode(out.reshape(image.shape), trace=trace)
+""",
+}
+MATRIX = """
+version: 1
+name: halves
+sequences: [{use: ramp, params: {frames: 2}}]
+codecs: [halving]
+evaluators: [EVALUATORS]
+run: {workers: 2}
+"""
+
+
+class Place:
+    """A site with a third-party package that has kernels, and a cache of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.site, self.cache = folder, folder / "site", folder / "cache"
+        (self.site / "halving").mkdir(parents=True)
+        for name, text in PACKAGE.items():
+            (self.site / "halving" / name).write_text(text)
+        plain = Path(__file__).parent.parent / "plain_plugins.py"
+        (self.site / plain.name).write_text(plain.read_text())
+        register(self.site, "plain", "1", "plain_plugins")
+        register(self.site, "halving", "1", "halving")
+        for name, evaluators in (("fast", "error"), ("counting", "error, operations")):
+            (folder / f"{name}.yaml").write_text(MATRIX.replace("EVALUATORS", evaluators))
+
+    @property
+    def manifest(self) -> Path:
+        return self.site / "halving" / "kernels.json"
+
+    @property
+    def kept(self) -> list[str]:
+        """Kernels and builds in the cache."""
+        return sorted(path.name.rpartition("-")[0] for path in (self.cache / "kernels").glob("*.bin"))
+
+    def call(self, *words: str) -> str:
+        environment = {**os.environ, "PYTHONPATH": str(self.site), "CODECBENCH_CACHE": str(self.cache)}
+        command = [sys.executable, "-m", "codecbench", *words]
+        done = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    place = Place(tmp_path_factory.mktemp("recorded"))
+    assert str(place.manifest) in place.call("warm-up", "counting.yaml", "--record", "halving")
+    return place
+
+
+@pytest.fixture
+def place(recorded: Place, tmp_path: Path) -> Place:
+    made = Place(tmp_path)
+    made.manifest.write_text(recorded.manifest.read_text())
+    return made
+
+
+def test_what_a_matrix_calls_is_recorded(recorded: Place) -> None:
+    entries = json.loads(recorded.manifest.read_text())
+    assert [(entry["kernel"], entry["build"], entry["arguments"]) for entry in entries] == [
+        ("halving.kernels:halve", "counting", "int64[::1], uint8[::1], uint8[::1]"),
+        ("halving.kernels:halve", "fast", "uint8[::1], uint8[::1]"),
+    ], "what halve calls is compiled with it"
+    assert recorded.kept == [], "recording leaves the cache alone"
+
+
+def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
+    out = place.call("warm-up", "fast.yaml")
+    assert "compiled: kernel halving.kernels:halve fast" in out
+    assert "1 kernels to compile, 0 failed" in out
+    assert place.kept == ["halving.kernels.halve.fast", "halving.kernels.halved.fast"]
+    out = place.call("warm-up", "counting.yaml")
+    assert "1 kernels to compile, 0 failed" in out, "what is there is not compiled again"
+    assert "halving.kernels.halve.counting" in place.kept
+    assert "0 kernels to compile, 0 failed" in place.call("warm-up", "counting.yaml")
+
+
+def test_a_run_compiles_ahead_and_says_so(place: Place) -> None:
+    place.call("run", "counting.yaml")
+    assert "halving.kernels.halve.counting" in place.kept
+    before = {path: path.stat().st_mtime_ns for path in (place.cache / "kernels").glob("*.bin")}
+    place.call("run", "counting.yaml", "--out", "again")
+    assert {path: path.stat().st_mtime_ns for path in (place.cache / "kernels").glob("*.bin")} == before
+    assert not list((place.cache / "kernels").glob("*.lock"))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{not json",
+        '[{"kernel": "halving.kernels:gone", "build": "fast", "arguments": "int64", "seconds": 1.0}]',
+        '[{"kernel": "halving.kernels:halve", "build": "fast", "arguments": "float99", "seconds": 1.0}]',
+        '[{"kernel": "halving.kernels:halve", "build": "fast", "arguments": "int64, int64", "seconds": 1.0}]',
+        None,
+    ],
+    ids=["not JSON", "no such kernel", "no such type", "does not compile", "no manifest"],
+)
+def test_a_bad_manifest_fails_no_run(place: Place, content: str | None) -> None:
+    if content is None:
+        place.manifest.unlink()
+    else:
+        place.manifest.write_text(content)
+    assert "cells: 2 ok" in place.call("run", "counting.yaml")
+    log = (place.folder / "runs" / "halves" / "run.log").read_text()
+    assert "WARNING" in log
+    assert "record it" in log or "halving.kernels" in log
