@@ -277,8 +277,41 @@ def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: An
     return True
 
 
+@compiled
 def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
     """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
-    seen = positions[points[points >= 0]]
+    depths = np.empty(len(points))
+    count = 0
     x, y, z, offset = camera_from_world[2]
-    return float(np.median(x * seen[:, 0] + y * seen[:, 1] + z * seen[:, 2] + offset)) if len(seen) else 1.0
+    for p in points:
+        if p >= 0:
+            depths[count] = x * positions[p, 0] + y * positions[p, 1] + z * positions[p, 2] + offset
+            count += 1
+    if count == 0:
+        return 1.0
+    depths, middle = depths[:count], count // 2
+    upper = _nth_smallest(depths, middle)
+    return float(upper if count % 2 else (_nth_smallest(depths, middle - 1) + upper) / 2.0)
+
+
+@compiled
+def _nth_smallest(values: Any, n: int) -> float:
+    """The value at place n of the sorted values, which are reordered (Hoare 1961); numba's median compiles for 2 s."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if n <= j:
+            high = j
+        elif n >= i:
+            low = i
+        else:
+            break
+    return float(values[n])
