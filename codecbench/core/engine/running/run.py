@@ -126,7 +126,8 @@ class _Run:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
             return
-        self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
+        if self.executor.shares_files:  # elsewhere each machine has a cache of its own, and any worker may be on any
+            self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
         self.executor.start(min(self.workers, len(self.schedule) + len(self.warm_up)), prepare_worker)
         self.warm_up.begin(self.executor, meanwhile=self._hand_out)
         while len(self.schedule) and not interruption.requested:
