@@ -28,6 +28,7 @@ from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, StoreError, Unsupported
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
+from codecbench.core.engine.storage.atomic import write_file
 
 CodecClass = type[Codec[Any]]
 _FORMAT = 1
@@ -97,14 +98,13 @@ def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], wr
         "machine": f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
         "entries": [asdict(entry) for entry in entries],
     }
-    (folder / _MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    write_file(folder / _MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
     return entries
 
 
 def _written(folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int]) -> Entry:
     bitstream = codec.encode(integer_image(seed, *shape))
-    (folder / file).parent.mkdir(parents=True, exist_ok=True)
-    (folder / file).write_bytes(bitstream)
+    write_file(folder / file, bitstream)
     return Entry(
         file=file,
         codec=codec.name,
