@@ -20,6 +20,8 @@ Where = tuple[str | int, ...]
 
 _SHOWN: Final = 80
 """Characters of a value that a message repeats."""
+_MOST_TOLD: Final = 50
+"""Problems that are spelled out; an axis may have thousands of wrong values."""
 
 
 @dataclass
@@ -43,9 +45,12 @@ class Problems:
                 self.add((*where, key), f"unknown; {suggest(str(key), names)}", at_key=True)
 
     def raise_any(self) -> None:
-        """Raise MatrixError with every problem, in the order of the file, if there is one."""
+        """Raise MatrixError with the problems, in the order of the file, if there is one."""
         if self.found:
-            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in sorted(set(self.found))]
+            found = sorted(set(self.found))
+            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in found[:_MOST_TOLD]]
+            if len(found) > _MOST_TOLD:
+                lines.append(f"and {len(found) - _MOST_TOLD} more")
             raise MatrixError("\n".join(lines))
 
 
