@@ -165,10 +165,14 @@ class _Report:
                 self._say(f"        {result.layout}: {result.reason}")
 
     def of_corpus(self, folder: Path, cases: list[tuple[CodecClass, Params]]) -> None:
-        """Write a corpus of the settings."""
+        """Write a corpus of the settings; a codec that fails in it ends that, and is reported."""
         from codecbench import __version__
 
-        entries = write_corpus(folder, cases, f"codecbench {__version__}")
+        try:
+            entries = write_corpus(folder, cases, f"codecbench {__version__}")
+        except PluginError as error:
+            self._mark("failed", str(error))
+            return
         self._content["corpus"] += [asdict(entry) for entry in entries]
         self.counts["passed"] += len(entries)
         self._say(f"{folder}: {len(entries)} bitstreams of {len(cases)} settings")

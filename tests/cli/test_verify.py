@@ -303,6 +303,24 @@ def test_a_codec_that_is_not_installed_is_skipped(corpus: Path) -> None:
     assert done.output.splitlines()[-1].endswith("0 failed, 6 skipped")
 
 
+@pytest.mark.parametrize(("codec_class", "said"), [("Segfaults", "SIGSEGV"), ("Exits", "SystemExit")])
+def test_a_codec_that_ends_its_process_writes_no_corpus(tmp_path: Path, codec_class: str, said: str) -> None:
+    done = with_broken(tmp_path, codec_class).call("verify", "broken", "--write-corpus", "corpus")
+    assert done.status == 1, done.output
+    assert re.search(rf"FAIL  broken, picture 0 of shape \(1, 1, 1\): .*{said}", done.stdout)
+    assert not (tmp_path / "corpus" / "manifest.json").exists()
+
+
+def test_an_encoder_that_ends_its_process_fails_its_bitstreams(tmp_path: Path) -> None:
+    place = with_broken(tmp_path, "ClaimsToCount")
+    assert place.call("verify", "broken", "raw", "--write-corpus", "corpus").status == 0
+    (place.site / "broken.py").write_text(BROKEN.format("KillsItself", ()))
+    done = place.call("verify", "--check-corpus", "corpus")
+    assert done.status == 1, done.output
+    assert done.stdout.count("does not encode its picture any more: crashed: the process died of SIGKILL") == 6
+    assert done.stdout.splitlines()[-1] == "6 passed, 6 failed, 0 skipped"
+
+
 def test_nothing_is_overwritten(corpus: Path) -> None:
     with pytest.raises(StoreError, match="not empty"):
         write_corpus(corpus, [], "")

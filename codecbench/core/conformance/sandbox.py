@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import psutil
 
-from codecbench.core.contracts.errors import BitstreamError, CodecbenchError
+from codecbench.core.contracts.errors import BitstreamError, CodecbenchError, Unsupported
 from codecbench.core.contracts.params import Params
 
 Verb = Literal["encode", "decode"]
@@ -31,9 +31,9 @@ _MEBIBYTE = 1 << 20
 
 @dataclass(frozen=True)
 class Reply:
-    """What came of a request: `done` with a value, `refused` with the error's text, or a fault with its reason."""
+    """What came of a request: `done` with a value, `refused` or `unsupported` with the error's text, or a fault."""
 
-    status: Literal["done", "refused", "raised", "crashed", "hung", "out_of_memory"]
+    status: Literal["done", "refused", "unsupported", "raised", "crashed", "hung", "out_of_memory"]
     value: Any = None
     reason: str = ""
 
@@ -141,6 +141,8 @@ def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], memory_mb:
             return Reply("done", function(*arguments))
     except BitstreamError as error:
         return Reply("refused", reason=str(error))
+    except Unsupported as error:
+        return Reply("unsupported", reason=str(error))
     except MemoryError:
         return Reply("out_of_memory", reason=f"more than {memory_mb} MiB")
     except CodecbenchError as error:
