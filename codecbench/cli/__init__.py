@@ -61,22 +61,20 @@ def cli() -> None:
 
 
 def main() -> None:
-    """Entry point: errors that codecbench raises on purpose are messages, not tracebacks."""
-    from codecbench.core.contracts.errors import CodecbenchError
+    """Entry point: whatever ends a command is a message, not a traceback, and an exit status."""
+    from codecbench.cli.exit_status import close_output, told
 
+    status = 0
     try:
-        cli(standalone_mode=False)
+        with cli.make_context("codecbench", sys.argv[1:]) as context:
+            cli.invoke(context)
+        close_output()
     except click.exceptions.Exit as done:
-        sys.exit(done.exit_code)
-    except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
-    except (click.exceptions.Abort, KeyboardInterrupt):
-        click.echo("stopped; what is finished is kept, and the same command continues from there", err=True)
-        sys.exit(130)
-    except CodecbenchError as error:
-        click.echo(f"error: {error}", err=True)
-        sys.exit(2)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(141)
+        status = done.exit_code
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a fault of our own is told like any other end
+        status = told(error)
+    try:
+        close_output()
+    except OSError as error:
+        status = status or told(error)
+    sys.exit(status)

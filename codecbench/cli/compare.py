@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from codecbench.cli.exit_status import ExitStatus
 
 if TYPE_CHECKING:
     from codecbench.core.results.comparison.compare import Comparison
@@ -60,7 +61,7 @@ def compare(
     Sizes, quality and counts are compared exactly. Times are compared statistically over repeats (at least five), in
     units of a fixed piece of work that was timed beside them. Wall time counts as changed only where processor time
     agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
-    times is “cannot tell”, with a warning.
+    times is “cannot tell”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
     """
     from codecbench.core.results.comparison.compare import compare as compared
     from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
@@ -79,8 +80,9 @@ def compare(
         click.echo(warning, err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     _print(found, format_, everything)
-    if any(comparison.verdict in _FAILING[fail_on] for comparison in found):
-        sys.exit(1)
+    unequal = any(comparison.verdict in _FAILING[fail_on] for comparison in found)
+    if unequal or (not found and fail_on != "never"):
+        raise click.exceptions.Exit(ExitStatus.FOUND)
 
 
 def _print(found: list[Comparison], format_: str, everything: bool) -> None:

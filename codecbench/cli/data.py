@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import click
-from rich.console import Console
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
+
+from codecbench.cli.screen import Screen
 
 
 @click.group()
@@ -33,7 +34,7 @@ def fetch(name: str) -> None:
     entry = catalog.find(name)
     click.echo(f"{entry.name}: {entry.licence}\n{entry.citation}", err=True)
     columns = (*Progress.get_default_columns(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Screen(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
         def show(file: str, arrived: int, total: int | None) -> None:

@@ -13,12 +13,12 @@ import click
 @click.option("--format", "format_", type=click.Choice(["html", "md", "latex"]), default="html", show_default=True)
 def report(run: Path, out: Path | None, format_: str) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
-    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.begun import begun_run
     from codecbench.core.results.report.write import write_report
 
     suffix = {"html": "html", "md": "md", "latex": "tex"}[format_]
     path = out or run / "report" / f"report.{suffix}"
-    size = write_report(open_run(run), path, format_)
+    size = write_report(begun_run(run), path, format_)
     click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
 
 
@@ -28,8 +28,8 @@ def report(run: Path, out: Path | None, format_: str) -> None:
 @click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
 def plot(run: Path, out: Path | None, format_: str) -> None:
     """Draw the figures of the RUN folder: curves over the rate, bars by stage, and maps."""
-    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.begun import begun_run
     from codecbench.core.results.figures import draw_all
 
-    for path in draw_all(open_run(run), out or run / "report", format_):
+    for path in draw_all(begun_run(run), out or run / "report", format_):
         click.echo(str(path))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as ProgressBar
+
+from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.engine.running.progress import Progress
@@ -40,8 +41,8 @@ def run(
 ) -> None:
     """Run a MATRIX: every codec setting on every sequence, evaluated.
 
-    Continues where an earlier run in the same folder stopped. The exit status is 0 only if no cell failed, and 130
-    if the run was stopped.
+    Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
+    result, and 130 if the run was stopped.
     """
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan
@@ -49,7 +50,7 @@ def run(
 
     plan = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / plan.name
-    console = Console(stderr=True, quiet=quiet)
+    console = Screen(stderr=True, quiet=quiet)
     with _Display(console, keep_going) as display:
         summary = run_plan(
             plan,
@@ -65,7 +66,7 @@ def run(
 class _Display:
     """The bar, and one line for every cell that fails."""
 
-    def __init__(self, console: Console, keep_going: bool) -> None:
+    def __init__(self, console: Screen, keep_going: bool) -> None:
         self._keep_going = keep_going
         columns = (
             TextColumn("{task.description}"),
@@ -101,10 +102,9 @@ class _Display:
 
 
 def _report(summary: RunSummary, quiet: bool) -> None:
-    from codecbench.core.results.collect import open_run
-
-    if not quiet:
+    if not quiet and summary.statuses:
         from codecbench.cli.show import show_summary
+        from codecbench.core.results.collect import open_run
 
         show_summary(open_run(summary.folder))
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
@@ -113,9 +113,12 @@ def _report(summary: RunSummary, quiet: bool) -> None:
     click.echo(f"run folder: {summary.folder}")
     if summary.interrupted:
         click.echo(f"stopped by {summary.interrupted}; the same command continues from here", err=True)
-        sys.exit(130)
+        raise click.exceptions.Exit(ExitStatus.INTERRUPTED)
+    if "ok" not in summary.statuses:
+        click.echo("no cell has a result; the reasons are above, or in `codecbench status --failed`", err=True)
+        raise click.exceptions.Exit(ExitStatus.FOUND)
     if any(count for status, count in summary.statuses.items() if status not in ("ok", "unsupported")):
-        sys.exit(1)
+        raise click.exceptions.Exit(ExitStatus.FOUND)
 
 
 def _clock(seconds: float) -> str:

@@ -6,8 +6,9 @@ import math
 from typing import TYPE_CHECKING, Final, Literal
 
 import pandas as pd
-from rich.console import Console
 from rich.table import Table
+
+from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
@@ -30,9 +31,9 @@ def show_summary(result: RunResult) -> None:
 
 def show_table(frame: pd.DataFrame, result: RunResult) -> None:
     """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out."""
-    console = Console()
+    console = Screen()
     if not console.is_terminal:
-        console = Console(width=160)
+        console = Screen(width=160)
     texts = [[_cell(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     heads = [str(name).replace(".", "\n") for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]

@@ -20,10 +20,10 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | None) -> None:
     """Print or write a table of the RUN folder."""
-    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.begun import begun_run
     from codecbench.core.results.export import chosen_columns, exported
 
-    result = open_run(run)
+    result = begun_run(run)
     frame = result.wide if shape == "wide" else result.tidy
     if columns is not None:
         frame = chosen_columns(frame, columns)
@@ -39,7 +39,9 @@ def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | 
         return
     content = exported(frame, format_)
     if out is not None:
-        out.write_bytes(content)
+        from codecbench.core.engine.storage.atomic import write_file
+
+        write_file(out, content)
         click.echo(str(out))
     elif format_ == "parquet":
         raise click.UsageError("--format parquet is not text; name a file with --out")

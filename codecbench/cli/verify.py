@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 import platform
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 from pydantic import ValidationError
 
+from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import CodecClass, EntryResult, check_corpus, write_corpus
+from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, CheckResult, run_checks
+from codecbench.core.conformance.suite import CHECKS, Check, CheckResult
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.params import Params
 from codecbench.core.engine.registry import Plugin, installed
+from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
 _FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -28,6 +31,8 @@ _FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--settings", multiple=True, metavar="'KEY=VALUE ...'", help="Check CODEC at this setting; repeatable.")
 @click.option("--only", multiple=True, type=click.Choice([check.name for check in CHECKS]), metavar="CHECK",
               help="Run only this check; repeatable.")  # fmt: skip
+@click.option("--timeout", type=click.FloatRange(min=0, min_open=True), default=TIMEOUT_S, show_default=True,
+              metavar="SECONDS", help="For one check on gray or on colour images.")  # fmt: skip
 @click.option("--json", "json_path", type=click.Path(path_type=Path, allow_dash=True), metavar="FILE",
               help="Write the results as JSON; `-` is standard output.")  # fmt: skip
 @click.option("--write-corpus", "write_to", type=_FOLDER, help="Write bitstreams with their hashes into a new folder.")
@@ -38,15 +43,16 @@ def verify(
     codecs: tuple[str, ...],
     settings: tuple[str, ...],
     only: tuple[str, ...],
+    timeout: float,
     json_path: Path | None,
     write_to: Path | None,
     check_in: Path | None,
 ) -> None:
     """Check that codecs do what the contract asks: those named, or all that are installed.
 
-    Each is checked at its example settings, or at those given. With --write-corpus or --check-corpus the corpus is
-    written or checked, and no check is run. The exit status is 1 if anything fails, if a codec that was named is
-    not available, or if there was nothing to check.
+    Each is checked at its example settings, or at those given, in a process of its own with a time limit. With
+    --write-corpus or --check-corpus the corpus is written or checked, and no check is run. The exit status is 1 if
+    anything fails, if a codec that was named is not available, or if there was nothing to check.
     """
     if write_to is not None and check_in is not None:
         raise click.UsageError("--write-corpus and --check-corpus are two runs")
@@ -58,26 +64,37 @@ def verify(
     if check_in is not None:
         for result in check_corpus(check_in, _load, codecs):
             report.of_entry(result)
+    elif write_to is not None:
+        report.of_corpus(write_to, _cases(codecs, settings, report))
     else:
-        cases = _cases(codecs, settings, report)
-        if write_to is not None:
-            report.of_corpus(write_to, cases)
-        else:
-            for case in cases:
-                report.of_case(case, [check for check in CHECKS if not only or check.name in only])
+        checks = [check for check in CHECKS if not only or check.name in only]
+        with Examiner(timeout) as examiner:
+            for plugin in _plugins(codecs):
+                _examine(plugin, examiner, checks, settings, report, named=bool(codecs))
     report.finish(json_path)
-    context.exit(0 if report.counts["passed"] and not report.counts["failed"] else 1)
+    is_well = report.counts["passed"] and not report.counts["failed"]
+    context.exit(ExitStatus.SUCCESS if is_well else ExitStatus.FOUND)
 
 
-@dataclass(frozen=True)
-class _Case:
-    """A codec setting to be checked."""
+def _plugins(codecs: tuple[str, ...]) -> list[Plugin]:
+    """The codecs named, or all. Raises PluginError for an unknown name."""
+    registry = installed()
+    return [registry.find("codec", name) for name in codecs] or registry.plugins("codec")
 
-    plugin: Plugin
-    codec_class: CodecClass
-    setting: dict[str, Any]
-    params: Params
-    libraries: dict[str, str]
+
+def _examine(
+    plugin: Plugin, examiner: Examiner, checks: list[Check], settings: tuple[str, ...], report: _Report, named: bool
+) -> None:
+    """Run the checks on every setting of a codec; one that is not available fails where it was named."""
+    subjects = examiner.subjects(plugin.spec.name, [setting_from_text(text) for text in settings])
+    if isinstance(subjects, Unexamined):
+        if subjects.kind == "valid" and settings:
+            raise click.UsageError(f"--settings of {plugin.spec.name}: {subjects.reason}")
+        is_absent = subjects.kind == "available" and not named
+        report.unchecked(plugin.spec.name, "skipped" if is_absent else "failed", subjects.reason)
+        return
+    for subject in subjects:
+        report.of_subject(plugin, subject, checks, examiner)
 
 
 def _load(name: str) -> CodecClass:
@@ -85,19 +102,15 @@ def _load(name: str) -> CodecClass:
     return codec_class
 
 
-def _cases(codecs: tuple[str, ...], settings: tuple[str, ...], report: _Report) -> list[_Case]:
-    """The settings to check; codecs that cannot be are reported. Raises PluginError for an unknown name."""
-    registry = installed()
-    plugins = [registry.find("codec", name) for name in codecs] or registry.plugins("codec")
-    cases: list[_Case] = []
-    for plugin in plugins:
+def _cases(codecs: tuple[str, ...], settings: tuple[str, ...], report: _Report) -> list[tuple[CodecClass, Params]]:
+    """The settings to write a corpus of; codecs that cannot be used are reported."""
+    cases: list[tuple[CodecClass, Params]] = []
+    for plugin in _plugins(codecs):
         name = plugin.spec.name
         try:
             codec_class = _load(name)
-            for setting in [setting_from_text(text) for text in settings] or codec_class.examples:
-                params = codec_class.params_type.model_validate(setting)
-                libraries = codec_class(params).libraries()
-                cases.append(_Case(plugin, codec_class, setting, params, libraries))
+            wanted = [setting_from_text(text) for text in settings] or codec_class.examples
+            cases += [(codec_class, codec_class.params_type.model_validate(setting)) for setting in wanted]
         except Unsupported as missing:
             report.unchecked(name, "failed" if codecs else "skipped", str(missing))
         except (PluginError, ValidationError) as error:
@@ -115,22 +128,21 @@ class _Report:
         self._to_stderr = to_stderr
         self._content: dict[str, list[Any]] = {"settings": [], "unchecked": [], "corpus": []}
 
-    def of_case(self, case: _Case, checks: list[Check]) -> None:
+    def of_subject(self, plugin: Plugin, subject: Subject, checks: list[Check], examiner: Examiner) -> None:
         """Run the checks on one setting."""
-        codec_class = case.codec_class
-        self._say(f"{setting_label(codec_class.name, case.setting)}  (version {codec_class.version})", bold=True)
+        self._say(f"{setting_label(subject.codec, subject.setting)}  (version {subject.version})", bold=True)
         results: list[CheckResult] = []
         for check in checks:
-            found = run_checks(codec_class, case.params, [check])
+            found = list(examiner.results(subject, check))
             self._line(check, found)
             results += found
         self._content["settings"].append(
             {
-                "codec": codec_class.name,
-                "version": codec_class.version,
-                "distribution": case.plugin.distribution,
-                "libraries": case.libraries,
-                "params": case.params.model_dump(mode="json"),
+                "codec": subject.codec,
+                "version": subject.version,
+                "distribution": plugin.distribution,
+                "libraries": subject.libraries,
+                "params": subject.params,
                 "checks": [
                     {
                         "name": result.check.name,
@@ -152,12 +164,15 @@ class _Report:
             if result.status == "failed":
                 self._say(f"        {result.layout}: {result.reason}")
 
-    def of_corpus(self, folder: Path, cases: list[_Case]) -> None:
-        """Write a corpus of the settings."""
+    def of_corpus(self, folder: Path, cases: list[tuple[CodecClass, Params]]) -> None:
+        """Write a corpus of the settings; a codec that fails in it ends that, and is reported."""
         from codecbench import __version__
 
-        settings = [(case.codec_class, case.params) for case in cases]
-        entries = write_corpus(folder, settings, f"codecbench {__version__}")
+        try:
+            entries = write_corpus(folder, cases, f"codecbench {__version__}")
+        except PluginError as error:
+            self._mark("failed", str(error))
+            return
         self._content["corpus"] += [asdict(entry) for entry in entries]
         self.counts["passed"] += len(entries)
         self._say(f"{folder}: {len(entries)} bitstreams of {len(cases)} settings")
@@ -191,8 +206,11 @@ class _Report:
             **self._content,
             "summary": dict(self.counts),
         }
-        with click.open_file(str(json_path), "w") as file:
-            file.write(json.dumps(content, indent=1) + "\n")
+        text = json.dumps(content, indent=1)
+        if str(json_path) == "-":
+            click.echo(text)
+        else:
+            write_file(json_path, f"{text}\n".encode())
 
     def _mark(self, status: str, text: str) -> None:
         self.counts[status] += 1

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from codecbench.cli.exit_status import ExitStatus
+
 if TYPE_CHECKING:
     from codecbench.core.engine.running.warm_up import WarmUp
 
@@ -42,14 +44,13 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str
 
 
 def _compile(wanted: WarmUp, workers: int | None) -> None:
-    from rich.console import Console
-
+    from codecbench.cli.screen import Screen
     from codecbench.core.engine.registry import installed
     from codecbench.core.engine.running.work import prepare_worker
 
     started = time.monotonic()
     executor = installed().create("executor", "local", {})
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     try:
         executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), prepare_worker)
         wanted.begin(executor)
@@ -63,6 +64,8 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
     finally:
         executor.stop()
     click.echo(f"{wanted.total} kernels to compile, {wanted.failed} failed, {time.monotonic() - started:.1f} s")
+    if wanted.failed:
+        raise click.exceptions.Exit(ExitStatus.FOUND)
 
 
 def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:

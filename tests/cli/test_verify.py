@@ -9,13 +9,15 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from distributions import install_posterize
+from distributions import install_posterize, install_source
+from installed_command import Place
 from project import DOCS, SUPPORT
 
 from codecbench import BitstreamError, Image, ParamsError, StoreError
@@ -61,7 +63,7 @@ def test_a_sound_codec_passes_every_check() -> None:
     assert [line.split()[1] for line in done.output.splitlines() if line.startswith("  pass")] == [
         check.name for check in CHECKS
     ]
-    assert done.output.splitlines()[-1] == "17 passed, 0 failed, 0 skipped"
+    assert done.output.splitlines()[-1] == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
     for check in CHECKS:
         assert check.proves in done.output
 
@@ -74,24 +76,85 @@ def test_what_a_codec_does_not_claim_is_skipped_with_the_reason() -> None:
     assert done.output.splitlines()[-1] == "1 passed, 0 failed, 1 skipped"
 
 
-def test_a_broken_codec_fails_with_the_place(broken: Any) -> None:
-    broken("LosesARow")
-    done = verify("raw", "--only", "shape", "--only", "params")
-    assert done.exit_code == 1
-    assert re.search(r"FAIL  shape .*\n +gray: decode\(.*\): got shape \(\d+, \d+\); expected shape", done.output)
-    assert "pass  params" in done.output
+BROKEN = """
+from broken_codecs import {0}
+from codecbench import PluginSpec, hookimpl
+
+class Broken({0}):
+    name = "broken"
+
+@hookimpl
+def codecbench_codecs():
+    return [PluginSpec("broken", "broken:Broken", "breaks the contract", requires={1!r})]
+"""
 
 
-def test_json_says_what_the_lines_say(broken: Any, tmp_path: Path) -> None:
-    broken("LosesARow")
-    verify("raw", "png", "--only", "shape", "--json", str(tmp_path / "results.json"))
+def with_broken(folder: Path, codec_class: str, requires: tuple[str, ...] = ()) -> Place:
+    """A place where the codec `broken` is installed."""
+    place = Place(folder)
+    install_source(place.site, "broken", "1", BROKEN.format(codec_class, requires))
+    return place
+
+
+def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
+    done = with_broken(tmp_path, "LosesARow").call("verify", "broken", "--only", "shape", "--only", "params")
+    assert done.status == 1
+    assert re.search(r"FAIL  shape .*\n +gray: decode\(.*\): got shape \(\d+, \d+\); expected shape", done.stdout)
+    assert "pass  params" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("codec_class", "said"),
+    [
+        ("Exits", "raised: SystemExit(0), which ends programs"),
+        ("Interrupts", "raised: KeyboardInterrupt(), which ends programs"),
+        ("EndsItsProcess", "crashed: the process ended itself with exit status 0"),
+        ("KillsItself", "crashed: the process died of SIGKILL"),
+        ("Segfaults", "crashed: the process died of SIGSEGV"),
+        ("NeverEnds", "hung: no answer within 6 s"),
+    ],
+)
+def test_a_codec_that_ends_or_stops_its_process_fails_its_check_alone(
+    tmp_path: Path, codec_class: str, said: str
+) -> None:
+    place = with_broken(tmp_path, codec_class)
+    begun = time.monotonic()
+    done = place.call("verify", "broken", "raw", "--only", "params", "--only", "bytes", "--timeout", "6")
+    assert done.status == 1, done.output
+    broken, raw = re.split(r"^raw", done.stdout, flags=re.MULTILINE)
+    assert re.search(r"pass  params.*\n  FAIL  bytes", broken)
+    assert f"gray: {said}" in broken
+    assert re.search(r"pass  params.*\n  pass  bytes", raw), "the next codec is checked as if nothing had been"
+    assert raw.splitlines()[-1] == "3 passed, 1 failed, 0 skipped"
+    assert done.stderr == ""
+    assert time.monotonic() - begun < 60
+
+
+def test_a_codec_that_ends_its_process_when_constructed_costs_itself(tmp_path: Path) -> None:
+    done = with_broken(tmp_path, "EndsWhenConstructed").call("verify", "broken", "raw", "--only", "bytes")
+    assert done.status == 1
+    assert re.search(r"broken\n  FAIL  crashed: the process ended itself with exit status 0", done.stdout)
+    assert "pass  bytes" in done.stdout
+
+
+def test_after_a_check_that_hung_no_other_is_waited_for(tmp_path: Path) -> None:
+    place = with_broken(tmp_path, "NeverEnds")
+    done = place.call("verify", "broken", "--only", "bytes", "--only", "shape", "--only", "cut", "--timeout", "6")
+    assert done.stdout.splitlines()[-1] == "0 passed, 1 failed, 2 skipped"
+    assert "skip  shape           not run, because bytes hung" in done.stdout
+
+
+def test_json_says_what_the_lines_say(tmp_path: Path) -> None:
+    place = with_broken(tmp_path, "LosesARow")
+    assert place.call("verify", "broken", "png", "--only", "shape", "--json", "results.json").status == 1
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["summary"] == {"passed": 2, "failed": 1, "skipped": 0}
-    assert [setting["codec"] for setting in results["settings"]] == ["raw", "png", "png"]
-    raw, png, effort = results["settings"]
-    assert [check["status"] for check in raw["checks"]] == ["failed", "failed"]
-    assert {check["layout"] for check in raw["checks"]} == {"gray", "colour"}
-    assert "expected shape" in raw["checks"][0]["reason"]
+    assert [setting["codec"] for setting in results["settings"]] == ["broken", "png", "png"]
+    broken, png, effort = results["settings"]
+    assert broken["distribution"] == "broken 1"
+    assert [check["status"] for check in broken["checks"]] == ["failed", "failed"]
+    assert {check["layout"] for check in broken["checks"]} == {"gray", "colour"}
+    assert "expected shape" in broken["checks"][0]["reason"]
     assert effort["params"] == {"effort": 9}
     assert set(png["libraries"]) == {"opencv", "libpng"}
 
@@ -102,17 +165,14 @@ def test_json_on_standard_output_stands_alone() -> None:
     assert "pass  params" in done.stderr
 
 
-def test_an_unavailable_codec_is_skipped_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "imagecodecs", None)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "imagecodecs" else object())
-    registry = installed()
-    monkeypatch.setattr(registry, "plugins", lambda kind: [registry.find(kind, name) for name in ("raw", "webp")])
-    done = verify("--only", "params")
-    assert done.exit_code == 0, done.output
-    assert re.search(r"webp\n  skip .*run: pip install 'codecbench\[codecs\]'", done.output)
-    named = verify("webp", "--only", "params")
-    assert named.exit_code == 1, "a codec that was asked for by name must not pass unseen"
-    assert "FAIL" in named.output
+def test_an_unavailable_codec_is_skipped_with_its_remedy(tmp_path: Path) -> None:
+    place = with_broken(tmp_path, "LosesARow", requires=("no_such_library",))
+    done = place.call("verify", "--only", "params")
+    assert done.status == 0, done.output
+    assert re.search(r"broken\n  skip .*run: pip install no_such_library", done.stdout)
+    named = place.call("verify", "broken", "--only", "params")
+    assert named.status == 1, "a codec that was asked for by name must not pass unseen"
+    assert "FAIL" in named.stdout
 
 
 def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> None:
@@ -121,7 +181,7 @@ def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> No
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1] == "49 passed, 0 failed, 2 skipped"
+    assert done.stdout.splitlines()[-1] == f"{3 * len(CHECKS) - 2} passed, 0 failed, 2 skipped"
     assert done.stderr == ""
 
 
@@ -241,6 +301,24 @@ def test_a_codec_that_is_not_installed_is_skipped(corpus: Path) -> None:
     done = verify("--check-corpus", str(corpus))
     assert "no codec is called 'gone'" in done.output
     assert done.output.splitlines()[-1].endswith("0 failed, 6 skipped")
+
+
+@pytest.mark.parametrize(("codec_class", "said"), [("Segfaults", "SIGSEGV"), ("Exits", "SystemExit")])
+def test_a_codec_that_ends_its_process_writes_no_corpus(tmp_path: Path, codec_class: str, said: str) -> None:
+    done = with_broken(tmp_path, codec_class).call("verify", "broken", "--write-corpus", "corpus")
+    assert done.status == 1, done.output
+    assert re.search(rf"FAIL  broken, picture 0 of shape \(1, 1, 1\): .*{said}", done.stdout)
+    assert not (tmp_path / "corpus" / "manifest.json").exists()
+
+
+def test_an_encoder_that_ends_its_process_fails_its_bitstreams(tmp_path: Path) -> None:
+    place = with_broken(tmp_path, "ClaimsToCount")
+    assert place.call("verify", "broken", "raw", "--write-corpus", "corpus").status == 0
+    (place.site / "broken.py").write_text(BROKEN.format("KillsItself", ()))
+    done = place.call("verify", "--check-corpus", "corpus")
+    assert done.status == 1, done.output
+    assert done.stdout.count("does not encode its picture any more: crashed: the process died of SIGKILL") == 6
+    assert done.stdout.splitlines()[-1] == "6 passed, 6 failed, 0 skipped"
 
 
 def test_nothing_is_overwritten(corpus: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import struct
+import sys
 import threading
 import time
 from typing import Any, ClassVar
@@ -189,3 +191,43 @@ class ForgetsAParameter(_Broken):
             return {}
 
     params_type = _Params
+
+
+class Exits(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        sys.exit(0)
+
+
+class EndsItsProcess(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        os._exit(0)
+
+
+class KillsItself(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return b""
+
+
+class Interrupts(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        raise KeyboardInterrupt
+
+
+class Segfaults(_Broken):
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return ctypes.string_at(0)
+
+
+class NeverEnds(_Broken):
+    """Sleeps deaf to what ends other programs."""
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        while True:
+            time.sleep(60)
+
+
+class EndsWhenConstructed(_Broken):
+    def __init__(self, params: Any) -> None:
+        os._exit(0)

@@ -14,7 +14,6 @@ import hashlib
 import json
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,11 +22,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from codecbench.core.conformance.integer_images import GENERATOR, integer_image
-from codecbench.core.conformance.sandbox import sandbox
+from codecbench.core.conformance.sandbox import Reply, Verb, sandbox
 from codecbench.core.contracts.codec import Codec
-from codecbench.core.contracts.errors import CodecbenchError, PluginError, StoreError, Unsupported
+from codecbench.core.contracts.errors import PluginError, StoreError, Unsupported
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
+from codecbench.core.engine.storage.atomic import write_file
 
 CodecClass = type[Codec[Any]]
 _FORMAT = 1
@@ -78,7 +78,8 @@ def pixels_sha256(pixels: Image) -> str:
 def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], written_by: str) -> list[Entry]:
     """Encode the pictures at every setting, and write bitstreams and manifest into a new or empty folder.
 
-    A picture that a setting does not support is left out. Raises StoreError where the folder holds anything.
+    A picture that a setting does not support is left out. Codecs work in another process. Raises StoreError where the
+    folder holds anything, and PluginError where a codec fails; then there is no manifest.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
@@ -88,23 +89,34 @@ def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], wr
         codec = codec_class(params)
         for seed, size in enumerate(_SIZES):
             for channels in codec.capabilities.channels:
-                with suppress(Unsupported):
-                    number = sum(entry.codec == codec.name for entry in entries)
-                    entries.append(_written(folder, f"{codec.name}/{number:03}.bin", codec, seed, (*size, channels)))
+                number = sum(entry.codec == codec.name for entry in entries)
+                file, shape = f"{codec.name}/{number:03}.bin", (*size, channels)
+                reply = _ask(codec, "encode", integer_image(seed, *shape))
+                if reply.status != "unsupported":
+                    entries.append(_written(folder, file, codec, seed, shape, reply))
     manifest = {
         "format": _FORMAT,
         "written_by": written_by,
         "machine": f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
         "entries": [asdict(entry) for entry in entries],
     }
-    (folder / _MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    write_file(folder / _MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
     return entries
 
 
-def _written(folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int]) -> Entry:
-    bitstream = codec.encode(integer_image(seed, *shape))
-    (folder / file).parent.mkdir(parents=True, exist_ok=True)
-    (folder / file).write_bytes(bitstream)
+def _ask(codec: Codec[Any], verb: Verb, argument: Any) -> Reply:
+    """Have a codec of this setting work in another process."""
+    return sandbox(verb).ask(type(codec), codec.params, verb, argument, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+
+
+def _written(
+    folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply
+) -> Entry:
+    decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
+    if decoded.status != "done":
+        raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
+    bitstream = encoded.value
+    write_file(folder / file, bitstream)
     return Entry(
         file=file,
         codec=codec.name,
@@ -115,7 +127,7 @@ def _written(folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple
         seed=seed,
         shape=shape,
         bitstream_sha256=hashlib.sha256(bitstream).hexdigest(),
-        pixels_sha256=pixels_sha256(codec.decode(bitstream)),
+        pixels_sha256=pixels_sha256(decoded.value),
     )
 
 
@@ -168,9 +180,7 @@ def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None
         return f"the corpus is damaged: {error}"
     if hashlib.sha256(bitstream).hexdigest() != entry.bitstream_sha256:
         return f"the corpus is damaged: {path} is not what was written"
-    reply = sandbox("decode").ask(
-        type(codec), codec.params, "decode", bitstream, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
-    )
+    reply = _ask(codec, "decode", bitstream)
     if reply.status != "done":
         return f"does not decode: {reply.status}: {reply.reason}{_changes(entry, codec)}"
     if pixels_sha256(reply.value) != entry.pixels_sha256:
@@ -182,11 +192,10 @@ def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
     """Whether the encoder still writes these bytes, which it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
         return EntryResult(entry, "passed", note=f"the picture is of generator {entry.generator}; only decoded")
-    try:
-        bitstream = codec.encode(integer_image(entry.seed, *entry.shape))
-    except CodecbenchError as error:
-        return EntryResult(entry, "failed", f"does not encode its picture any more: {error}")
-    if hashlib.sha256(bitstream).hexdigest() == entry.bitstream_sha256:
+    reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
+    if reply.status != "done":
+        return EntryResult(entry, "failed", f"does not encode its picture any more: {reply.status}: {reply.reason}")
+    if hashlib.sha256(reply.value).hexdigest() == entry.bitstream_sha256:
         return EntryResult(entry, "passed")
     changes = _changes(entry, codec)
     if changes:

@@ -1,4 +1,4 @@
-"""Another process that encodes and decodes on request, and may crash, hang or eat memory without harm.
+"""Another process that works on request, and may crash, hang, exit or eat memory without harm.
 
 It starts afresh rather than as a copy of this one, so nothing that an encoder left behind here is there.
 """
@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import resource
+import signal
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
-from codecbench.core.contracts.errors import BitstreamError, CodecbenchError
+import psutil
+
+from codecbench.core.contracts.errors import BitstreamError, CodecbenchError, Unsupported
 from codecbench.core.contracts.params import Params
 
 Verb = Literal["encode", "decode"]
@@ -27,24 +31,32 @@ _MEBIBYTE = 1 << 20
 
 @dataclass(frozen=True)
 class Reply:
-    """What came of a request: `done` with a value, `refused` with the error's text, or a fault with its reason."""
+    """What came of a request: `done` with a value, `refused` or `unsupported` with the error's text, or a fault."""
 
-    status: Literal["done", "refused", "raised", "crashed", "hung", "out_of_memory"]
+    status: Literal["done", "refused", "unsupported", "raised", "crashed", "hung", "out_of_memory"]
     value: Any = None
     reason: str = ""
 
 
 class Sandbox:
-    """One process, started when it is first needed and again after it died."""
+    """One process, started when it is first needed and again after it died.
 
-    def __init__(self) -> None:
+    may_start_others: whether what runs there may use sandboxes itself; whoever made it then has to stop it.
+    """
+
+    def __init__(self, *, may_start_others: bool = False) -> None:
+        self._may_start_others = may_start_others
         self._process: Any = None
         self._connection: Connection | None = None
 
     def ask(
         self, codec_class: type, params: Params, verb: Verb, argument: Any, *, timeout_s: float, memory_mb: int
     ) -> Reply:
-        """Have a new instance of the codec encode an image or decode bytes.
+        """Have a new instance of the codec encode an image or decode bytes; see `call`."""
+        return self.call(_coded, codec_class, params, verb, argument, timeout_s=timeout_s, memory_mb=memory_mb)
+
+    def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_mb: int) -> Reply:
+        """Have a function of a module called there; it and what it takes and gives must be picklable.
 
         `memory_mb` is what the process may allocate for it beyond what it holds already.
         """
@@ -52,33 +64,38 @@ class Sandbox:
             self._start()
         assert self._connection is not None
         try:
-            self._connection.send((codec_class, params, verb, argument, memory_mb))
+            self._connection.send((function, arguments, memory_mb))
             if not self._connection.poll(timeout_s):
                 self.stop()
-                return Reply("hung", reason=f"no answer within {timeout_s} s")
+                return Reply("hung", reason=f"no answer within {timeout_s:g} s")
             reply: Reply = self._connection.recv()
         except (EOFError, ConnectionError):
-            code = self.stop()
-            return Reply("crashed", reason=f"the process died with exit code {code}")
+            return Reply("crashed", reason=_death(self.stop()))
         return reply
 
     def stop(self) -> int | None:
-        """End the process and return its exit code."""
+        """End the process with all that it started, and return its exit code."""
         if self._process is None:
             return None
+        if self._connection is not None:
+            self._connection.close()
+        started: list[psutil.Process] = []
+        with suppress(psutil.NoSuchProcess):
+            started = psutil.Process(self._process.pid).children(recursive=True)
         self._process.join(0.5)
         self._process.kill()
         self._process.join()
+        for process in started:
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
         code: int | None = self._process.exitcode
-        if self._connection is not None:
-            self._connection.close()
         self._process = self._connection = None
         return code
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=not self._may_start_others)
         self._process.start()
         theirs.close()
         if not self._connection.poll(_START_TIMEOUT_S):
@@ -103,26 +120,46 @@ def _serve(connection: Connection) -> None:
             request = connection.recv()
         except EOFError:
             return
-        except Exception as error:  # noqa: BLE001 - importing the codec's module may raise anything
+        except BaseException as error:  # noqa: BLE001 - importing the codec's module may raise anything
             reason = f"the codec's module does not import in another process: {type(error).__name__}: {error}"
             connection.send(Reply("raised", reason=reason))
             continue
-        connection.send(_answer(*request))
+        reply = _answer(*request)
+        try:
+            connection.send(reply)
+        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            connection.send(Reply("raised", reason=f"what came cannot leave its process: {error}"))
 
 
-def _answer(codec_class: Any, params: Params, verb: Verb, argument: Any, memory_mb: int) -> Reply:
+def _coded(codec_class: Any, params: Params, verb: Verb, argument: Any) -> Any:
+    return getattr(codec_class(params), verb)(argument)
+
+
+def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], memory_mb: int) -> Reply:
     try:
-        codec = codec_class(params)
         with _memory_limit(memory_mb):
-            return Reply("done", getattr(codec, verb)(argument))
+            return Reply("done", function(*arguments))
     except BitstreamError as error:
         return Reply("refused", reason=str(error))
+    except Unsupported as error:
+        return Reply("unsupported", reason=str(error))
     except MemoryError:
         return Reply("out_of_memory", reason=f"more than {memory_mb} MiB")
     except CodecbenchError as error:
         return Reply("raised", reason=f"{type(error).__name__}: {error}")
-    except Exception:  # noqa: BLE001 - whatever a codec raises is what the caller wants to know
+    except (SystemExit, KeyboardInterrupt) as error:
+        return Reply(
+            "raised", reason=f"{type(error).__name__}({', '.join(map(repr, error.args))}), which ends programs"
+        )
+    except BaseException:  # noqa: BLE001 - whatever a codec raises is what the caller wants to know
         return Reply("raised", reason=traceback.format_exc(limit=-3).strip())
+
+
+def _death(code: int | None) -> str:
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            return f"the process died of {signal.Signals(-code).name}"
+    return f"the process ended itself with exit status {code}"
 
 
 @contextmanager

@@ -69,15 +69,14 @@ CHECKS: tuple[Check, ...] = (
 
 def run_checks(codec_class: type[Codec[Any]], params: Params, checks: Sequence[Check] = CHECKS) -> list[CheckResult]:
     """Every check on every layout that the codec declares."""
-    layouts = [(channels, conformance_images(channels)) for channels in codec_class.capabilities.channels]
-    return [_result(check, channels, codec_class, params, images) for check in checks for channels, images in layouts]
+    layouts = codec_class.capabilities.channels
+    return [run_check(check, channels, codec_class, params) for check in checks for channels in layouts]
 
 
-def _result(
-    check: Check, channels: int, codec_class: type[Codec[Any]], params: Params, images: list[NamedImage]
-) -> CheckResult:
+def run_check(check: Check, channels: int, codec_class: type[Codec[Any]], params: Params) -> CheckResult:
+    """One check on images of one layout."""
     try:
-        check.function(codec_class, params, images)
+        check.function(codec_class, params, conformance_images(channels))
     except NotClaimed as claim:
         return CheckResult(check, channels, "skipped", str(claim))
     except ConformanceFailure as failure:

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.planning.model import SequenceEntry
+from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.results.columns import Column
 from codecbench.core.results.report import page_data
 from codecbench.core.results.run_result import RunResult
@@ -37,7 +38,8 @@ def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Pat
     with plt.rc_context(_STYLE):
         for name, figure in _figures(run):
             path = folder / f"{name}.{format_}"
-            figure.savefig(path, dpi=160, metadata={"Date": None} if format_ == "svg" else None)
+            with open_whole(path) as stream:
+                figure.savefig(stream, format=format_, dpi=160, metadata={"Date": None} if format_ == "svg" else None)
             plt.close(figure)
             yield path
 

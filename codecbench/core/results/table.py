@@ -214,6 +214,6 @@ def _column(metric: str, stage: str, how: str) -> str:
 
 def _column_order(rows: list[dict[str, Any]]) -> list[str]:
     """Every column of any row, in order of first appearance, with the verdict last."""
-    seen = dict.fromkeys(name for row in rows for name in row)
     tail = ("status", "reason")
-    return [name for name in seen if name not in tail] + [name for name in tail if rows]
+    seen = dict.fromkeys(("sequence", "codec", "setting", *(name for row in rows for name in row)))
+    return [*(name for name in seen if name not in tail), *tail]

@@ -40,6 +40,7 @@ _GRACE_S: Final = 0.5
 _LAUNCHES: Final = 3
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
+_ROOM_BYTES: Final = 1 << 16
 _FOLDER_PREFIX: Final = "codecbench-workers-"
 
 _main_lock = threading.Lock()
@@ -256,9 +257,23 @@ def _locked_folder(parent: str) -> tuple[Path, TextIO]:
         folder = Path(tempfile.mkdtemp(prefix=_FOLDER_PREFIX, dir=parent))
         with suppress(FileNotFoundError):  # another pool swept it before it was locked
             lock = open(folder / "lock", "w", encoding="ascii")  # noqa: SIM115 - held as long as the pool
+            _require_room(lock)
             if _locked(lock) and (folder / "lock").exists():
                 return folder, lock
             lock.close()
+
+
+def _require_room(file: TextIO) -> None:
+    """Raise OSError on a full disk, where every worker would end before it began."""
+    try:
+        file.write("\0" * _ROOM_BYTES)
+        file.flush()
+        file.truncate(0)
+    except OSError as error:
+        file.close()
+        shutil.rmtree(Path(file.name).parent, ignore_errors=True)
+        error.filename = str(Path(file.name).parent.parent)
+        raise
 
 
 def _sweep(parent: str) -> None:

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 import os
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
+from codecbench.core.engine.planning.axes import Point, points
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
-from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, suggest
+from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, shown, suggest
 from codecbench.core.engine.registry import Registry, installed
 
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
 _TOP = ("version", "name", *_SECTIONS, "run")
+_MOST_CELLS: Final = 1_000_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -85,12 +88,22 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
         problems.add(("version",), f"must be {VERSION}; got {plain(root.get('version'))!r}")
     name = plain(root.get("name", path.stem))
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
-        problems.add(("name",), f"{name!r} is not made of letters, digits, '.', '_' and '-'")
+        problems.add(("name",), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
     sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
     run = reader.run_section(root.get("run") or {})
     problems.raise_any()
     assert run is not None
+    _require_plannable(sections, problems)
     return Matrix(path=path, text=text, name=name, run=run, root=root, **sections)
+
+
+def _require_plannable(sections: Mapping[str, tuple[Entry, ...]], problems: Problems) -> None:
+    """Raise MatrixError for more cells than can be planned: the sections meet each other."""
+    cells = math.prod(map(len, sections.values()))
+    if cells > _MOST_CELLS:
+        spelled = " x ".join(f"{len(entries):,} {section}" for section, entries in sections.items())
+        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
+        problems.raise_any()
 
 
 class _Reader:
@@ -104,7 +117,7 @@ class _Reader:
     def section(self, section: str, items: Any) -> tuple[Entry, ...]:
         kind = _SECTIONS[section]
         if not isinstance(items, list) or not items:
-            got = "nothing" if items is None else repr(plain(items))
+            got = "nothing" if items is None else shown(items)
             self.problems.add((section,), f"must be a list with at least one {kind}; got {got}")
             return ()
         entries: list[Entry] = []
@@ -117,52 +130,24 @@ class _Reader:
         if isinstance(item, str):
             item = {"use": item}
         if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
-            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {plain(item)!r}")
+            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {shown(item)}")
             return
         allowed = ("use", "name", "params") if kind == "dataset" else ("use", "params")
         self.problems.unknown(where, item, allowed)
         name = plain(item.get("name"))
         if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
-            self.problems.add((*where, "name"), f"{name!r} is not made of letters, digits, '.', '_' and '-'")
+            self.problems.add((*where, "name"), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
             return
         params = item.get("params") or {}
         if not isinstance(params, Mapping):
-            self.problems.add((*where, "params"), f"must be a mapping; got {plain(params)!r}")
+            self.problems.add((*where, "params"), f"must be a mapping; got {shown(params)}")
             return
-        for point in self.points((*where, "params"), params):
+        for point in points(params, (*where, "params"), self.problems):
             entry = self.entry(kind, where, str(item["use"]), point)
             if entry is not None:
                 yield replace(entry, name=name)
 
-    def points(self, where: Where, params: Mapping[str, Any]) -> Iterator[dict[str, tuple[Where, Any]]]:
-        """Every combination of the axes of a `params` mapping, each value with its place."""
-        axes: list[list[tuple[str, Where, Any]]] = []
-        for key, value in params.items():
-            place = (*where, key)
-            choices = self.axis(place, value) if _is_axis(value) else [(place, plain(value))]
-            axes.append([(str(key), at, choice) for at, choice in choices])
-        for combination in itertools.product(*axes):
-            yield {key: (at, value) for key, at, value in combination}
-
-    def axis(self, where: Where, value: Mapping[str, Any]) -> list[tuple[Where, Any]]:
-        """The places and values of `{grid: [...]}` or `{range: [first, last, step]}`, the last included."""
-        ((word, choices),) = value.items()
-        place = (*where, word)
-        if not isinstance(choices, list) or not choices:
-            self.problems.add(place, f"must be a list; got {plain(choices)!r}")
-        elif word == "grid":
-            return [((*place, index), plain(choice)) for index, choice in enumerate(choices)]
-        else:
-            numbers = [number for number in plain(choices) if isinstance(number, int | float)]
-            if len(numbers) == len(choices) in (2, 3) and [*numbers, 1][2] > 0:
-                first, last, step = [*numbers, 1][:3]
-                count = int((last - first) / step + 1e-9) + 1
-                if 1 <= count <= 10_000:
-                    return [(place, first + step * index) for index in range(count)]
-            self.problems.add(place, f"must be [first, last, step > 0], 1 to 10000 values; got {plain(choices)!r}")
-        return []
-
-    def entry(self, kind: Kind, where: Where, name: str, point: dict[str, tuple[Where, Any]]) -> Entry | None:
+    def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
         """One validated setting, or None after noting what is wrong with it."""
         try:
             cls = self.registry.load(kind, name)
@@ -182,7 +167,7 @@ class _Reader:
         setting = PluginSetting(kind, name, cls.version, params.model_dump(mode="json"))
         return Entry(where, setting, params=params)
 
-    def note(self, where: Where, point: dict[str, tuple[Where, Any]], detail: Any, fields: list[str]) -> None:
+    def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
         """Translate one of pydantic's errors into a problem at the value that it is about."""
         location = detail["loc"]
         if not location:
@@ -197,7 +182,7 @@ class _Reader:
 
     def run_section(self, section: Any) -> RunSettings | None:
         if not isinstance(section, Mapping):
-            self.problems.add(("run",), f"must be a mapping; got {plain(section)!r}")
+            self.problems.add(("run",), f"must be a mapping; got {shown(section)}")
             return None
         values = plain(section)
         usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
@@ -223,10 +208,6 @@ class _Reader:
         return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting)
 
 
-def _is_axis(value: Any) -> bool:
-    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in ("grid", "range")
-
-
 def _message(detail: Any) -> str:
     got = detail.get("input")
     message = str(detail["msg"]).removeprefix("Value error, ")
@@ -237,25 +218,38 @@ def _message(detail: Any) -> str:
 def _distinct(entries: list[Entry]) -> list[Entry]:
     """The entries without those that validate to a setting that came before."""
     kept: list[Entry] = []
+    alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
-        if not any(entry.setting == other.setting and entry.name == other.name for other in kept):
+        values = entry.setting.params.values()
+        few = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]
+        if not any(entry.setting == other.setting and entry.name == other.name for other in few):
+            few.append(entry)
             kept.append(entry)
     return kept
 
 
 def _labelled(entries: list[Entry]) -> tuple[Entry, ...]:
     """Give each setting the label that tells it from the other settings of its plugin."""
+    same: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for entry in entries:
+        same[entry.setting.name].append(entry.setting.params)
+    differing = {name: _differing(several) for name, several in same.items()}
     done = []
     for entry in entries:
-        same = [other.setting.params for other in entries if other.setting.name == entry.setting.name]
         params = entry.setting.params
-        if len(same) > 1:
-            keys = [key for key in params if any(other.get(key) != params[key] for other in same)]
+        if len(same[entry.setting.name]) > 1:
+            keys = [key for key in params if key in differing[entry.setting.name]]
         else:
             keys = _explicit(entry) if entry.setting.kind == "codec" else []
         label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
         done.append(replace(entry, setting=replace(entry.setting, label=label)))
     return tuple(done)
+
+
+def _differing(several: list[dict[str, Any]]) -> set[str]:
+    """The parameters that are not the same in all settings of a plugin."""
+    first = several[0]
+    return {key for params in several for key in {**first, **params} if params.get(key) != first.get(key)}
 
 
 def _explicit(entry: Entry) -> list[str]:

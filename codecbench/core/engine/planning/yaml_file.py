@@ -5,16 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from codecbench.core.contracts.errors import MatrixError
+from codecbench.core.engine.planning.yaml_bounds import MOST_CHARACTERS, require_bounded
 
 Where = tuple[str | int, ...]
 """The way from the top of a file to a value: `("codecs", 1, "params", "qf")`."""
+
+
+_SHOWN: Final = 80
+"""Characters of a value that a message repeats."""
+_MOST_TOLD: Final = 50
+"""Problems that are spelled out; an axis may have thousands of wrong values."""
 
 
 @dataclass
@@ -38,27 +45,32 @@ class Problems:
                 self.add((*where, key), f"unknown; {suggest(str(key), names)}", at_key=True)
 
     def raise_any(self) -> None:
-        """Raise MatrixError with every problem, in the order of the file, if there is one."""
+        """Raise MatrixError with the problems, in the order of the file, if there is one."""
         if self.found:
-            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in sorted(set(self.found))]
+            found = sorted(set(self.found))
+            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in found[:_MOST_TOLD]]
+            if len(found) > _MOST_TOLD:
+                lines.append(f"and {len(found) - _MOST_TOLD} more")
             raise MatrixError("\n".join(lines))
 
 
 def load(path: Path) -> tuple[str, Any]:
     """The text of a YAML file and its content, which remembers positions. Raises MatrixError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:
         raise MatrixError(f"{path}: no such file; see `codecbench run --help` and examples/ for one") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MatrixError(f"{path}: cannot be read as UTF-8 text: {error}") from None
     try:
+        require_bounded(text, str(path))
         return text, YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         raise MatrixError(f"{path}{where}: not valid YAML: {error.problem or error.context}") from None
-    except YAMLError as error:
+    except (YAMLError, ValueError, OverflowError) as error:
         raise MatrixError(f"{path}: not valid YAML: {error}") from None
 
 
@@ -72,6 +84,12 @@ def plain(value: Any) -> Any:
         if isinstance(value, kind):
             return kind(value)
     return value
+
+
+def shown(value: Any) -> str:
+    """The value as messages spell it: as Python does, and not at length."""
+    text = repr(plain(value))
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def position(root: Any, where: Where, *, at_key: bool = False) -> tuple[int, int]:

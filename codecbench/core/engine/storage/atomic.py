@@ -23,17 +23,26 @@ def write_file(path: Path, content: bytes, *, durable: bool = False) -> None:
 
 @contextmanager
 def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
-    """A file to write that appears at `path` when the block ends well, and not at all when it does not."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".new-", dir=path.parent)
+    """A file to write that appears at `path` when the block ends well, and not at all when it does not.
+
+    What is no file (a device, a pipe) is written to as it is.
+    """
+    if path.exists() and not path.is_file():
+        with open(path, "wb") as stream:
+            yield stream
+        return
+    with _naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=".new-", dir=path.parent)
     try:
-        with os.fdopen(handle, "wb") as stream:
+        with _naming(path), os.fdopen(handle, "wb") as stream:
             yield stream
             stream.flush()
             if durable:
                 os.fsync(stream.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        with _naming(path):
+            os.chmod(name, 0o644)
+            os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
@@ -41,13 +50,25 @@ def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         _sync_folder(path.parent)
 
 
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """An error of the system meanwhile names `path`, where it names nothing or a file that is only there meanwhile."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or Path(os.fsdecode(error.filename)).name.startswith((".new-", ".old-")):
+            error.filename, error.filename2 = str(path), None
+        raise
+
+
 def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
     """Put a folder of files at `path`, replacing what was there.
 
     A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
+    with _naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
     try:
         new.chmod(0o755)
         for name, content in contents.items():

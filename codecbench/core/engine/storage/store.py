@@ -65,10 +65,10 @@ class Store:
                 holder = stream.read().strip() or "another process"
                 message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
                 raise StoreError(message)
-            stream.truncate(0)
-            stream.write(f"process {os.getpid()} on {socket.gethostname()}")
-            stream.flush()
-            self._tidy()
+            with self._writing():
+                stream.truncate(0)
+                os.write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()}".encode())
+                self._tidy()
             yield
 
     def in_use(self) -> bool:

@@ -1,0 +1,121 @@
+"""Exit statuses, and how whatever ends a command becomes a message and one of them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import tempfile
+import traceback
+from contextlib import suppress
+from enum import IntEnum
+from pathlib import Path
+from typing import Final
+
+import click
+
+from codecbench.core.contracts.errors import CodecbenchError, StoreError
+
+
+class ExitStatus(IntEnum):
+    """What a command's exit status says; docs/commands.md tells it command by command."""
+
+    SUCCESS = 0
+    FOUND = 1
+    """The command did its work and found something wrong: failed cells or checks, a run that became worse."""
+    WRONG_USE = 2
+    """What was asked for cannot be meant: options, a matrix, a name, a folder that is no run."""
+    NOT_POSSIBLE = 3
+    """The machine or the files do not allow it: disk full, no permission, damaged, no connection."""
+    FAULT = 70
+    """An error in codecbench itself."""
+    INTERRUPTED = 130
+    BROKEN_PIPE = 141
+    """Whoever read the output stopped reading."""
+
+
+DEBUG: Final = "CODECBENCH_DEBUG"
+"""The environment variable that shows tracebacks on the screen."""
+
+_NEXT: Final = {
+    errno.ENOSPC: "make room on that disk, or choose a place on another",
+    errno.EDQUOT: "your quota is used up: make room, or choose a place elsewhere",
+    errno.EFBIG: "files may not become that large here; see `ulimit -f`",
+    errno.EROFS: "choose a place that can be written",
+    errno.EACCES: "choose another place, or ask its owner for the permission",
+    errno.EPERM: "choose another place, or ask its owner for the permission",
+    errno.EEXIST: "a file is where a folder is wanted: move it, or choose another place",
+    errno.ENOTDIR: "a file is where a folder is wanted: move it, or choose another place",
+    errno.EISDIR: "a folder is where a file is wanted: choose another place",
+    errno.EMFILE: "too many files are open; see `ulimit -n`",
+}
+
+
+def told(error: BaseException) -> ExitStatus:
+    """Say what ended a command, on standard error, and give the exit status."""
+    if isinstance(error, BrokenPipeError):
+        return ExitStatus.BROKEN_PIPE
+    if isinstance(error, click.exceptions.Abort | KeyboardInterrupt):
+        click.echo("stopped", err=True)
+        return ExitStatus.INTERRUPTED
+    if os.environ.get(DEBUG):
+        traceback.print_exception(error)
+    if isinstance(error, click.ClickException):
+        error.show()
+        return ExitStatus(error.exit_code)
+    if isinstance(error, OSError):
+        click.echo(f"error: {_sentence(error)}", err=True)
+        return ExitStatus.NOT_POSSIBLE
+    if isinstance(error, CodecbenchError):
+        click.echo(f"error: {error}", err=True)
+        return ExitStatus.NOT_POSSIBLE if _is_of_the_machine(error) else ExitStatus.WRONG_USE
+    click.echo(f"error in codecbench: {type(error).__name__}: {error}{_where_it_is_kept(error)}", err=True)
+    return ExitStatus.FAULT
+
+
+def close_output() -> None:
+    """Flush standard output and error; what cannot be written is dropped, so that nothing is said at the very end.
+
+    Raises OSError where the output cannot be written.
+    """
+    failure: OSError | None = None
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError as error:
+            failure = failure or error
+            with suppress(OSError, ValueError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, stream.fileno())
+                os.close(nowhere)
+    if failure is not None:
+        raise failure
+
+
+def _is_of_the_machine(error: CodecbenchError) -> bool:
+    """Whether the system, or a file that is not what it was, is behind an error, and not what the user asked for."""
+    cause = error.__cause__
+    return isinstance(cause, OSError) or (isinstance(error, StoreError) and cause is not None)
+
+
+def _sentence(error: OSError) -> str:
+    """What failed, where, and what to do next."""
+    if error.errno is None:
+        return str(error) or type(error).__name__
+    what = error.strerror or errno.errorcode.get(error.errno, f"error {error.errno}")
+    where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+    hint = _NEXT.get(error.errno)
+    return f"{where}{what}" + (f"; {hint}" if hint else "")
+
+
+def _where_it_is_kept(error: BaseException) -> str:
+    """Write the traceback to a file, and say where, or how to see it."""
+    if os.environ.get(DEBUG):
+        return ""
+    try:
+        handle, name = tempfile.mkstemp(prefix="codecbench-fault-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write("".join(traceback.format_exception(error)))
+    except OSError:
+        return f"\n{DEBUG}=1 shows where"
+    return f"\nwhere it happened is in {Path(name)}; please report it with that file"

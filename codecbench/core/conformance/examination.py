@@ -1,0 +1,117 @@
+"""Installed codecs examined in a process of their own, so that none can end, stop or outlast the examiner.
+
+What comes back is data: a codec that exits, hangs, kills or interrupts its process fails the check that it did so in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+from pydantic import ValidationError
+
+from codecbench.core.conformance.sandbox import Reply, Sandbox
+from codecbench.core.conformance.suite import CHECKS, Check, CheckResult, run_check
+from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.engine.registry import installed
+
+TIMEOUT_S: Final = 300.0
+"""For one check on images of one layout; the longest compile a counting build."""
+_MEMORY_MB: Final = 4096
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A codec setting to be examined, as data.
+
+    setting: as it was asked for. params: complete, as JSON types. libraries: versions by name. channels: the layouts
+    that the codec declares.
+    """
+
+    codec: str
+    version: str
+    setting: dict[str, Any]
+    params: dict[str, Any]
+    libraries: dict[str, str]
+    channels: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Unexamined:
+    """Why a codec cannot be examined: it is not `available` here, a setting is not `valid`, or it is `broken`."""
+
+    kind: str
+    reason: str
+
+
+class Examiner:
+    """Examines codecs of one distribution after another, each in a fresh process. A context that ends it."""
+
+    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
+        self._sandbox = Sandbox(may_start_others=True)
+        self._distribution = ""
+        self._hung = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sandbox.stop()
+
+    def subjects(self, codec: str, settings: list[dict[str, Any]]) -> list[Subject] | Unexamined:
+        """The codec at these settings, or at its examples. Raises PluginError for a name that is not installed."""
+        distribution = installed().find("codec", codec).distribution
+        if distribution != self._distribution:
+            self._sandbox.stop()
+            self._distribution = distribution
+        self._hung = ""
+        reply = self._ask(_subjects, codec, settings)
+        found: list[Subject] | Unexamined = reply.value
+        return found if reply.status == "done" else Unexamined("broken", f"{reply.status}: {reply.reason}")
+
+    def results(self, subject: Subject, check: Check) -> Iterator[CheckResult]:
+        """How a check goes, for each layout. After one that hung, no more are run on this codec."""
+        for channels in subject.channels:
+            if self._hung:
+                yield CheckResult(check, channels, "skipped", f"not run, because {self._hung} hung")
+                continue
+            reply = self._ask(_result, subject, check.name, channels)
+            if reply.status == "hung":
+                self._hung = check.name
+            failure = CheckResult(check, channels, "failed", f"{reply.status}: {reply.reason}")
+            yield reply.value if reply.status == "done" else failure
+
+    def _ask(self, function: Any, *arguments: Any) -> Reply:
+        return self._sandbox.call(function, *arguments, timeout_s=self._timeout_s, memory_mb=_MEMORY_MB)
+
+
+def _subjects(codec: str, settings: list[dict[str, Any]]) -> list[Subject] | Unexamined:
+    try:
+        codec_class: Any = installed().load("codec", codec)
+        return [_subject(codec_class, setting) for setting in settings or codec_class.examples]
+    except Unsupported as missing:
+        return Unexamined("available", str(missing))
+    except PluginError as error:
+        return Unexamined("broken", str(error))
+    except ValidationError as error:
+        return Unexamined("valid", str(error))
+
+
+def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:
+    params = codec_class.params_type.model_validate(setting)
+    libraries = {str(name): str(version) for name, version in codec_class(params).libraries().items()}
+    dumped = params.model_dump(mode="json")
+    channels = tuple(int(count) for count in codec_class.capabilities.channels)
+    return Subject(str(codec_class.name), str(codec_class.version), setting, dumped, libraries, channels)
+
+
+def _result(subject: Subject, check_name: str, channels: int) -> CheckResult:
+    codec_class: Any = installed().load("codec", subject.codec)
+    params = codec_class.params_type.model_validate(subject.setting)
+    check = next(check for check in CHECKS if check.name == check_name)
+    return run_check(check, channels, codec_class, params)

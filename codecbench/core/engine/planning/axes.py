@@ -1,0 +1,66 @@
+"""The axes of a `params` mapping, `{grid: [...]}` and `{range: [first, last, step]}`, and what they span."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
+
+MOST_SETTINGS: Final = 100_000
+"""That one entry of a matrix may stand for."""
+_MOST_STEPS: Final = 10_000
+
+Point = dict[str, tuple[Where, Any]]
+"""A value for each parameter, with its place in the file."""
+
+
+def points(params: Mapping[str, Any], where: Where, problems: Problems) -> Iterator[Point]:
+    """Every combination of the axes of a `params` mapping; none, and a problem, where there are too many."""
+    axes: list[list[tuple[str, Where, Any]]] = []
+    for key, value in params.items():
+        place = (*where, key)
+        choices = _axis(value, place, problems) if _is_axis(value) else [(place, plain(value))]
+        axes.append([(str(key), at, choice) for at, choice in choices])
+    count = math.prod(len(axis) for axis in axes)
+    if count > MOST_SETTINGS:
+        lengths = " x ".join(str(len(axis)) for axis in axes if len(axis) > 1)
+        problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are planned")
+        return
+    for combination in itertools.product(*axes):
+        yield {key: (at, value) for key, at, value in combination}
+
+
+def _is_axis(value: Any) -> bool:
+    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in ("grid", "range")
+
+
+def _axis(value: Mapping[str, Any], where: Where, problems: Problems) -> list[tuple[Where, Any]]:
+    """The places and values of an axis; of a range the last included."""
+    ((word, choices),) = value.items()
+    place = (*where, word)
+    if not isinstance(choices, list) or not choices:
+        problems.add(place, f"must be a list; got {shown(choices)}")
+    elif word == "grid":
+        return [((*place, index), plain(choice)) for index, choice in enumerate(choices)]
+    else:
+        steps = _steps(plain(choices))
+        if steps is None:
+            allowed = f"[first, last, step > 0], 1 to {_MOST_STEPS} values"
+            problems.add(place, f"must be {allowed}; got {shown(choices)}")
+        else:
+            return [(place, number) for number in steps]
+    return []
+
+
+def _steps(choices: list[Any]) -> list[float] | None:
+    """The numbers of `[first, last]` or `[first, last, step]`, or None where these are none or too many."""
+    if len(choices) not in (2, 3) or not all(isinstance(number, int | float) for number in choices):
+        return None
+    first, last, step = [*choices, 1][:3]
+    if not step > 0 or not all(math.isfinite(number) for number in (first, last, step, (last - first) / step)):
+        return None
+    count = int((last - first) / step + 1e-9) + 1
+    return [first + step * index for index in range(count)] if 1 <= count <= _MOST_STEPS else None

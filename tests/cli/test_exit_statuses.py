@@ -1,0 +1,296 @@
+"""What every command's exit status says, asked of the installed command in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+from distributions import install_source, register
+from installed_command import COMMAND, Done, Place
+from project import DOCS, SUPPORT
+
+from codecbench.cli import COMMANDS
+from codecbench.cli.exit_status import ExitStatus
+
+MATRIX = """
+version: 1
+name: tiny
+sequences: [{use: ramp, params: {frames: 4}}]
+codecs: [shift]
+evaluators: [error]
+run: {workers: 1}
+"""
+
+CRASHING = """
+import time
+from plain_plugins import NULL_TRACE, Shift
+from codecbench import PluginSpec, hookimpl
+
+class Failing(Shift):
+    name = "failing"
+    def decode(self, bitstream, *, trace=NULL_TRACE):
+        raise RuntimeError("broken on purpose")
+
+class Slow(Shift):
+    name = "slow"
+    def encode(self, image, *, trace=NULL_TRACE):
+        time.sleep(60)
+
+@hookimpl
+def codecbench_codecs():
+    return [PluginSpec("failing", "odd:Failing", "raises"), PluginSpec("slow", "odd:Slow", "takes a minute")]
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    """Matrices, a finished run in `runs/tiny`, one that became worse, one without records, and a damaged one."""
+    place = Place(tmp_path_factory.mktemp("statuses"))
+    shutil.copy(SUPPORT / "plain_plugins.py", place.site)
+    register(place.site, "plain", "1", "plain_plugins")
+    install_source(place.site, "odd", "1", CRASHING)
+    folder = place.folder
+    for name, codec in {"tiny": "shift", "failing": "failing", "slow": "slow", "absent": "absent"}.items():
+        (folder / f"{name}.yaml").write_text(MATRIX.replace("[shift]", f"[{codec}]").replace("tiny", name))
+    (folder / "wrong.yaml").write_text(MATRIX.replace("shift", "shfit"))
+    assert place.call("run", "tiny.yaml").status == ExitStatus.SUCCESS
+    assert place.call("compare", "runs/tiny", "--save", "base.json").status == ExitStatus.SUCCESS
+    (folder / "better.json").write_text(
+        re.sub(r'"values": \[[^]]*\]', '"values": [-1.0]', (folder / "base.json").read_text())
+    )
+    (folder / "empty").mkdir()
+    shutil.copy(folder / "runs" / "tiny" / "plan.json", folder / "empty")
+    (folder / "damaged").mkdir()
+    (folder / "damaged" / "plan.json").write_text("{}")
+    (folder / "file").write_text("")
+    return place
+
+
+def spelled(done: Done) -> Done:
+    """The same, after a look at what no command may print."""
+    assert "Traceback" not in done.output, done.output
+    return done
+
+
+ROWS: list[tuple[ExitStatus, str, str]] = [
+    (ExitStatus.SUCCESS, "run tiny.yaml", "1 ok"),
+    (ExitStatus.FOUND, "run failing.yaml", "broken on purpose"),
+    (ExitStatus.FOUND, "run failing.yaml --out again --fail-fast", "stopped at the first failure"),
+    (ExitStatus.FOUND, "run absent.yaml", "no cell has a result"),
+    (ExitStatus.WRONG_USE, "run wrong.yaml", "wrong.yaml:5:10: codecs[0].use: no codec is called 'shfit'"),
+    (ExitStatus.WRONG_USE, "run", "Missing argument"),
+    (ExitStatus.WRONG_USE, "run tiny.yaml --recompute nobody", "nobody"),
+    (ExitStatus.NOT_POSSIBLE, "run tiny.yaml --out file/run", "a file is where a folder is wanted"),
+    (ExitStatus.SUCCESS, "plan tiny.yaml", "cells: 1: 1 done"),
+    (ExitStatus.WRONG_USE, "plan wrong.yaml", "did you mean 'shift'"),
+    (ExitStatus.SUCCESS, "list codecs", "shift"),
+    (ExitStatus.WRONG_USE, "list nonsense", "is not one of"),
+    (ExitStatus.SUCCESS, "schema shift", "bits"),
+    (ExitStatus.WRONG_USE, "schema shfit", "did you mean 'shift'"),
+    (ExitStatus.SUCCESS, "table runs/tiny", "shift"),
+    (ExitStatus.WRONG_USE, "table nowhere", "is not a run folder"),
+    (ExitStatus.WRONG_USE, "table empty", "has no results yet"),
+    (ExitStatus.NOT_POSSIBLE, "table damaged", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "table file", "Not a directory"),
+    (ExitStatus.NOT_POSSIBLE, "table runs/tiny --format csv --out file/t.csv", "a file is where a folder is wanted"),
+    (ExitStatus.SUCCESS, "report runs/tiny --format md", "report.md"),
+    (ExitStatus.WRONG_USE, "report nowhere", "is not a run folder"),
+    (ExitStatus.WRONG_USE, "report empty", "has no results yet"),
+    (ExitStatus.NOT_POSSIBLE, "report damaged", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "report runs/tiny --format md --out file/r.md", "a file is where a folder is wanted"),
+    (ExitStatus.SUCCESS, "plot runs/tiny", ""),
+    (ExitStatus.WRONG_USE, "plot empty", "has no results yet"),
+    (ExitStatus.NOT_POSSIBLE, "plot damaged", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "plot runs/tiny --out file/figures", "a file is where a folder is wanted"),
+    (ExitStatus.SUCCESS, "compare runs/tiny base.json", "same"),
+    (ExitStatus.FOUND, "compare better.json runs/tiny", "worse"),
+    (ExitStatus.SUCCESS, "compare better.json runs/tiny --fail-on never", "worse"),
+    (ExitStatus.FOUND, "compare empty empty", "nothing to compare"),
+    (ExitStatus.WRONG_USE, "compare runs/tiny", "name a second run"),
+    (ExitStatus.WRONG_USE, "compare nowhere runs/tiny", "neither a run folder nor a baseline file"),
+    (ExitStatus.NOT_POSSIBLE, "compare damaged runs/tiny", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "compare runs/tiny --save file/base.json", "a file is where a folder is wanted"),
+    (ExitStatus.SUCCESS, "status runs/failing --failed", "1 failed"),
+    (ExitStatus.SUCCESS, "status empty", "1 to do"),
+    (ExitStatus.WRONG_USE, "status nowhere", "is not a run folder"),
+    (ExitStatus.NOT_POSSIBLE, "status damaged", "is damaged"),
+    (ExitStatus.WRONG_USE, "reproduce nowhere", "is not a run folder"),
+    (ExitStatus.WRONG_USE, "reproduce empty", "has no results yet"),
+    (ExitStatus.NOT_POSSIBLE, "reproduce damaged", "is damaged"),
+    (ExitStatus.SUCCESS, "data list", "kodak"),
+    (ExitStatus.WRONG_USE, "data path kodack", "did you mean kodak?"),
+    (ExitStatus.SUCCESS, "warm-up tiny.yaml", "0 failed"),
+    (ExitStatus.WRONG_USE, "warm-up wrong.yaml", "did you mean 'shift'"),
+    (ExitStatus.SUCCESS, "verify raw --only params", "1 passed"),
+    (ExitStatus.FOUND, "verify failing --only shape", "broken on purpose"),
+    (ExitStatus.WRONG_USE, "verify nobody", "no codec is called 'nobody'"),
+    (ExitStatus.NOT_POSSIBLE, "verify --check-corpus nowhere", "is not the manifest of a corpus"),
+    (ExitStatus.NOT_POSSIBLE, "verify raw --only params --json file/r.json", "a file is where a folder is wanted"),
+    (ExitStatus.WRONG_USE, "rnu", "Did you mean 'run'?"),
+    (ExitStatus.SUCCESS, "--help", "Commands"),
+    (ExitStatus.SUCCESS, "run --help", "Usage"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("status", "words", "said"), ROWS, ids=[words for _, words, _ in ROWS])
+def test_a_row_of_the_table(place: Place, status: ExitStatus, words: str, said: str) -> None:
+    done = spelled(place.call(*words.split()))
+    assert done.status == status, done.output
+    assert said in done.output
+
+
+def test_every_command_has_a_row_of_success_and_one_of_wrong_use() -> None:
+    for name in COMMANDS.keys() - {"reproduce"}:
+        for status in (ExitStatus.SUCCESS, ExitStatus.WRONG_USE):
+            assert any(words.split()[0] == name and row == status for row, words, _ in ROWS), (name, status)
+
+
+def test_the_page_has_every_status_and_every_command() -> None:
+    table = (DOCS / "commands.md").read_text().split("## Exit statuses")[1].split("\n## ")[0]
+    assert {int(number) for number in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)} == set(ExitStatus)
+    for name in COMMANDS:
+        assert re.search(rf"^\|.*`{name}`.*\|", table, re.MULTILINE), name
+
+
+@pytest.mark.parametrize("words", ["schema", "list", "table runs/tiny --format csv", "table runs/tiny", "verify raw"])
+def test_a_reader_who_stops_reading_is_no_error_to_speak_of(place: Place, words: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [str(COMMAND), *words.split()]
+    done = subprocess.run(
+        command,
+        cwd=place.folder,
+        env=place.environment(),
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (ExitStatus.BROKEN_PIPE, "")
+
+
+def test_a_screen_that_cannot_be_written_is_told(place: Place) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [str(COMMAND), "list"], env=place.environment(), stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    assert done.returncode == ExitStatus.NOT_POSSIBLE
+    assert done.stderr.startswith("error: ")
+    assert "No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+SLOW_TO_LOAD = """
+import sys, time
+def wait(name, *rest):
+    if name == "{module}":
+        print("waiting", flush=True)
+        time.sleep(60)
+sys.addaudithook(lambda event, arguments: wait(*arguments) if event == "import" else None)
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "module"),
+    [
+        ("plan tiny.yaml", "codecbench.core.engine.planning.plan"),
+        ("list", "codecbench.core.engine.registry"),
+        ("schema", "codecbench.core.engine.planning.schema"),
+        ("table runs/tiny", "codecbench.core.results.collect"),
+        ("report runs/tiny", "codecbench.core.results.collect"),
+        ("plot runs/tiny", "codecbench.core.results.collect"),
+        ("compare runs/tiny runs/tiny", "codecbench.core.results.comparison.compare"),
+        ("status runs/tiny", "codecbench.core.engine.storage.store"),
+        ("reproduce runs/tiny", "codecbench.core.results.collect"),
+        ("data list", "codecbench.plugins.datasets.catalog"),
+        ("warm-up tiny.yaml", "codecbench.core.engine.planning.plan"),
+        ("run tiny.yaml", "codecbench.core.engine.planning.plan"),
+        ("verify raw", "codecbench.core.conformance.examination"),
+    ],
+)
+def test_an_interrupted_command_says_so(place: Place, tmp_path: Path, words: str, module: str) -> None:
+    (tmp_path / "sitecustomize.py").write_text(SLOW_TO_LOAD.format(module=module))
+    path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
+    running = place.start(*words.split(), PYTHONPATH=path)
+    assert running.stdout is not None
+    assert running.stdout.readline() == "waiting\n"
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=30)
+    assert (running.returncode, said) == (ExitStatus.INTERRUPTED, "stopped\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_keeps_what_it_has(place: Place, tmp_path: Path, number: signal.Signals) -> None:
+    out = tmp_path / "run"
+    running = place.start("run", "slow.yaml", "--out", str(out))
+    deadline = time.monotonic() + 60
+    while not (out / "plan.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(1)
+    running.send_signal(number)
+    printed, said = running.communicate(timeout=60)
+    assert running.returncode == ExitStatus.INTERRUPTED
+    assert "Traceback" not in printed + said
+    assert f"stopped by {number.name}; the same command continues from here" in said
+
+
+def test_an_interrupted_verify_leaves_no_process(place: Place, tmp_path: Path) -> None:
+    running = place.start("verify", "slow", "--only", "bytes")
+    assert running.stdout is not None
+    assert running.stdout.readline().startswith("slow")
+    time.sleep(1)
+    os.kill(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=30)
+    assert (running.returncode, said) == (ExitStatus.INTERRUPTED, "stopped\n")
+    deadline = time.monotonic() + 10
+    while (left := alive(running.pid)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert left == []
+
+
+def alive(group: int) -> list[str]:
+    """The command lines of the processes of a group."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, ProcessLookupError):
+            if os.getpgid(process.pid) == group and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(" ".join(process.cmdline()))
+    return found
+
+
+FAULTY = """
+import codecbench.cli.status
+def fault(*arguments, **named):
+    raise ZeroDivisionError("a fault of ours")
+codecbench.cli.status.status.callback = fault
+"""
+
+
+def test_a_fault_of_our_own_is_short_and_its_place_is_kept(place: Place, tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(FAULTY)
+    path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
+    done = place.call("status", "runs/tiny", PYTHONPATH=path, TMPDIR=str(tmp_path))
+    assert done.status == ExitStatus.FAULT
+    first, second = done.stderr.splitlines()
+    assert first == "error in codecbench: ZeroDivisionError: a fault of ours"
+    (kept,) = tmp_path.glob("codecbench-fault-*.txt")
+    assert str(kept) in second
+    assert "in fault" in kept.read_text()
+    shown = place.call("status", "runs/tiny", PYTHONPATH=path, TMPDIR=str(tmp_path), CODECBENCH_DEBUG="1")
+    assert shown.status == ExitStatus.FAULT
+    assert "Traceback" in shown.stderr
+    assert len(list(tmp_path.glob("codecbench-fault-*.txt"))) == 1
+
+
+def test_what_programs_read_is_whole(place: Place) -> None:
+    assert json.loads(place.call("status", "runs/tiny", "--json").stdout)["counts"] == {"ok": 1}

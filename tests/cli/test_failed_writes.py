@@ -1,0 +1,168 @@
+"""What cannot be written is a sentence, and nothing half-written stays: the installed command, in a process of its own.
+
+The system refuses as it would on a full or read-only disk: by a limit on the size of files, or by calls that fail.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from distributions import register
+from installed_command import Done, Place
+from project import SUPPORT
+
+from codecbench.cli.exit_status import ExitStatus
+
+MATRIX = """
+version: 1
+name: tiny
+sequences: [{use: ramp, params: {frames: 4}}]
+codecs: [shift]
+evaluators: [error]
+run: {workers: 1}
+"""
+
+FAILING = """
+import errno, os
+real = {{name: getattr(os, name) for name in ("replace", "rename", "mkdir", "fsync")}}
+def failing(name):
+    def fail(path, *rest, **named):
+        target = str(rest[0]) if rest and name in ("replace", "rename") else str(path)
+        if name == "{call}" and "{inside}" in target:
+            raise OSError(errno.{error}, os.strerror(errno.{error}), str(path))
+        return real[name](path, *rest, **named)
+    return fail
+for name in real:
+    setattr(os, name, failing(name))
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    """A matrix, and its finished run in `runs/tiny`."""
+    place = Place(tmp_path_factory.mktemp("writes"))
+    shutil.copy(SUPPORT / "plain_plugins.py", place.site)
+    register(place.site, "plain", "1", "plain_plugins")
+    (place.folder / "tiny.yaml").write_text(MATRIX)
+    assert place.call("run", "tiny.yaml").status == ExitStatus.SUCCESS
+    return place
+
+
+def is_refused(done: Done, *said: str) -> None:
+    assert done.status == ExitStatus.NOT_POSSIBLE, done.output
+    assert done.stderr.lstrip().startswith("error: ")
+    assert "Traceback" not in done.output
+    for text in said:
+        assert text in done.stderr
+
+
+def small_files(size: int) -> Callable[[], None]:
+    """No file of the process may become larger than `size` bytes."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+OUTPUTS = [
+    "table runs/tiny --format csv --out new/kept",
+    "table runs/tiny --format parquet --out new/kept",
+    "report runs/tiny --out new/kept",
+    "report runs/tiny --format md --out new/kept",
+    "compare runs/tiny --save new/kept",
+    "verify raw --only params --json new/kept",
+]
+
+
+@pytest.mark.parametrize("words", OUTPUTS)
+@pytest.mark.parametrize("there_before", [False, True])
+def test_an_output_that_does_not_fit_leaves_what_was_there(place: Place, words: str, there_before: bool) -> None:
+    new = place.folder / "new"
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    if there_before:
+        (new / "kept").write_text("of before")
+    is_refused(place.call(*words.split(), limits=small_files(8)), "new/kept: File too large; ", "ulimit -f")
+    assert {path.name: path.read_text() for path in new.iterdir()} == ({"kept": "of before"} if there_before else {})
+
+
+def test_figures_and_corpora_that_do_not_fit_leave_no_part(place: Place) -> None:
+    is_refused(
+        place.call("verify", "raw", "--write-corpus", "corpus", limits=small_files(8)), "corpus/raw/000.bin: File"
+    )
+    assert [path for path in (place.folder / "corpus").rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        ("replace", "ENOSPC", "No space left on device; make room on that disk"),
+        ("replace", "EROFS", "Read-only file system; choose a place that can be written"),
+        ("replace", "EACCES", "Permission denied; choose another place"),
+        ("mkdir", "EROFS", "Read-only file system; choose a place that can be written"),
+        ("mkdir", "EDQUOT", "Disk quota exceeded; your quota is used up"),
+    ],
+)
+@pytest.mark.parametrize("words", OUTPUTS[:1] + OUTPUTS[4:5])
+def test_a_refusal_of_the_system_names_the_file_and_the_next_step(
+    place: Place, tmp_path: Path, words: str, call: str, error: str, said: str
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(FAILING.format(call=call, error=error, inside="new"))
+    shutil.rmtree(place.folder / "new", ignore_errors=True)
+    path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
+    is_refused(place.call(*words.split(), PYTHONPATH=path), "new", said)
+    assert not (place.folder / "new").exists() or list((place.folder / "new").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("call", "inside"),
+    [
+        ("mkdir", "fresh"),
+        ("mkdir", "records"),
+        ("replace", "matrix.yaml"),
+        ("replace", "plan.json"),
+        ("replace", "environment"),
+        ("rename", "records"),
+    ],
+)
+def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
+    place: Place, tmp_path: Path, call: str, inside: str
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(FAILING.format(call=call, error="ENOSPC", inside=inside))
+    path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
+    out = tmp_path / "fresh"
+    is_refused(place.call("run", "tiny.yaml", "--out", str(out), PYTHONPATH=path), "No space left on device", str(out))
+    again = place.call("run", "tiny.yaml", "--out", str(out))
+    assert again.status == ExitStatus.SUCCESS, again.output
+    assert "cells: 1 ok" in again.stdout
+    assert list(out.rglob(".new-*")) == []
+
+
+@pytest.mark.parametrize("size", [0, 40, 200])
+def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
+    done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), limits=small_files(size))
+    is_refused(done, str(tmp_path / "run"), "File too large")
+    assert place.call("run", "tiny.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS
+
+
+def test_no_room_for_temporary_files_is_told_before_any_worker_starts(place: Place, tmp_path: Path) -> None:
+    """The plan and the log fit into files of this size; what workers may need for temporary files does not."""
+    (tmp_path / "temporary").mkdir()
+    arguments = ("run", "tiny.yaml", "--out", str(tmp_path / "run"))
+    done = place.call(*arguments, limits=small_files(30_000), TMPDIR=str(tmp_path / "temporary"))
+    is_refused(done, str(tmp_path / "temporary"), "File too large")
+    assert "expired" not in done.output
+    assert list((tmp_path / "temporary").iterdir()) == []
+    assert place.call(*arguments).status == ExitStatus.SUCCESS
+
+
+def test_devices_are_written_to_and_stay_devices(place: Place, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    done = place.call("table", "runs/tiny", "--format", "csv", "--out", str(tmp_path / "pipe"))
+    assert done.status == ExitStatus.SUCCESS, done.output
+    assert os.read(reader, 10_000).startswith(b"sequence,codec,setting")
+    os.close(reader)
+    assert (tmp_path / "pipe").is_fifo()

@@ -1,0 +1,63 @@
+"""The command as it is installed, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+COMMAND = Path(sys.executable).parent / "codecbench"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder to work in, with plugin distributions of its own in the folder `site`."""
+
+    folder: Path
+
+    @property
+    def site(self) -> Path:
+        path = self.folder / "site"
+        path.mkdir(exist_ok=True)
+        return path
+
+    def environment(self, **variables: str) -> dict[str, str]:
+        paths = os.pathsep.join([str(self.site), str(Path(__file__).parent)])
+        return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "200", **variables}
+
+    def call(self, *words: str, timeout: float = 120, limits: Any = None, **variables: str) -> Done:
+        """Run `codecbench WORDS`. limits: called in the new process first."""
+        done = subprocess.run(
+            [str(COMMAND), *words],
+            cwd=self.folder,
+            env=self.environment(**variables),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            preexec_fn=limits,
+        )
+        return Done(done.returncode, done.stdout, done.stderr)
+
+    def start(self, *words: str, **variables: str) -> subprocess.Popen[str]:
+        """Begin `codecbench WORDS`, as the first of a session of its own."""
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            [str(COMMAND), *words], cwd=self.folder, env=self.environment(**variables), stdout=pipe, stderr=pipe,
+            text=True, start_new_session=True,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a command ended."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+    @property
+    def output(self) -> str:
+        return self.stdout + self.stderr
