@@ -12,15 +12,18 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
-from codecbench.core.engine.identity import content_digest
+from pydantic import Strict, TypeAdapter
+
+from codecbench.core.engine.identity import content_digest, json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.engine.storage.record import RECORD_FILE, Record, settings_digest
+from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.storage.record import RECORD_FILE, FileName, Record, settings_digest
 
 _SEPARATOR: Final = " "
-_FIELDS: Final = 6
-"""Of a line; one with fewer was written by an earlier version, and its record is read instead."""
+_LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str], Strict(False)])
+"""Fields of a line; where one is otherwise, as earlier versions wrote it, the record is read instead."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ class RecordIndex:
     def read(self) -> dict[str, IndexEntry]:
         """The latest entry of each cell; damaged lines are left out."""
         try:
-            content = self._path.read_bytes()
-        except FileNotFoundError:
+            content = read_plain(self._path)
+        except OSError:
             return {}
         found: dict[str, IndexEntry] = {}
         for line in content.split(b"\n"):
@@ -91,5 +94,8 @@ def _entry_from_line(line: bytes) -> IndexEntry | None:
     crc, _, text = line.partition(_SEPARATOR.encode())
     if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
         return None
-    fields = json.loads(text)
-    return IndexEntry(*fields) if len(fields) == _FIELDS else None
+    try:
+        entry = IndexEntry(*_LINE.validate_python(json_from_bytes(text)))
+    except ValueError:
+        return None
+    return entry if RECORD_FILE in entry.digests else None
