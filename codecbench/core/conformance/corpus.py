@@ -28,6 +28,7 @@ from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, StoreError, Unsupported
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
+from codecbench.core.engine.identity import json_from_bytes
 
 CodecClass = type[Codec[Any]]
 _FORMAT = 1
@@ -123,7 +124,7 @@ def read_manifest(folder: Path) -> list[Entry]:
     """The entries of a corpus. Raises StoreError where there is none or it is of another format."""
     path = folder / _MANIFEST
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json_from_bytes(path.read_bytes())
         if manifest["format"] != _FORMAT:
             raise StoreError(f"{path}: format {manifest['format']}; this version reads {_FORMAT}")
         return [Entry(**{**entry, "shape": tuple(entry["shape"])}) for entry in manifest["entries"]]

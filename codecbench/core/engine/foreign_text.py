@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from codecbench.core.engine.identity import content_digest
 
-LINE_LIMIT: Final = 2_000
+LINE_LIMIT: Final = 1_000
 """Characters of a name, a label or a reason."""
 
 TEXT_LIMIT: Final = 100_000

@@ -141,7 +141,8 @@ def _samples(store: Store, record: Record) -> pyarrow.Table:
     """The per-frame samples of a record; empty where it has none or they are damaged, which is reported."""
     try:
         content = store.samples(record)
-    except StoreError as error:
-        log.warning("%s", error)
-        content = None
-    return table_from_parquet(parquet_from_samples([]) if content is None else content)
+        if content is not None:
+            return table_from_parquet(content)
+    except (StoreError, OSError, ValueError) as error:
+        log.warning("%s: no samples of single frames: %s", store.record_folder(record.cell_id), error)
+    return table_from_parquet(parquet_from_samples([]))

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.executor import Status
+from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.storage.samples import (
@@ -167,5 +168,9 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
     known = {name: body[name] for name in _Body.model_fields if name in body}
     known["metrics"] = tuple(body.get("metrics", ()))
     known["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
-    known["summaries"] = {(m, stage, how): value_from_json(v) for m, stage, how, v in body["summaries"]}
+    known["summaries"] = {
+        (clean_line(metric), clean_line(stage), clean_line(how)): value_from_json(value)
+        for metric, stage, how, value in body["summaries"]
+    }
+    known["reason"], known["traceback"] = clean_line(body["reason"]), clean_text(body["traceback"])
     return Record(**known)

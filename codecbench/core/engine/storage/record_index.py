@@ -16,6 +16,7 @@ from typing import Annotated, Final
 
 from pydantic import Strict, TypeAdapter
 
+from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import content_digest, json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.plain_file import read_plain
@@ -95,7 +96,8 @@ def _entry_from_line(line: bytes) -> IndexEntry | None:
     if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
         return None
     try:
-        entry = IndexEntry(*_LINE.validate_python(json_from_bytes(text)))
+        cell_id, status, reason, *rest = _LINE.validate_python(json_from_bytes(text))
+        entry = IndexEntry(cell_id, clean_line(status), clean_line(reason), *rest)
     except ValueError:
         return None
     return entry if RECORD_FILE in entry.digests else None

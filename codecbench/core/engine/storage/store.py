@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.foreign_text import clean_line, clean_text
@@ -28,6 +28,7 @@ from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
+from codecbench.core.engine.storage.origin import is_from_here, origin_here
 from codecbench.core.engine.storage.plain_file import open_plain, read_plain, refuse_links
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
@@ -93,8 +94,8 @@ class Store:
     def write_plan(self, plan: Plan) -> None:
         write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
         body = plan.as_json()
-        document = {"checksum": digest(body), "plan": body}
-        write_file(self.folder / "plan.json", canonical_json(document))
+        content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
+        write_file(self.folder / "plan.json", canonical_json({"checksum": digest(content), **content}))
 
     def read_plan(self) -> Plan:
         """The plan of the last run in this folder.
@@ -104,11 +105,7 @@ class Store:
         path = self.folder / "plan.json"
         refuse_links(self.folder, _DEPTH)
         try:
-            document = json_from_bytes(read_plain(path))
-            body = document["plan"]
-            if digest(body) != document["checksum"]:
-                raise ValueError("its checksum does not match its content")
-            plan = plan_from_json(body)
+            plan = plan_from_json(self._plan_document()["plan"])
         except FileNotFoundError:
             raise StoreError(f"{self.folder} is not a run folder: it has no plan.json") from None
         except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
@@ -117,6 +114,24 @@ class Store:
             raise StoreError(message) from error
         self._compare_matrix(plan)
         return plan
+
+    def origin_elsewhere(self) -> str | None:
+        """Where the plan was made, for people, or None where it was here. Raises like `read_plan`."""
+        document = self._plan_document()
+        origin = document.get("origin")
+        if not isinstance(origin, dict):
+            return "a place that it does not name"
+        if is_from_here(digest(document["plan"]), origin):
+            return None
+        return clean_line(f"{origin.get('folder')} on {origin.get('host')} by {origin.get('user')}")
+
+    def _plan_document(self) -> dict[str, Any]:
+        """The content of plan.json. Raises ValueError, KeyError or TypeError where its checksum is wrong."""
+        document: dict[str, Any] = json_from_bytes(read_plain(self.folder / "plan.json"))
+        content = {"plan": document["plan"], "origin": document["origin"]} if "origin" in document else document["plan"]
+        if digest(content) != document["checksum"]:
+            raise ValueError("its checksum does not match its content")
+        return document
 
     def _compare_matrix(self, plan: Plan) -> None:
         """Say so where the copy of the matrix is not what the plan was made of."""
