@@ -173,8 +173,8 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
         sequences=tuple(sequences),
         jobs=tuple(CodingJob(id_, sequences[at], settings[codec]) for id_, at, codec in body.jobs),
         cells=tuple(
-            Cell(id_, sequences[at], settings[codec], settings[evaluator], *rest)
-            for id_, at, codec, evaluator, *rest in body.cells
+            Cell(id_, sequences[at], settings[codec], settings[evaluator], repeat, seed, exclusive, job_id, unsupported)
+            for id_, at, codec, evaluator, repeat, seed, exclusive, job_id, unsupported in body.cells
         ),
         declared=clean_value(body.declared),
     )

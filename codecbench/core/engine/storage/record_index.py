@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -96,8 +96,8 @@ def _entry_from_line(line: bytes) -> IndexEntry | None:
     if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
         return None
     try:
-        cell_id, status, reason, *rest = _LINE.validate_python(json_from_bytes(text))
-        entry = IndexEntry(cell_id, clean_line(status), clean_line(reason), *rest)
+        entry = IndexEntry(*_LINE.validate_python(json_from_bytes(text)))
     except ValueError:
         return None
+    entry = replace(entry, status=clean_line(entry.status), reason=clean_line(entry.reason))
     return entry if RECORD_FILE in entry.digests else None

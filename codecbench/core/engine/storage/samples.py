@@ -20,7 +20,7 @@ class MeasurementError(CodecbenchError):
     """An evaluator yielded something that is not a measurement of a metric that it declared."""
 
 
-MOST_WITHOUT_FRAME: Final = 10_000
+MOST_WITHOUT_FRAME: Final = 5_000
 MOST_OF_FRAMES: Final = 1_000_000
 MOST_STAGES: Final = 1_000
 """Measurements of one cell that belong to no frame, and to frames; stages of one metric. With more, tables would take

@@ -66,18 +66,21 @@ class Store:
 
         The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        refuse_links(self.folder, _DEPTH)
-        with open(self.folder / "lock", "a+", encoding="utf-8", errors="replace") as stream:
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            refuse_links(self.folder, _DEPTH)
+            lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
+        with lock as stream:
             if not _locked(stream):
                 stream.seek(0)
                 holder = clean_line(stream.read(1000).strip()) or "another process"
                 message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
                 raise StoreError(message)
-            stream.truncate(0)
-            stream.write(f"process {os.getpid()} on {socket.gethostname()}")
-            stream.flush()
-            self._tidy()
+            with self._writing():
+                stream.truncate(0)
+                stream.write(f"process {os.getpid()} on {socket.gethostname()}")
+                stream.flush()
+                self._tidy()
             yield
 
     def in_use(self) -> bool:
@@ -92,10 +95,12 @@ class Store:
         return False
 
     def write_plan(self, plan: Plan) -> None:
-        write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
+        """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""
         body = plan.as_json()
         content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
-        write_file(self.folder / "plan.json", canonical_json({"checksum": digest(content), **content}))
+        with self._writing():
+            write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
+            write_file(self.folder / "plan.json", canonical_json({"checksum": digest(content), **content}))
 
     def read_plan(self) -> Plan:
         """The plan of the last run in this folder.
@@ -166,7 +171,8 @@ class Store:
     def drop_coded(self, job_id: str, reason: str) -> None:
         """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""
         log.warning("coded/%s.bits will be encoded again: %s", job_id, reason)
-        self.coded_path(job_id).unlink(missing_ok=True)
+        with self._writing():
+            self.coded_path(job_id).unlink(missing_ok=True)
 
     def record_folder(self, cell_id: str) -> Path:
         return Path(f"{self.records_folder}/{cell_id[:2]}/{cell_id}")
@@ -255,12 +261,14 @@ class Store:
         return sound, damaged
 
     def drop_record(self, cell_id: str) -> None:
-        if self.record_folder(cell_id).exists():
-            remove_folder(self.record_folder(cell_id))
+        with self._writing():
+            if self.record_folder(cell_id).exists():
+                remove_folder(self.record_folder(cell_id))
 
     def rebuild_index(self) -> None:
         """Write the index again from what is there; the engine does so when a run ends."""
-        self._index.rewrite(self.entries().values())
+        with self._writing():
+            self._index.rewrite(self.entries().values())
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
