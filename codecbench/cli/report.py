@@ -11,14 +11,19 @@ import click
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: RUN/report/report.html.")
 @click.option("--format", "format_", type=click.Choice(["html", "md", "latex"]), default="html", show_default=True)
-def report(run: Path, out: Path | None, format_: str) -> None:
+@click.option(
+    "--sequences-from",
+    metavar="FOLDER|same",
+    help="Show frames of a run that was made elsewhere, from sequences in FOLDER, or from the same places as there.",
+)
+def report(run: Path, out: Path | None, format_: str, sequences_from: str | None) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
     from codecbench.core.results.begun import begun_run
     from codecbench.core.results.report.write import write_report
 
     suffix = {"html": "html", "md": "md", "latex": "tex"}[format_]
     path = out or run / "report" / f"report.{suffix}"
-    size = write_report(begun_run(run), path, format_)
+    size = write_report(begun_run(run), path, format_, sequences_from=sequences_from)
     click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
 
 

@@ -44,10 +44,14 @@ def run(
     Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
     result, and 130 if the run was stopped.
     """
+    from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan
+    from codecbench.core.engine.registry import installed
     from codecbench.core.engine.running.run import run_plan
 
+    for problem in installed().problems:
+        click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
     plan = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / plan.name
     console = Screen(stderr=True, quiet=quiet)
@@ -91,12 +95,14 @@ class _Display:
         failed = f"{progress.not_ok} without a result" if progress.not_ok else ""
         note = ", ".join(filter(None, (left, failed)))
         self._bar.update(self._task, description=progress.compiling or "cells", completed=done, total=total, note=note)
+        from codecbench.core.engine.foreign_text import clean_line
+
         record, cell = progress.record, progress.cell
         if record is None or cell is None or record.status in ("ok", "unsupported"):
             return
         what = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
         line = f"{record.status}: {cell.sequence.name} | {what} | {cell.evaluator.name} #{cell.repeat}: {record.reason}"
-        click.echo(line, err=True)
+        click.echo(clean_line(line), err=True)
         if not self._keep_going:
             raise click.ClickException("stopped at the first failure (--fail-fast); what is finished is kept")
 
@@ -111,6 +117,8 @@ def _report(summary: RunSummary, quiet: bool) -> None:
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     click.echo(f"cells: {counts or 'none'}{kept}")
     click.echo(f"run folder: {summary.folder}")
+    if summary.damaged:
+        click.echo(f"damaged and computed again: {len(summary.damaged)} cells; run.log says why", err=True)
     if summary.interrupted:
         click.echo(f"stopped by {summary.interrupted}; the same command continues from here", err=True)
         raise click.exceptions.Exit(ExitStatus.INTERRUPTED)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import pandas as pd
 from rich.table import Table
+from rich.text import Text
 
 from codecbench.cli.screen import Screen
 
@@ -38,12 +39,12 @@ def show_table(frame: pd.DataFrame, result: RunResult) -> None:
     heads = [str(name).replace(".", "\n") for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     for part in _parts(heads, texts, [str(name) in _LEADING for name in frame.columns], console.width):
-        table = Table(title=result.plan.name, title_justify="left", header_style="bold", row_styles=["", "dim"])
+        table = Table(title=Text(result.plan.name), title_justify="left", header_style="bold", row_styles=["", "dim"])
         for column in part:
             side: Literal["left", "right"] = "right" if numeric[column] else "left"
-            table.add_column(heads[column], justify=side, no_wrap=numeric[column], overflow="fold")
+            table.add_column(Text(heads[column]), justify=side, no_wrap=numeric[column], overflow="fold")
         for row in texts:
-            table.add_row(*(row[column] for column in part))
+            table.add_row(*(Text(row[column]) for column in part))
         console.print(table)
     if len(frame) > _MOST_ROWS:
         console.print(f"... and {len(frame) - _MOST_ROWS} more rows; use --format csv for all of them")

@@ -27,6 +27,7 @@ from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import PluginError, StoreError, Unsupported
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
+from codecbench.core.engine.identity import json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
 
 CodecClass = type[Codec[Any]]
@@ -135,7 +136,7 @@ def read_manifest(folder: Path) -> list[Entry]:
     """The entries of a corpus. Raises StoreError where there is none or it is of another format."""
     path = folder / _MANIFEST
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json_from_bytes(path.read_bytes())
         if manifest["format"] != _FORMAT:
             raise StoreError(f"{path}: format {manifest['format']}; this version reads {_FORMAT}")
         return [Entry(**{**entry, "shape": tuple(entry["shape"])}) for entry in manifest["entries"]]

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 
+_MOST_PICKS: Final = 4_000_000
+"""Values that resampling holds at a time."""
+
 Values = NDArray[np.float64]
 
 BOOTSTRAP_RESAMPLES: Final = 2000
@@ -89,8 +92,11 @@ def median_interval(values: Values) -> tuple[float, float]:
     if len(values) < 3:
         return float("nan"), float("nan")
     rng = np.random.default_rng(0)
-    picks = rng.integers(0, len(values), (BOOTSTRAP_RESAMPLES, len(values)))
-    medians = np.sort(np.median(values[picks], axis=1))
+    block = max(1, _MOST_PICKS // len(values))
+    blocks = [min(block, BOOTSTRAP_RESAMPLES - first) for first in range(0, BOOTSTRAP_RESAMPLES, block)]
+    medians = np.sort(
+        np.concatenate([np.median(values[rng.integers(0, len(values), (n, len(values)))], axis=1) for n in blocks])
+    )
     return percentile(medians, 2.5), percentile(medians, 97.5)
 
 

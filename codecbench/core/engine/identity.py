@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Any
+import math
+from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
@@ -20,6 +21,14 @@ def canonical_json(value: Any) -> bytes:
     agreed spelling.
     """
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False).encode()
+
+
+def json_from_bytes(content: bytes | str) -> Any:
+    """The value of a JSON text. Raises ValueError for anything else: NaN, infinities and bottomless nesting too."""
+    try:
+        return json.loads(content, parse_constant=_no_number, parse_float=_finite)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def content_digest(content: bytes) -> str:
@@ -63,3 +72,12 @@ def _means(values: dict[str, Any], params: Params) -> bool:
         return type(params).model_validate(values) == params
     except ValidationError:
         return False
+
+
+def _no_number(literal: str) -> NoReturn:
+    raise ValueError(f"{literal} is not a number that JSON knows")
+
+
+def _finite(literal: str) -> float:
+    value = float(literal)
+    return value if math.isfinite(value) else _no_number(literal)

@@ -177,6 +177,10 @@ def _load(plugin: Plugin) -> Any:
     cls: Any = getattr(module, class_name, None)
     base_module, base_name = _BASES[plugin.kind]
     base = getattr(importlib.import_module(base_module), base_name)
+    if not hasattr(module, class_name):
+        near = difflib.get_close_matches(class_name, vars(module), n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise PluginError(f"{where}: {module_name} has no {class_name}{meant}")
     if not isinstance(cls, type) or not issubclass(cls, base):
         raise PluginError(f"{where}: {plugin.spec.target} is not a subclass of codecbench.{base_name}")
     name = getattr(cls, "name", None)

@@ -17,7 +17,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.storage.record import Record
+from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.meaning import meaning_of
@@ -51,7 +51,7 @@ def open_run(folder: str | Path, registry: Registry | None = None) -> RunResult:
         evaluator = evaluators.get(cell.evaluator.title)
         metrics = dict(meaning.metrics[cell.evaluator.title])
         results.append(_result(store, cell, record, evaluator, metrics, baselines[_group(cell)]))
-    return RunResult(Path(folder), plan, tuple(results), store.environments(), meaning)
+    return RunResult(Path(folder), plan, tuple(results), store.environments.read(), meaning)
 
 
 def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
@@ -60,7 +60,10 @@ def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
     for cell in plan.cells:
         if cell.id in present:
             try:
-                found.append((cell, store.read_record(cell.id, present[cell.id])))
+                record = store.read_record(cell.id, present[cell.id])
+                for name in record.files.keys() - {SAMPLES_FILE}:
+                    store.read_file(record, name)  # evaluators read artifacts by their path, unchecked
+                found.append((cell, record))
             except StoreError as error:
                 log.warning("%s; its cell is left out of the tables", error)
     return found
@@ -138,7 +141,8 @@ def _samples(store: Store, record: Record) -> pyarrow.Table:
     """The per-frame samples of a record; empty where it has none or they are damaged, which is reported."""
     try:
         content = store.samples(record)
-    except StoreError as error:
-        log.warning("%s", error)
-        content = None
-    return table_from_parquet(parquet_from_samples([]) if content is None else content)
+        if content is not None:
+            return table_from_parquet(content)
+    except (StoreError, OSError, ValueError) as error:
+        log.warning("%s: no samples of single frames: %s", store.record_folder(record.cell_id), error)
+    return table_from_parquet(parquet_from_samples([]))

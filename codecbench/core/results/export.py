@@ -12,12 +12,17 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.results.markdown import escaped
 from codecbench.core.results.markdown import table as markdown_table
 
 if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
+_LATEX = str.maketrans(
+    {**{special: f"\\{special}" for special in "&%$#_{}"}, "\\": "\\textbackslash{}", "~": "\\textasciitilde{}",
+     "^": "\\textasciicircum{}", "\n": " "}
+)  # fmt: skip
 
 
 def exported(frame: pd.DataFrame, format_: str) -> bytes:
@@ -39,7 +44,8 @@ def exported(frame: pd.DataFrame, format_: str) -> bytes:
         return (json.dumps(records, indent=1) + "\n").encode()
     rows = _objects(frame).to_numpy().tolist()
     if format_ == "markdown":
-        return markdown_table([str(name) for name in frame.columns], rows).encode()
+        heads = [escaped(str(name)) for name in frame.columns]
+        return markdown_table(heads, [[_markdown_cell(value) for value in row] for row in rows]).encode()
     if format_ == "latex":
         return _latex(frame).encode()
     raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
@@ -86,11 +92,15 @@ def json_value(value: object) -> object:
     return value
 
 
+def _markdown_cell(value: object) -> object:
+    return escaped(value) if isinstance(value, str) else value
+
+
 def _latex(frame: pd.DataFrame) -> str:
     """A booktabs table; pandas would want jinja2's styler for less control."""
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     lines = ["\\begin{tabular}{" + "".join("r" if is_number else "l" for is_number in numeric) + "}", "\\toprule"]
-    lines.append(" & ".join(_escaped(str(name)) for name in frame.columns) + " \\\\")
+    lines.append(" & ".join(str(name).translate(_LATEX) for name in frame.columns) + " \\\\")
     lines.append("\\midrule")
     lines += [" & ".join(map(_latex_cell, row)) + " \\\\" for row in _objects(frame).to_numpy().tolist()]
     return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
@@ -101,10 +111,4 @@ def _latex_cell(value: object) -> str:
         return "--"
     if isinstance(value, float):
         return "$\\infty$" if value == float("inf") else f"{value:.4g}"
-    return _escaped(str(value))
-
-
-def _escaped(text: str) -> str:
-    for special in "\\&%$#_{}":
-        text = text.replace(special, "\\textbackslash{}" if special == "\\" else f"\\{special}")
-    return text
+    return str(value).translate(_LATEX)

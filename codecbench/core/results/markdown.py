@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -28,7 +29,12 @@ def cell(value: object) -> str:
         return f"{value:.4g}" if abs(value) < 10_000 else f"{value:,.0f}"
     if isinstance(value, int) and not isinstance(value, bool):
         return f"{value:,}"
-    return str(value).replace("|", "\\|")
+    return " ".join(str(value).split("\n")).replace("|", "\\|")
+
+
+def escaped(text: str) -> str:
+    """Foreign text that a page would otherwise take for markup: links, pictures, HTML, code, emphasis."""
+    return re.sub(r"[\\`*\[\]]", r"\\\g<0>", text).replace("&", "&amp;").replace("<", "&lt;")
 
 
 def change(ours: float, theirs: float) -> str:

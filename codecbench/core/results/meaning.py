@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
@@ -37,11 +39,11 @@ def meaning_of(plan: Plan, evaluators: Mapping[str, Evaluator[Any]], registry: R
     for title in dict.fromkeys(cell.evaluator.title for cell in plan.cells):
         stored = plan.declared.get("evaluators", {}).get(title, {})
         here = evaluators.get(title)
-        known = [_read(Metric, value) for value in stored.get("metrics", ())] + list(here.metrics if here else ())
+        known = [_read(Metric, value) for value in _listed(stored, "metrics")] + list(here.metrics if here else ())
         metrics[title] = {}
         for metric in filter(None, known):
             metrics[title].setdefault(metric.name, metric)
-        drawn = [view for value in stored.get("views", ()) if (view := _read(View, value))]
+        drawn = [view for value in _listed(stored, "views") if (view := _read(View, value))]
         views[title] = tuple(drawn) if stored else tuple(here.views if here else ())
     references = {name: _reference(name, plan, registry) for name in dict.fromkeys(c.codec.name for c in plan.cells)}
     return Meaning(
@@ -62,12 +64,17 @@ def _reference(name: str, plan: Plan, registry: Registry) -> str:
         return ""
 
 
+def _listed(stored: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    found = stored.get(name)
+    return [value for value in found if isinstance(value, dict)] if isinstance(found, list) else []
+
+
 def _read(kind: type[Any], value: dict[str, Any]) -> Any:
     """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
     names = {field.name for field in fields(kind)}
-    known = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items() if key in names}
+    known = {key: part for key, part in value.items() if key in names}
     try:
-        return kind(**known)
-    except (CodecbenchError, TypeError) as error:
-        log.warning("plan.json: %s", error)
+        return TypeAdapter(kind).validate_python(known)
+    except (CodecbenchError, ValueError) as error:
+        log.warning("plan.json: %s", " ".join(str(error).split()))
         return None

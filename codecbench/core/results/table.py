@@ -15,6 +15,7 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.aggregate import aggregate
+from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.model import Cell
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def _chained(
     texts = samples[column].combine_chunks().dictionary_encode()
     more = texts.indices.fill_null(-1).to_numpy()
     shifted = np.where(more < 0, -1, more + len(names)).astype(np.int32)
-    return np.concatenate([codes, shifted]), names + texts.dictionary.to_pylist()
+    return np.concatenate([codes, shifted]), names + [clean_line(text) for text in texts.dictionary.to_pylist()]
 
 
 def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:

@@ -71,6 +71,8 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
 
 def _checked(name: str, archive: Path) -> PurePosixPath:
     path = PurePosixPath(name)
+    if not path.parts:
+        raise DatasetError(f"{archive}: a file is called {name!r}, which names none; nothing was unpacked")
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in path.parts[0]:
         raise DatasetError(f"{archive}: {name!r} would lie outside its folder; nothing was unpacked")
     return path

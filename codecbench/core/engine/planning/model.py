@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any, Final
+
+from pydantic import Field, TypeAdapter
 
 from codecbench.core.contracts.hooks import Kind
+from codecbench.core.engine.foreign_text import clean_line, clean_text, clean_value
 
 
 @dataclass(frozen=True)
@@ -137,25 +140,45 @@ class Plan:
         }
 
 
+_Id = Annotated[str, Field(pattern="^[0-9a-f]+$")]
+_Declared = dict[str, dict[str, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class _PlanBody:
+    """What `as_json` writes; texts of one line are cleaned, for the plan may come from elsewhere."""
+
+    name: str
+    matrix_text: str
+    run: RunSettings
+    sequences: list[SequenceEntry]
+    settings: list[PluginSetting]
+    jobs: list[tuple[_Id, int, int]]
+    cells: list[tuple[_Id, int, int, int, int, int, bool, _Id | None, str | None]]
+    declared: _Declared = field(default_factory=dict)
+
+
+_BODY: Final = TypeAdapter(_PlanBody)
+
+
 def plan_from_json(value: dict[str, Any]) -> Plan:
-    """The plan that `as_json` wrote. Raises KeyError, TypeError, ValueError or IndexError for anything else."""
-    sequences = [SequenceEntry(**{**entry, "dataset": _setting(entry["dataset"])}) for entry in value["sequences"]]
-    settings = [_setting(setting) for setting in value["settings"]]
-    run = {**value["run"], "executor": _setting(value["run"]["executor"])}
+    """The plan that `as_json` wrote, its texts fit to be shown. Raises ValueError or IndexError for anything else."""
+    body = _BODY.validate_python(value)
+    sequences = [replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset)) for entry in body.sequences]
+    settings = [_shown(setting) for setting in body.settings]
     return Plan(
-        name=value["name"],
-        matrix_text=value["matrix_text"],
-        run=RunSettings(**run),
+        name=clean_line(body.name),
+        matrix_text=clean_text(body.matrix_text),
+        run=body.run,
         sequences=tuple(sequences),
-        jobs=tuple(CodingJob(id_, sequences[at], settings[codec]) for id_, at, codec in value["jobs"]),
+        jobs=tuple(CodingJob(id_, sequences[at], settings[codec]) for id_, at, codec in body.jobs),
         cells=tuple(
-            Cell(id_, sequences[at], settings[codec], settings[evaluator], *rest)
-            for id_, at, codec, evaluator, *rest in value["cells"]
+            Cell(id_, sequences[at], settings[codec], settings[evaluator], repeat, seed, exclusive, job_id, unsupported)
+            for id_, at, codec, evaluator, repeat, seed, exclusive, job_id, unsupported in body.cells
         ),
-        declared=value.get("declared", {}),
+        declared=clean_value(body.declared),
     )
 
 
-def _setting(value: dict[str, Any]) -> PluginSetting:
-    uses = tuple(_setting(used) for used in value.get("uses", ()))
-    return PluginSetting(**{**value, "uses": uses, "inert": tuple(value.get("inert", ()))})
+def _shown(setting: PluginSetting) -> PluginSetting:
+    return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))

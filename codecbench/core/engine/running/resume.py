@@ -105,9 +105,9 @@ def _changed_default(cell: Cell, store: Store, registry: Registry) -> str | None
         then = store.read_record(cell.id).cell
     except StoreError:
         return None  # damaged or gone, which is another reason
-    stored = [then["codec"], then["evaluator"], *then.get("uses", ())]
+    stored = [then.get("codec"), then.get("evaluator"), *then.get("uses", ())]
     for before, setting in zip(stored, (cell.codec, cell.evaluator, *cell.evaluator.uses), strict=False):
-        reason = _changed_parameter(before["params"], setting, registry)
+        reason = _changed_parameter(before["params"], setting, registry) if before else "its record does not say which"
         if reason is not None:
             return f"{setting.kind} {setting.name}: {reason}"
     return None

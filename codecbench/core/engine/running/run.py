@@ -11,6 +11,7 @@ from typing import Any
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status, Task
+from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
@@ -20,7 +21,7 @@ from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
-from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
+from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker, tell_environment
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
@@ -125,6 +126,7 @@ class _Run:
             if cell.unsupported is not None and cell.id not in self.kept:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
+            self._mend_environments()
             return
         if self.executor.shares_files:  # elsewhere each machine has a cache of its own, and any worker may be on any
             self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
@@ -139,6 +141,23 @@ class _Run:
                 finished = self.executor.next_finished(0.0)
         if interruption.requested:
             log.warning("ended by %s; %d jobs and cells were left", interruption.signal_name, len(self.schedule))
+
+    def _mend_environments(self) -> None:
+        """Have a worker tell its environment again, where a file is damaged that no cell's worker will write."""
+        damaged = self.store.environments.damaged()
+        if not damaged:
+            return
+        self.executor.start(1, prepare_worker)
+        self.executor.submit(Task("environment", tell_environment, None, self.plan.run.timeout_s))
+        while (finished := self.executor.next_finished(_POLL_S)) is None or finished.task_id != "environment":
+            pass
+        if finished.value is not None:
+            name, description = finished.value
+            self.store.environments.write(name, description)
+        for name, reason in damaged.items():
+            mended = finished.value is not None and finished.value[0] == name
+            outcome = "it was written again" if mended else "no worker of this run can tell it again"
+            log.warning("environment/%s.json is damaged (%s); %s", name, reason, outcome)
 
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
@@ -177,7 +196,7 @@ class _Run:
             return
         work = self.under_way.pop(finished.task_id)
         outcome: Record | BitstreamDamage = finished.value or Record(
-            work.id, finished.status, finished.reason, finished.traceback
+            work.id, finished.status, clean_line(finished.reason), clean_text(finished.traceback)
         )
         if isinstance(work, CodingJob):
             assert isinstance(outcome, Record)

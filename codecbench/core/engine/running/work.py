@@ -30,6 +30,7 @@ from codecbench.core.contracts.evaluator import (
 )
 from codecbench.core.contracts.executor import Status
 from codecbench.core.engine.aggregate import summarise
+from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
 from codecbench.core.engine.running.schedule import Work
@@ -66,6 +67,11 @@ def prepare_worker() -> None:
     _workbench()
 
 
+def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
+    """The id and the description of this worker's environment."""
+    return _workbench().environment, _workbench().environment_description
+
+
 def perform(order: Order) -> Record | BitstreamDamage:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
     begun, started = time.monotonic(), datetime.now(UTC)
@@ -90,14 +96,14 @@ def perform(order: Order) -> Record | BitstreamDamage:
 
 def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record:
     status: Status = "unsupported" if isinstance(error, Unsupported) else "failed"
-    trace = "".join(traceback.format_exception(error))
+    trace = clean_text("".join(traceback.format_exception(error)))
     return Record(work.id, status, _reason(error, position), trace)
 
 
 def _reason(error: BaseException, position: WorkPosition) -> str:
     """One line: where the work had got to, and what happened there."""
     text = str(error) if isinstance(error, CodecbenchError) else f"{type(error).__name__}: {error}"
-    return " ".join((f"{position}: {text}" if str(position) else text).split())
+    return clean_line(" ".join((f"{position}: {text}" if str(position) else text).split()))
 
 
 def _start_afresh(identity: str) -> None:
@@ -124,10 +130,10 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
     bitstreams = encode_sequence(codec, sequence, position)
     if isinstance(order.bitstreams, Path):
         with open_whole(order.bitstreams) as file:
-            write_bitstreams(file, bitstreams)
+            write_bitstreams(file, bitstreams, job.id)
         return Record(job.id, "ok")
     stream = BytesIO()
-    write_bitstreams(stream, bitstreams)
+    write_bitstreams(stream, bitstreams, job.id)
     return Record(job.id, "ok", contents={BITSTREAMS: stream.getvalue()})
 
 
@@ -146,7 +152,8 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
             found = list(check.checked(evaluator.evaluate(codec, sequence, context)))
         else:
             assert order.bitstreams is not None
-            coded = CodedFrames(sequence, codec, BitstreamFile(order.bitstreams), position)
+            assert cell.job_id is not None
+            coded = CodedFrames(sequence, codec, BitstreamFile(order.bitstreams, cell.job_id), position)
             found = list(_of_coded(evaluator, coded, context, check, position))
         position.at("artifacts")
         contents = _artifacts(Path(folder))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.executor import Status
-from codecbench.core.engine.identity import digest
+from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.storage.samples import (
     json_from_measurement,
@@ -63,6 +66,52 @@ class Record:
     environment_description: dict[str, Any] = field(default_factory=dict, repr=False)
 
 
+FileName = Annotated[str, Field(pattern=r"^[^./\x00][^/\x00]*$")]
+"""Of a file beside a record: in its folder and nowhere else."""
+
+_Value = float | Literal["inf", "-inf"] | None
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class _Plugin(_Document):
+    params: dict[str, Any]
+
+
+class _Description(_Document):
+    """What readers rely on of a cell's description."""
+
+    codec: _Plugin | None = None
+    evaluator: _Plugin | None = None
+    uses: list[_Plugin] = []
+
+
+class _File(_Document):
+    size: int
+    digest: str
+
+
+class _Body(_Document):
+    """A record as JSON types; entries that a later version may add are left out."""
+
+    cell_id: str
+    status: Status
+    reason: str
+    traceback: str
+    measurements: list[Annotated[tuple[str, _Value, str | None, str | None], Strict(False)]]
+    summaries: list[Annotated[tuple[str, str, str, _Value], Strict(False)]]
+    metrics: list[str] = []
+    files: dict[FileName, _File]
+    environment: str | None
+    libraries: dict[str, Any]
+    started_utc: str
+    duration_s: float
+    worker: dict[str, Any]
+    cell: _Description
+
+
 def cell_description(cell: Cell) -> dict[str, Any]:
     """What entered the cell's identity, in readable form, so that a record means something on its own."""
 
@@ -82,7 +131,7 @@ def cell_description(cell: Cell) -> dict[str, Any]:
 
 def settings_digest(description: dict[str, Any]) -> str:
     """The digest of all parameters of the plugins that a cell's description names, those at their default too."""
-    named = [description.get("codec", {}), description.get("evaluator", {}), *description.get("uses", ())]
+    named = [description.get("codec") or {}, description.get("evaluator") or {}, *description.get("uses", ())]
     return digest([plugin.get("params") for plugin in named])
 
 
@@ -103,7 +152,7 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
     need not be worked out again.
     """
     try:
-        body = json.loads(content)
+        body = json_from_bytes(content)
         checksum, schema = body.pop("checksum"), body["schema"]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordDamage(f"not a record: {error}") from error
@@ -111,8 +160,17 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
         raise RecordDamage(f"written in format {schema}; this version reads {SCHEMA}")
     if not known_good and digest(body) != checksum:
         raise RecordDamage("its checksum does not match its content")
-    del body["schema"]
-    body["metrics"] = tuple(body.get("metrics", ()))
-    body["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
-    body["summaries"] = {(m, stage, how): value_from_json(v) for m, stage, how, v in body["summaries"]}
-    return Record(**body)
+    try:
+        _Body.model_validate(body)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordDamage(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    known = {name: body[name] for name in _Body.model_fields if name in body}
+    known["metrics"] = tuple(body.get("metrics", ()))
+    known["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
+    known["summaries"] = {
+        (clean_line(metric), clean_line(stage), clean_line(how)): value_from_json(value)
+        for metric, stage, how, value in body["summaries"]
+    }
+    known["reason"], known["traceback"] = clean_line(body["reason"]), clean_text(body["traceback"])
+    return Record(**known)

@@ -10,17 +10,21 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
-from codecbench.core.engine.identity import content_digest
+from pydantic import Strict, TypeAdapter
+
+from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.identity import content_digest, json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.engine.storage.record import RECORD_FILE, Record, settings_digest
+from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.storage.record import RECORD_FILE, FileName, Record, settings_digest
 
 _SEPARATOR: Final = " "
-_FIELDS: Final = 6
-"""Of a line; one with fewer was written by an earlier version, and its record is read instead."""
+_LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str], Strict(False)])
+"""Fields of a line; where one is otherwise, as earlier versions wrote it, the record is read instead."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,8 @@ class RecordIndex:
     def read(self) -> dict[str, IndexEntry]:
         """The latest entry of each cell; damaged lines are left out."""
         try:
-            content = self._path.read_bytes()
-        except FileNotFoundError:
+            content = read_plain(self._path)
+        except OSError:
             return {}
         found: dict[str, IndexEntry] = {}
         for line in content.split(b"\n"):
@@ -91,5 +95,9 @@ def _entry_from_line(line: bytes) -> IndexEntry | None:
     crc, _, text = line.partition(_SEPARATOR.encode())
     if len(crc) != 8 or crc != b"%08x" % zlib.crc32(text):
         return None
-    fields = json.loads(text)
-    return IndexEntry(*fields) if len(fields) == _FIELDS else None
+    try:
+        entry = IndexEntry(*_LINE.validate_python(json_from_bytes(text)))
+    except ValueError:
+        return None
+    entry = replace(entry, status=clean_line(entry.status), reason=clean_line(entry.reason))
+    return entry if RECORD_FILE in entry.digests else None

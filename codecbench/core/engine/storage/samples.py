@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement
+from codecbench.core.engine.foreign_text import clean_line
 
 if TYPE_CHECKING:
     import pyarrow
@@ -20,12 +20,21 @@ class MeasurementError(CodecbenchError):
     """An evaluator yielded something that is not a measurement of a metric that it declared."""
 
 
+MOST_WITHOUT_FRAME: Final = 5_000
+MOST_OF_FRAMES: Final = 1_000_000
+MOST_STAGES: Final = 1_000
+"""Measurements of one cell that belong to no frame, and to frames; stages of one metric. With more, tables would take
+minutes, and what there is to say is better said by fewer."""
+
+
 class MeasurementCheck:
-    """Checks what an evaluator yields against what it declared."""
+    """Checks what an evaluator yields in a cell against what it declared, and that there is an end to it."""
 
     def __init__(self, evaluator: Evaluator[Any], frames: int) -> None:
         self._metrics = {metric.name for metric in evaluator.metrics}
+        self._stages: dict[str, set[str | None]] = {name: set() for name in self._metrics}
         self._frames = frames
+        self._without_frame = self._of_frames = 0
 
     def checked(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
         """The measurements, with `frame` filled in where given. Raises MeasurementError at the first wrong one."""
@@ -51,7 +60,21 @@ class MeasurementCheck:
             raise MeasurementError(f"{name}: measured on frame {frame} but yielded for frame {measurement.frame}")
         if frame is not None and not (isinstance(frame, int | np.integer) and 0 <= frame < self._frames):
             raise MeasurementError(f"{name}: frame {frame!r} is not one of 0..{self._frames - 1}")
-        return replace(measurement, value=float(value), frame=None if frame is None else int(frame))
+        self._count(name, measurement.stage, frame)
+        stage, reason = (None if text is None else clean_line(text) for text in (measurement.stage, measurement.reason))
+        return Measurement(name, float(value), None if frame is None else int(frame), stage, reason)
+
+    def _count(self, name: str, stage: str | None, frame: int | None) -> None:
+        """Raise MeasurementError where a cell has more than any table should have to show."""
+        self._without_frame += frame is None
+        self._of_frames += frame is not None
+        self._stages[name].add(stage)
+        if self._without_frame > MOST_WITHOUT_FRAME:
+            raise MeasurementError(f"{name}: more than {MOST_WITHOUT_FRAME:,} measurements that belong to no frame")
+        if self._of_frames > MOST_OF_FRAMES:
+            raise MeasurementError(f"{name}: more than {MOST_OF_FRAMES:,} measurements of frames in one cell")
+        if len(self._stages[name]) > MOST_STAGES:
+            raise MeasurementError(f"{name}: more than {MOST_STAGES:,} stages")
 
 
 def parquet_from_samples(samples: list[Measurement]) -> bytes:
@@ -75,11 +98,14 @@ def parquet_from_samples(samples: list[Measurement]) -> bytes:
 
 
 def table_from_parquet(content: bytes) -> pyarrow.Table:
-    """The columns that `parquet_from_samples` wrote."""
+    """The columns that `parquet_from_samples` wrote. Raises ValueError or OSError for anything else."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
+    table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
+    if table.schema.names != ["metric", "frame", "stage", "value", "reason"]:
+        raise ValueError(f"its columns are {', '.join(table.schema.names)}")
+    return table
 
 
 def json_from_value(value: float) -> float | str | None:
@@ -102,4 +128,5 @@ def json_from_measurement(measurement: Measurement) -> list[Any]:
 def measurement_from_json(row: list[Any]) -> Measurement:
     """The measurement that `json_from_measurement` wrote."""
     metric, value, stage, reason = row
-    return Measurement(metric, value_from_json(value), None, stage, reason)
+    stage, reason = (None if text is None else clean_line(text) for text in (stage, reason))
+    return Measurement(clean_line(metric), value_from_json(value), None, stage, reason)

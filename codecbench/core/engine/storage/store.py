@@ -4,13 +4,13 @@
     records/index.jsonl  tables/  report/  run.log  lock
 
 Every file is written whole and renamed. A record is one folder (record.json, frames.parquet, artifacts) that
-is renamed into place whole, so it is complete or absent. Damage is found by digests, reported and recomputed.
+is renamed into place whole, so it is complete or absent. Every file says what it belongs to and carries a checksum:
+damage is found, reported, and made again by the next run. Links that lead out of the folder are refused.
 """
 
 from __future__ import annotations
 
 import fcntl
-import json
 import logging
 import os
 import socket
@@ -22,10 +22,14 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.identity import canonical_json, content_digest, digest
+from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.identity import canonical_json, content_digest, digest, json_from_bytes
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.environment_files import EnvironmentFiles
+from codecbench.core.engine.storage.origin import is_from_here, origin_here
+from codecbench.core.engine.storage.plain_file import open_plain, read_plain, refuse_links
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
     SAMPLES_FILE,
@@ -37,6 +41,9 @@ from codecbench.core.engine.storage.record import (
 from codecbench.core.engine.storage.record_index import IndexEntry, RecordIndex, entry_from_record
 
 log = logging.getLogger("codecbench.store")
+
+_DEPTH: Final = 3
+"""Levels of a run folder on which it has files and folders of its own: `records/ab/<cell>`."""
 
 _DURABLE_FROM_S: Final = 1.0
 """A record of a cell that took longer is waited for until the disk has it; a quicker one is cheaper to redo."""
@@ -51,18 +58,22 @@ class Store:
         self.coded_folder = folder / "coded"
         self.log_path = folder / "run.log"
         self._index = RecordIndex(self.records_folder / "index.jsonl")
+        self.environments = EnvironmentFiles(folder / "environment")
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for writing. Raises StoreError where another process does.
+        """Hold the folder for writing. Raises StoreError where another process does, or a link leads out of it.
 
         The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with open(self.folder / "lock", "a+", encoding="utf-8") as stream:
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            refuse_links(self.folder, _DEPTH)
+            lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
+        with lock as stream:
             if not _locked(stream):
                 stream.seek(0)
-                holder = stream.read().strip() or "another process"
+                holder = clean_line(stream.read(1000).strip()) or "another process"
                 message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
                 raise StoreError(message)
             with self._writing():
@@ -74,45 +85,65 @@ class Store:
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
         try:
-            with open(self.folder / "lock", encoding="utf-8") as stream:
+            with open_plain(self.folder / "lock") as stream:
                 fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except FileNotFoundError:
-            return False
         except BlockingIOError:
             return True
+        except OSError:
+            return False
         return False
 
     def write_plan(self, plan: Plan) -> None:
-        write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
+        """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""
         body = plan.as_json()
-        document = {"checksum": digest(body), "plan": body}
-        write_file(self.folder / "plan.json", canonical_json(document))
+        content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
+        with self._writing():
+            write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
+            write_file(self.folder / "plan.json", canonical_json({"checksum": digest(content), **content}))
 
     def read_plan(self) -> Plan:
-        """The plan of the last run in this folder. Raises StoreError where it is missing or damaged."""
+        """The plan of the last run in this folder.
+
+        Raises StoreError where it is missing or damaged, or the folder has links that lead out of it.
+        """
         path = self.folder / "plan.json"
+        refuse_links(self.folder, _DEPTH)
         try:
-            document = json.loads(path.read_bytes())
-            body = document["plan"]
-            if digest(body) != document["checksum"]:
-                raise ValueError("its checksum does not match its content")
-            return plan_from_json(body)
+            plan = plan_from_json(self._plan_document()["plan"])
         except FileNotFoundError:
             raise StoreError(f"{self.folder} is not a run folder: it has no plan.json") from None
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            message = f"{path} is damaged ({error}); run the matrix again, which computes only what is missing"
+        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+            reason = clean_line(str(error))
+            message = f"{path} is damaged ({reason}); run the matrix again, which computes only what is missing"
             raise StoreError(message) from error
+        self._compare_matrix(plan)
+        return plan
 
-    def write_environment(self, name: str, description: dict[str, Any]) -> None:
-        """Keep the description of the environment of this id, unless it is there."""
-        path = self.folder / "environment" / f"{name}.json"
-        if not path.exists():
-            write_file(path, json.dumps(description, indent=1).encode() + b"\n")
+    def origin_elsewhere(self) -> str | None:
+        """Where the plan was made, for people, or None where it was here. Raises like `read_plan`."""
+        document = self._plan_document()
+        origin = document.get("origin")
+        if not isinstance(origin, dict):
+            return "a place that it does not name"
+        if is_from_here(digest(document["plan"]), origin):
+            return None
+        return clean_line(f"{origin.get('folder')} on {origin.get('host')} by {origin.get('user')}")
 
-    def environments(self) -> dict[str, dict[str, Any]]:
-        """All environments of this run by id."""
-        paths = sorted((self.folder / "environment").glob("*.json"))
-        return {path.stem: json.loads(path.read_bytes()) for path in paths}
+    def _plan_document(self) -> dict[str, Any]:
+        """The content of plan.json. Raises ValueError, KeyError or TypeError where its checksum is wrong."""
+        document: dict[str, Any] = json_from_bytes(read_plain(self.folder / "plan.json"))
+        content = {"plan": document["plan"], "origin": document["origin"]} if "origin" in document else document["plan"]
+        if digest(content) != document["checksum"]:
+            raise ValueError("its checksum does not match its content")
+        return document
+
+    def _compare_matrix(self, plan: Plan) -> None:
+        """Say so where the copy of the matrix is not what the plan was made of."""
+        with suppress(OSError):
+            if clean_text(read_plain(self.folder / "matrix.yaml").decode(errors="replace")) == plan.matrix_text:
+                return
+        path = self.folder / "matrix.yaml"
+        log.warning("%s is damaged or missing: it is not what the plan was made of; the next run writes it again", path)
 
     def coded_path(self, job_id: str) -> Path:
         return self.coded_folder / f"{job_id}.bits"
@@ -123,7 +154,7 @@ class Store:
         if not path.exists():
             return False
         try:
-            if len(BitstreamFile(path)) == frames:
+            if len(BitstreamFile(path, job_id)) == frames:
                 return True
             reason = "it has another number of frames"
         except BitstreamDamage as error:
@@ -139,7 +170,8 @@ class Store:
     def drop_coded(self, job_id: str, reason: str) -> None:
         """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""
         log.warning("coded/%s.bits will be encoded again: %s", job_id, reason)
-        self.coded_path(job_id).unlink(missing_ok=True)
+        with self._writing():
+            self.coded_path(job_id).unlink(missing_ok=True)
 
     def record_folder(self, cell_id: str) -> Path:
         return Path(f"{self.records_folder}/{cell_id[:2]}/{cell_id}")
@@ -156,7 +188,7 @@ class Store:
         durable = record.duration_s >= _DURABLE_FROM_S
         with self._writing():
             if record.environment is not None:
-                self.write_environment(record.environment, description)
+                self.environments.write(record.environment, description)
             write_folder(self.record_folder(record.cell_id), {**contents, RECORD_FILE: content}, durable=durable)
             self._index.append(entry_from_record(record, content))
         return record
@@ -168,13 +200,12 @@ class Store:
         """
         path = f"{self.records_folder}/{cell_id[:2]}/{cell_id}/{RECORD_FILE}"
         try:
-            with open(path, "rb", buffering=0) as stream:
-                content = stream.read()
+            content = read_plain(path)
             indexed = entry is not None and content_digest(content) == entry.digests[RECORD_FILE]
             record = record_from_bytes(content, known_good=indexed)
         except FileNotFoundError:
             raise StoreError(f"{self.folder} has no record of cell {cell_id}") from None
-        except RecordDamage as error:
+        except (RecordDamage, OSError) as error:
             raise RecordDamage(f"{path}: {error}") from error
         if record.cell_id != cell_id:
             raise RecordDamage(f"{path}: it is the record of cell {record.cell_id}")
@@ -184,9 +215,11 @@ class Store:
         """A file beside a record, checked against it. Raises RecordDamage where it is not what was written."""
         path = self.record_folder(record.cell_id) / name
         try:
-            content = path.read_bytes()
+            content = read_plain(path)
         except FileNotFoundError:
             raise RecordDamage(f"{path} is missing") from None
+        except OSError as error:
+            raise RecordDamage(f"{path}: {error}") from error
         if content_digest(content) != record.files[name]["digest"]:
             raise RecordDamage(f"{path} is not what was written (digest differs)")
         return content
@@ -227,12 +260,14 @@ class Store:
         return sound, damaged
 
     def drop_record(self, cell_id: str) -> None:
-        if self.record_folder(cell_id).exists():
-            remove_folder(self.record_folder(cell_id))
+        with self._writing():
+            if self.record_folder(cell_id).exists():
+                remove_folder(self.record_folder(cell_id))
 
     def rebuild_index(self) -> None:
         """Write the index again from what is there; the engine does so when a run ends."""
-        self._index.rewrite(self.entries().values())
+        with self._writing():
+            self._index.rewrite(self.entries().values())
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -246,10 +281,11 @@ class Store:
         folder = f"{self.records_folder}/{entry.cell_id[:2]}/{entry.cell_id}/"
         for name, expected in entry.digests.items():
             try:
-                with open(folder + name, "rb", buffering=0) as stream:
-                    content = stream.read()
+                content = read_plain(folder + name)
             except FileNotFoundError:
                 return f"{name} is missing"
+            except OSError as error:
+                return f"{name} cannot be read: {error.strerror}"
             if content_digest(content) != expected:
                 return f"{name} is damaged (digest differs)"
         return None
@@ -257,8 +293,8 @@ class Store:
     def _entry(self, cell_id: str) -> IndexEntry | None:
         path = self.record_folder(cell_id) / RECORD_FILE
         try:
-            return entry_from_record(self.read_record(cell_id), path.read_bytes())
-        except StoreError as error:
+            return entry_from_record(self.read_record(cell_id), read_plain(path))
+        except (StoreError, OSError) as error:
             log.warning("%s", error)
             return None
 
@@ -273,7 +309,7 @@ class Store:
 
     def _tidy(self) -> None:
         """Make the folders and delete what interrupted writers left."""
-        for folder in (self.folder, self.records_folder, self.coded_folder, self.folder / "environment"):
+        for folder in (self.folder, self.records_folder, self.coded_folder, self.environments.folder):
             folder.mkdir(parents=True, exist_ok=True)
             sweep(folder)
         for shard in self.records_folder.glob("??"):

@@ -8,8 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import TypeAdapter
+
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.foreign_text import clean_line, clean_value
+from codecbench.core.engine.identity import json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.collect import open_run
 from codecbench.core.results.export import json_value
@@ -55,6 +59,10 @@ class Snapshot:
     name: str
     machines: tuple[str, ...]
     series: tuple[Series, ...]
+
+
+_SERIES: Final = TypeAdapter(Series)
+_SNAPSHOT: Final = TypeAdapter(Snapshot)
 
 
 def snapshot_of(run: RunResult) -> Snapshot:
@@ -119,17 +127,18 @@ def read_snapshot(path: Path) -> Snapshot:
         return snapshot_of(open_run(path))
     try:
         head, *lines = path.read_text().splitlines()
-        facts = json.loads(head)
+        facts = clean_value(json_from_bytes(head))
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']}, this version reads {FORMAT}")
-        series = tuple(_read(json.loads(line)) for line in lines)
-        return Snapshot(facts["name"], tuple(facts["machines"]), series)
+        series = tuple(_read(clean_value(json_from_bytes(line))) for line in lines)
+        return _SNAPSHOT.validate_python({"name": facts["name"], "machines": facts["machines"], "series": series})
     except FileNotFoundError:
         raise StoreError(f"{path} is neither a run folder nor a baseline file") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{path} is not a baseline that `codecbench compare --save` wrote: {error}") from error
+        reason = clean_line(str(error))
+        raise StoreError(f"{path} is not a baseline that `codecbench compare --save` wrote: {reason}") from error
 
 
 def _read(value: dict[str, Any]) -> Series:
     numbers = tuple(float("nan") if number is None else float(number) for number in value["values"])
-    return Series(**{**value, "values": numbers})
+    return _SERIES.validate_python({**value, "values": numbers})

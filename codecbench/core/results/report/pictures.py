@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.errors import CodecbenchError, DatasetError
+from codecbench.core.contracts.evaluator import CodedFrame
+from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.running.coding import CodedFrames, WorkPosition
+from codecbench.core.engine.running.coding import checked_decoding
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.report.frame_views import FrameView, frame_view
@@ -19,20 +23,29 @@ from codecbench.core.results.run_result import RunResult
 
 log = logging.getLogger("codecbench.report")
 
+SAME_PLACE: Final = "same"
+"""Says that sequences are opened where the plan names them."""
+
 _SETTINGS_A_SEQUENCE: Final = 36
 """Settings whose pictures the page shows of one sequence, spread over the rates."""
 
 
-def frame_pictures(run: RunResult, budget_bytes: int) -> dict[str, Any]:
+def frame_pictures(run: RunResult, budget_bytes: int, sequences_from: str | None = None) -> dict[str, Any]:
     """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly.
 
+    sequences_from: a folder in which sequences are looked for, or `same` for where the plan says, even if the run was
+    made elsewhere; None opens only what this user's own plan names.
     Each sequence has an equal share of the budget; where it does not do for all settings, they are thinned evenly.
     """
     originals: list[str] = []
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     for entry in run.plan.sequences:
-        views = [(setting, rate, view) for setting, rate in _chosen(run, entry) if (view := _view(run, entry, setting))]
+        middle = _middle_frame(run, entry, sequences_from)
+        if middle is None:
+            continue
+        chosen = _chosen(run, entry)
+        views = [(setting, rate, view) for setting, rate in chosen if (view := _view(run, entry, middle, setting))]
         views = _thinned(views, share)
         for setting, rate, view in views:
             name = f"{setting.name} {setting.label}".strip()
@@ -86,14 +99,49 @@ def _thinned(views: list[_View], budget_bytes: int) -> list[_View]:
     return []
 
 
-def _view(run: RunResult, entry: SequenceEntry, setting: PluginSetting) -> FrameView | None:
-    """The middle frame of a sequence under a setting; None, with a line in the log, where it cannot be made again."""
-    path = Store(run.folder).coded_path(coding_id(entry, setting))
+def _middle_frame(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> Frame | None:
+    """The middle frame of a sequence; None, with a line in the log, where it is not there or no longer the same."""
     try:
-        sequence = installed().create("dataset", entry.dataset.name, entry.dataset.params).open()
-        codec = installed().create("codec", setting.name, setting.params)
-        coded = CodedFrames(sequence, codec, BitstreamFile(path), WorkPosition())
-        return frame_view(coded.frame(entry.frames // 2))
+        sequence = _opened(run, entry, sequences_from)
+        if sequence.fingerprint != entry.fingerprint or len(sequence) != entry.frames:
+            raise DatasetError("its frames are no longer those of the run")
+        return sequence.read(entry.frames // 2)
     except (CodecbenchError, OSError, ValueError) as error:
+        log.warning("no pictures of %s: %s", entry.name, clean_line(str(error)))
+        return None
+
+
+def _opened(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> Sequence:
+    params = entry.dataset.params
+    elsewhere = Store(run.folder).origin_elsewhere() if sequences_from is None else None
+    if elsewhere is not None:
+        message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
+        raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")
+    if sequences_from not in (None, SAME_PLACE):
+        params = {name: _relocated(value, Path(sequences_from)) for name, value in params.items()}
+    sequence: Sequence = installed().create("dataset", entry.dataset.name, params).open()
+    return sequence
+
+
+def _relocated(value: Any, folder: Path) -> Any:
+    """A parameter that is a path, as it is called in `folder`; others as they are. Raises DatasetError."""
+    if not isinstance(value, str) or "/" not in value:
+        return value
+    home, parts = folder.resolve(), [part for part in Path(value).parts if part not in ("/", "..")]
+    for start in range(len(parts)):
+        path = home.joinpath(*parts[start:])
+        if path.exists() and path.resolve().is_relative_to(home):
+            return str(path)
+    raise DatasetError(f"{parts[-1] if parts else value} is not in {folder}")
+
+
+def _view(run: RunResult, entry: SequenceEntry, middle: Frame, setting: PluginSetting) -> FrameView | None:
+    """The middle frame of a sequence under a setting; None, with a line in the log, where it cannot be made again."""
+    job_id = coding_id(entry, setting)
+    try:
+        bitstream = BitstreamFile(Store(run.folder).coded_path(job_id), job_id).read(middle.index)
+        codec = installed().create("codec", setting.name, setting.params)
+        return frame_view(CodedFrame(middle, bitstream, checked_decoding(codec.decode(bitstream), middle.image)))
+    except (CodecbenchError, IndexError, OSError, ValueError) as error:
         log.warning("no picture of %s %s on %s: %s", setting.name, setting.label, entry.name, error)
         return None

@@ -24,6 +24,10 @@ _REST_BYTES: Final = 150_000
 """Kept for the page's text, style and script, and for what is said of failures."""
 
 
+_MOST_FAILURES: Final = 500
+"""Cells without a result of which the page tells the reason."""
+
+
 def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     """The page as HTML text.
 
@@ -106,7 +110,8 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _failures(run: RunResult) -> list[list[str]]:
-    return [
+    """A row for each cell without a result, as far as the page shows them, and one that counts the others."""
+    rows = [
         [
             r.cell.sequence.name,
             r.cell.codec.name,
@@ -119,3 +124,7 @@ def _failures(run: RunResult) -> list[list[str]]:
         for r in run.results
         if r.status != "ok"
     ]
+    left_out = len(rows) - _MOST_FAILURES
+    if left_out <= 0:
+        return rows
+    return [*rows[:_MOST_FAILURES], [f"... and {left_out} more; `codecbench status --failed` lists them", *[""] * 6]]

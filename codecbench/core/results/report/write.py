@@ -13,14 +13,15 @@ from codecbench.core.results.report.render import render
 from codecbench.core.results.run_result import RunResult
 
 
-def write_report(run: RunResult, path: Path, format_: str = "html") -> int:
+def write_report(run: RunResult, path: Path, format_: str = "html", *, sequences_from: str | None = None) -> int:
     """Write the report of a run and return its size in bytes.
 
-    `html`: the whole page. `md`, `latex`: the short table, for a pull request or a paper. Raises ParamsError
-    for another format.
+    `html`: the whole page. `md`, `latex`: the short table, for a pull request or a paper. sequences_from: where the
+    frames are that the page shows, a folder or `same` for where the plan says; None shows them only of a run that was
+    made here. Raises ParamsError for another format.
     """
     if format_ == "html":
-        content = render(run, partial(frame_pictures, run)).encode()
+        content = render(run, partial(frame_pictures, run, sequences_from=sequences_from)).encode()
     elif format_ in ("md", "latex"):
         content = exported(short_table(run), "markdown" if format_ == "md" else "latex")
     else:

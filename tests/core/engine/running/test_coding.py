@@ -23,22 +23,24 @@ from codecbench.core.engine.running.coding import (
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 
+JOB = "0f" * 16
+
 
 def filed(*bitstreams: bytes) -> bytes:
     stream = BytesIO()
-    assert write_bitstreams(stream, bitstreams) == sum(map(len, bitstreams))
+    assert write_bitstreams(stream, bitstreams, JOB) == sum(map(len, bitstreams))
     return stream.getvalue()
 
 
 def read_all(content: bytes) -> list[bytes]:
-    file = BitstreamFile(content)
+    file = BitstreamFile(content, JOB)
     return [file.read(index) for index in range(len(file))]
 
 
 @given(st.lists(st.binary(min_size=1, max_size=50), max_size=8))
 def test_bitstreams_come_back_as_they_were(bitstreams: list[bytes]) -> None:
     content = filed(*bitstreams)
-    file = BitstreamFile(content)
+    file = BitstreamFile(content, JOB)
     assert read_all(content) == bitstreams
     body, footer = content[:-40], content[-40:]
     assert hashlib.blake2b(body, digest_size=16).digest() == footer[20:36]
@@ -54,29 +56,38 @@ def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
             read_all(bytes(broken))
     for length in range(len(whole)):
         with pytest.raises(BitstreamDamage):
-            BitstreamFile(whole[:length])
+            BitstreamFile(whole[:length], JOB)
     path = tmp_path / "cut.bits"
     path.write_bytes(whole[:-1])
     with pytest.raises(BitstreamDamage, match=r"cut\.bits"):
-        BitstreamFile(path)
+        BitstreamFile(path, JOB)
 
 
 def test_a_damaged_bitstream_is_noticed_when_it_is_read() -> None:
     broken = bytearray(filed(b"first", b"second"))
-    broken[9] ^= 1
-    file = BitstreamFile(bytes(broken))
+    broken[41] ^= 1
+    file = BitstreamFile(bytes(broken), JOB)
     assert file.read(1) == b"second"
     with pytest.raises(BitstreamDamage, match="bitstream 0"):
         file.read(0)
+
+
+def test_a_file_says_whose_bitstreams_it_holds() -> None:
+    with pytest.raises(BitstreamDamage, match=f"holds the bitstreams of job {JOB}, not of {'1e' * 16}"):
+        BitstreamFile(filed(b"first"), "1e" * 16)
+    earlier = bytearray(filed(b"first"))
+    earlier[7] = 1
+    with pytest.raises(BitstreamDamage, match="an earlier version wrote it"):
+        BitstreamFile(bytes(earlier), JOB)
 
 
 def test_frames_are_decoded_by_an_instance_that_encoded_nothing(tmp_path: Path) -> None:
     sequence = plain_plugins.RampSequence(plain_plugins.RampParams(frames=3))
     path = tmp_path / "job.bits"
     with open(path, "wb") as stream:
-        write_bitstreams(stream, encode_sequence(plain_plugins.Shift.create(bits=3), sequence, WorkPosition()))
+        write_bitstreams(stream, encode_sequence(plain_plugins.Shift.create(bits=3), sequence, WorkPosition()), JOB)
     position = WorkPosition("evaluate")
-    coded = CodedFrames(sequence, plain_plugins.Shift.create(bits=0), BitstreamFile(path), position)
+    coded = CodedFrames(sequence, plain_plugins.Shift.create(bits=0), BitstreamFile(path, JOB), position)
     assert len(coded) == 3
     for index, one in enumerate(coded):
         assert one.original.index == index
@@ -88,7 +99,7 @@ def test_frames_are_decoded_by_an_instance_that_encoded_nothing(tmp_path: Path) 
 def test_a_file_of_another_length_is_refused() -> None:
     sequence = plain_plugins.RampSequence(plain_plugins.RampParams(frames=3))
     with pytest.raises(CodingError, match="1 bitstreams for 3 frames of ramp"):
-        CodedFrames(sequence, plain_plugins.Shift.create(), BitstreamFile(filed(b"x")), WorkPosition())
+        CodedFrames(sequence, plain_plugins.Shift.create(), BitstreamFile(filed(b"x"), JOB), WorkPosition())
 
 
 @pytest.mark.parametrize(

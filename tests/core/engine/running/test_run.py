@@ -49,7 +49,7 @@ def test_a_run_computes_every_cell_once_and_reports_as_it_goes(bench: Bench) -> 
 def test_records_say_what_where_and_when(bench: Bench) -> None:
     plan = bench.plan(matrix("{use: faulty, params: {step: 1}}", "wandering, whole"))
     bench.run(plan)
-    environments = bench.store().environments()
+    environments = bench.store().environments.read()
     for cell, record in bench.records(plan).values():
         assert record.environment in environments
         assert record.cell["codec"] == {

@@ -1,0 +1,54 @@
+"""Text that plugins, records and plans bring, made fit to be shown: no control characters, and never endless.
+
+It passes here once, where it comes in: when something fails in a worker, and when a run folder is read. What shows it
+then only escapes what its format would take for markup.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+from codecbench.core.engine.identity import content_digest
+
+LINE_LIMIT: Final = 1_000
+"""Characters of a name, a label or a reason."""
+
+TEXT_LIMIT: Final = 100_000
+"""Characters of a text of many lines: a traceback, a matrix."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
+"""Control characters but tab and line feed, those that turn the direction of writing, and halves of surrogates."""
+
+
+def clean_line(text: str) -> str:
+    """One line of at most about `LINE_LIMIT` characters; whatever else is no plain text is spelt out (`\\x1b`)."""
+    return _cut(_spelt(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
+
+
+def clean_text(text: str) -> str:
+    """Lines of at most about `TEXT_LIMIT` characters together."""
+    return _cut(_spelt(text), TEXT_LIMIT)
+
+
+def clean_value(value: Any) -> Any:
+    """A JSON value with every text in it, names of entries too, as `clean_line` gives it."""
+    if isinstance(value, str):
+        return clean_line(value)
+    if isinstance(value, dict):
+        return {clean_line(name): clean_value(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [clean_value(part) for part in value]
+    return value
+
+
+def _spelt(text: str) -> str:
+    return _CONTROL.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+
+
+def _cut(text: str, limit: int) -> str:
+    """The text, or its beginning with a digest of the whole, so that different texts stay different."""
+    if len(text) <= limit:
+        return text
+    mark = content_digest(text.encode("utf-8", "backslashreplace"))[:8]
+    return f"{text[:limit]}... ({len(text):,} characters, digest {mark})"

@@ -1,0 +1,268 @@
+"""A run folder from elsewhere: nothing it names is opened unasked, no link is followed out, text is only text."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from distributions import install_source, register
+from project import SUPPORT
+
+from codecbench.core.engine.foreign_text import LINE_LIMIT, clean_line, clean_text
+from codecbench.core.results.markdown import escaped
+
+MATRIX = """
+version: 1
+name: small
+sequences: [{use: folder, params: {path: pictures}}]
+codecs: [png, {use: jpeg, params: {quality: {grid: [20, 60]}}}]
+evaluators: [quality]
+run: {workers: 1}
+"""
+FOREIGN = """
+from codecbench import (
+    NULL_TRACE, Capabilities, Codec, FrameEvaluator, Measurement, Metric, Params, PluginSpec, hookimpl,
+)
+
+
+class LoudParams(Params):
+    length: int = 10
+
+
+class Loud(Codec[LoudParams]):
+    name = "loud"
+    version = "1"
+    params_type = LoudParams
+    capabilities = Capabilities(channels=(1, 3))
+
+    def encode(self, image, *, trace=NULL_TRACE):
+        text = "\\x1b]0;owned\\x07 [red]x[/] | ![p](http://x/y.png) <img src=x onerror=alert(1)> \\\\input{x} \\u202e"
+        raise ValueError(text + "a" * self.params.length)
+
+    def decode(self, bitstream, *, trace=NULL_TRACE):
+        raise ValueError("nothing to decode")
+
+
+class ManyParams(Params):
+    kind: str = "whole"
+    count: int = 1_000_000
+
+
+class Many(FrameEvaluator[ManyParams]):
+    name = "many"
+    version = "1"
+    params_type = ManyParams
+    metrics = (Metric("value", "1", "neither", "a number"),)
+
+    def evaluate(self, coded):
+        for number in range(self.params.count):
+            stage = f"encode/{number}" if self.params.kind == "stages" else None
+            yield Measurement("value", float(number), stage=stage)
+
+
+@hookimpl
+def codecbench_codecs():
+    return [PluginSpec("loud", "loud:Loud", "fails"), PluginSpec("gone", "loud:Lound", "is not there")]
+
+
+@hookimpl
+def codecbench_evaluators():
+    return [PluginSpec("many", "loud:Many", "yields many")]
+
+
+@hookimpl
+def codecbench_surprises():
+    return []
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a site of plugins, three pictures, a matrix, and a run of it."""
+    folder = tmp_path_factory.mktemp("foreign")
+    (folder / "site").mkdir()
+    shutil.copy(SUPPORT / "plain_plugins.py", folder / "site")
+    register(folder / "site", "plain", "1", "plain_plugins")
+    install_source(folder / "site", "loud", "1", FOREIGN)
+    (folder / "pictures").mkdir()
+    rng = np.random.default_rng(1)
+    for number in range(3):
+        cv2.imwrite(str(folder / "pictures" / f"{number}.png"), rng.integers(0, 256, (40, 60, 3), np.uint8))
+    (folder / "small.yaml").write_text(MATRIX)
+    assert command(folder, "run", "small.yaml", "--out", "whole", "--quiet").returncode == 0
+    return folder
+
+
+@pytest.fixture
+def run(place: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(place / "whole", tmp_path / "run"))
+
+
+def command(place: Path, *words: str | Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    cache = str(place / "cache")
+    environment = {**os.environ, "PYTHONPATH": str(place / "site"), "CODECBENCH_CACHE": cache, **variables}
+    done = subprocess.run(
+        [sys.executable, "-m", "codecbench", *map(str, words)],
+        cwd=place, env=environment, capture_output=True, text=True, timeout=180,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr + done.stdout, done.stderr + done.stdout
+    return done
+
+
+def pictures(run: Path) -> int:
+    """How many pictures of frames a report's page has."""
+    html = (run / "report" / "report.html").read_text()
+    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL).group(1))
+    return len(data["frames"])
+
+
+def test_pictures_of_a_run_made_here(run: Path, place: Path) -> None:
+    assert command(place, "report", run).returncode == 0
+    assert pictures(run) == 3
+
+
+def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, place: Path, tmp_path: Path) -> None:
+    elsewhere = {"CODECBENCH_CACHE": str(tmp_path / "cache")}  # another user's, with another key
+    done = command(place, "report", run, **elsewhere)
+    assert done.returncode == 0
+    assert "no pictures of pictures: the run was made in " in done.stderr
+    assert "--sequences-from" in done.stderr
+    assert pictures(run) == 0
+    command(place, "report", run, "--sequences-from", "same", **elsewhere)
+    assert pictures(run) == 3
+    shutil.copytree(place / "pictures", tmp_path / "mine" / "pictures")
+    command(place, "report", run, "--sequences-from", tmp_path / "mine", **elsewhere)
+    assert pictures(run) == 3
+    done = command(place, "report", run, "--sequences-from", tmp_path / "cache", **elsewhere)
+    assert "no pictures of pictures: pictures is not in" in done.stderr
+    assert pictures(run) == 0
+
+
+def test_the_name_of_an_own_folder_does_not_make_a_plan_ones_own(run: Path, place: Path) -> None:
+    from codecbench.core.engine.identity import digest
+
+    document = json.loads((run / "plan.json").read_text())
+    document["plan"]["sequences"][0]["dataset"]["params"]["path"] = "/etc"
+    content = {"plan": document["plan"], "origin": document["origin"]}
+    (run / "plan.json").write_text(json.dumps({"checksum": digest(content), **content}))
+    done = command(place, "report", run)
+    assert "what its plan names is not opened unasked" in done.stderr
+    assert pictures(run) == 0
+
+
+def test_no_new_frames_are_shown_beside_old_bitstreams(run: Path, place: Path, tmp_path: Path) -> None:
+    changed = shutil.copytree(place / "pictures", tmp_path / "mine" / "pictures")
+    cv2.imwrite(str(changed / "1.png"), np.zeros((40, 60, 3), np.uint8))
+    done = command(place, "report", run, "--sequences-from", tmp_path / "mine")
+    assert "its frames are no longer those of the run" in done.stderr
+    assert pictures(run) == 0
+
+
+@pytest.mark.parametrize("what", ["lock", "report", "run.log", "coded", "records", "environment", "record", "file"])
+def test_no_link_is_followed_out_of_a_run_folder(what: str, run: Path, place: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    record = next(run.glob("records/*/*"))
+    path = {"record": record, "file": next(run.glob("coded/*.bits"))}.get(what, run / what)
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+    target = outside / "thesis.txt" if what in ("lock", "run.log", "file") else outside
+    (outside / "thesis.txt").write_text("a year's work")
+    path.symlink_to(target)
+    for words in (["report", run], ["run", "small.yaml", "--out", run]):
+        done = command(place, *words)
+        assert done.returncode == 2, done.stdout
+        assert f"{path} is a link to {target}, out of the run folder" in done.stderr
+    assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("thesis.txt", "a year's work")]
+
+
+def test_a_pipe_or_a_link_in_place_of_a_record_costs_that_record(run: Path, place: Path) -> None:
+    first, second, *_ = sorted(run.glob("records/*/*/record.json"))
+    for path in (first, second):
+        path.unlink()
+    os.mkfifo(first)
+    second.symlink_to("/etc/hostname")
+    done = command(place, "table", run)
+    assert done.returncode == 0
+    assert "it is not a plain file" in done.stderr
+    assert "it is a link" in done.stderr
+    assert command(place, "run", "small.yaml", "--out", run, "--quiet").returncode == 0
+    assert command(place, "table", run).stderr == ""
+
+
+@pytest.fixture(scope="module")
+def loud(place: Path) -> Path:
+    """A run whose every reason is what a codec had to say."""
+    text = MATRIX.replace("{use: jpeg, params: {quality: {grid: [20, 60]}}}", "{use: loud, params: {length: 5000000}}")
+    (place / "loud.yaml").write_text(text)
+    done = command(place, "run", "loud.yaml", "--out", "loud")
+    assert done.returncode == 1
+    assert_clean(done.stdout + done.stderr)
+    return place / "loud"
+
+
+def assert_clean(text: str) -> None:
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f\u202e]", text)
+    assert len(text) < 50_000
+
+
+def test_what_a_codec_says_is_shown_cleaned_and_cut(loud: Path, place: Path) -> None:
+    assert (loud / "run.log").stat().st_size < 20_000
+    for words in (["table", "loud"], ["status", "--failed", "loud"], ["table", "--tidy", "--format", "csv", "loud"]):
+        done = command(place, *words)
+        assert_clean(done.stdout + done.stderr)
+        assert "owned" in done.stdout
+        assert words[0] == "status" or "[red]x[/]" in done.stdout.replace("\n", "")
+    shown = command(place, "table", "--format", "markdown", "loud").stdout
+    assert_clean(shown)
+    assert "!\\[p\\](http" in shown
+    assert "&lt;img src" in shown
+    assert command(place, "report", "loud").returncode == 0
+    html = (loud / "report" / "report.html").read_text()
+    assert len(html) < 8_000_000
+    assert "<img src=x" not in html
+    latex = command(place, "table", "--format", "latex", "loud").stdout
+    assert "\\textbackslash{}\\textbackslash{}" not in latex
+    assert "\\textbackslash{}x1b" in latex
+
+
+def test_text_is_cleaned_without_confusing_what_differs() -> None:
+    assert clean_line("two\nlines\tand a bell\a") == "two lines and a bell\\x07"
+    assert clean_text("two\nlines\x1b[2J") == "two\nlines\\x1b[2J"
+    assert clean_line("\ud800\u202e") == "\\ud800\\u202e"
+    long, other = clean_line("a" * 5000 + "b"), clean_line("a" * 5000 + "c")
+    assert long != other
+    assert len(long) < LINE_LIMIT + 100
+    assert "5,001 characters" in long
+    assert clean_line(long) == long or len(clean_line(long)) < LINE_LIMIT + 100
+    assert escaped("`a` <b> [c](d) *e* \\f & |") == "\\`a\\` &lt;b> \\[c\\](d) \\*e\\* \\\\f &amp; |"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("kind", "words"), [("whole", "1,000,000 measurements of frames"), ("stages", "1,000 stages")])
+def test_a_cell_that_measures_without_end_fails_with_the_bound(
+    kind: str, words: str, place: Path, tmp_path: Path
+) -> None:
+    text = MATRIX.replace("evaluators: [quality]", f"evaluators: [{{use: many, params: {{kind: {kind}}}}}]")
+    (place / "many.yaml").write_text(text)
+    done = command(place, "run", "many.yaml", "--out", tmp_path / "many", "--quiet")
+    assert done.returncode == 1
+    assert f"value: more than {words}" in done.stderr
+
+
+def test_a_run_says_which_plugins_were_left_out(place: Path, tmp_path: Path) -> None:
+    done = command(place, "run", "small.yaml", "--out", tmp_path / "run", "--quiet")
+    assert "left out: loud 1 (entry point loud): loud implements codecbench_surprises" in done.stderr
+    (place / "gone.yaml").write_text(MATRIX.replace("[png,", "[gone,"))
+    done = command(place, "run", "gone.yaml", "--out", tmp_path / "gone")
+    assert done.returncode == 2
+    assert "loud has no Lound; did you mean Loud?" in done.stderr
