@@ -14,7 +14,8 @@ class PluginSetting:
 
     params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
     same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one. uses: the plugins that an evaluator
-    runs. inert: names of parameters that cannot change a result, so that they are in no identity.
+    runs. inert: names of parameters that cannot change a result, so that they are in no identity. distribution: where it
+    comes from, with its version; empty for codecbench's own.
     """
 
     kind: Kind
@@ -24,6 +25,7 @@ class PluginSetting:
     label: str = ""
     uses: tuple[PluginSetting, ...] = ()
     inert: tuple[str, ...] = ()
+    distribution: str = ""
 
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
@@ -59,6 +61,11 @@ class CodingJob:
     sequence: SequenceEntry
     codec: PluginSetting
 
+    @property
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(self.sequence.dataset, self.codec)
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -77,6 +84,11 @@ class Cell:
     exclusive: bool
     job_id: str | None
     unsupported: str | None = None
+
+    @property
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -154,6 +166,10 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
         ),
         declared=value.get("declared", {}),
     )
+
+
+def _company(*settings: PluginSetting) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))
 
 
 def _setting(value: dict[str, Any]) -> PluginSetting:
