@@ -24,8 +24,8 @@ class Task:
 
     function and argument must pickle. timeout_s counts from when the worker starts it. memory_mb caps the
     worker's memory while it runs; None leaves it alone. exclusive: nothing else runs meanwhile, and the
-    worker is pinned to one core. company: the distributions, besides codecbench's, whose code it runs; a worker that has
-    run a task with one company gets no task with another, so that nobody's code meets what another's has changed.
+    worker is pinned to one core. company: the distributions, besides codecbench's, whose code it runs; a worker
+    that has run a task with one company gets no task with another, so that nobody meets what another has changed.
     """
 
     id: str

@@ -119,6 +119,14 @@ class Registry:
             raise PluginError(f"no {_words(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
+    def maybe_broken(self, kind: Kind, name: str) -> str | None:
+        """Why a name is unknown that may be of a distribution which never said its names; None for any other name."""
+        nameless = [str(problem) for problem in self.problems if problem.nameless]
+        names = [plugin.spec.name for plugin in self.plugins(kind)]
+        if not nameless or difflib.get_close_matches(name, names, n=1):
+            return None
+        return f"no {_words(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
         names = [plugin.spec.name for plugin in self.plugins(kind)]
@@ -184,7 +192,9 @@ class Registry:
         self.problems += [Problem(**problem) for problem in found["problems"]]
         for values in found["plugins"]:
             spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-            self._take(Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"]), values["entry_point"])
+            self._take(
+                Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"]), values["entry_point"]
+            )
 
     def _admit(self, point: EntryPoint) -> None:
         origin = origin_of(point)

@@ -91,8 +91,8 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -
 def perform(task: Task) -> Any:
     """Call the task's function under its limits and return its value; whatever it raises is passed on.
 
-    What the task changed of the process is changed back. A worker where that failed, or in which earlier tasks left more
-    than half the cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
+    What the task changed of the process is changed back. A worker where that failed, or in which earlier tasks left
+    more than half the cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
     """
     if _state.retiring:
         os._exit(RETIRED)

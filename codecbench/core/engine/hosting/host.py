@@ -87,7 +87,9 @@ class PluginHost:
         os.close(given)
         self._end = weakref.finalize(self, _end, self._process, (self._requests, self._answers), folder)
 
-    def ask(self, function: Callable[..., Any], arguments: Sequence[Any], *, ours: bool = True, times: float = 1) -> Any:
+    def ask(
+        self, function: Callable[..., Any], arguments: Sequence[Any], *, ours: bool = True, times: float = 1
+    ) -> Any:
         """What `function(registry, *arguments)` returns in the host, where `registry` has the company's plugins.
 
         ours: codecbench's own plugins are in that registry too. times: how many times the usual limit it may take.

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
 
 
-def declared(codecs: Iterable[Any], evaluators: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Meaning of codecs by name, and of evaluator settings by what tables call them. None is passed over.
+def codec_declared(codec: Codec[Any]) -> dict[str, Any]:
+    """The meaning of a codec."""
+    return {"reference": codec.reference}
 
-    codecs: instances. evaluators: titles of settings with their instances.
-    """
+
+def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
+    """The meaning of an evaluator's setting."""
     return {
-        "codecs": {codec.name: {"reference": codec.reference} for codec in codecs if codec is not None},
-        "evaluators": {title: _evaluator(instance) for title, instance in evaluators if instance is not None},
-    }
-
-
-def _evaluator(instance: Evaluator[Any]) -> dict[str, Any]:
-    return {
-        "metrics": [_json(metric) for metric in instance.metrics],
-        "views": [_json(view) for view in instance.views],
-        "typical_ms_per_frame": instance.typical_ms_per_frame,
+        "metrics": [_json(metric) for metric in evaluator.metrics],
+        "views": [_json(view) for view in evaluator.views],
+        "typical_ms_per_frame": evaluator.typical_ms_per_frame,
     }
 
 

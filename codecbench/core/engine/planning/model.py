@@ -14,8 +14,8 @@ class PluginSetting:
 
     params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
     same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one. uses: the plugins that an evaluator
-    runs. inert: names of parameters that cannot change a result, so that they are in no identity. distribution: where it
-    comes from, with its version; empty for codecbench's own.
+    runs. inert: names of parameters that cannot change a result, so that they are in no identity. distribution: where
+    it comes from, with its version; empty for codecbench's own.
     """
 
     kind: Kind
@@ -42,7 +42,10 @@ class PluginSetting:
 
 @dataclass(frozen=True)
 class SequenceEntry:
-    """A sequence of the matrix, opened once while planning."""
+    """A sequence of the matrix, opened once while planning.
+
+    missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
+    """
 
     name: str
     dataset: PluginSetting
@@ -51,6 +54,7 @@ class SequenceEntry:
     channels: int
     has_camera: bool
     has_ground_truth: bool
+    missing: str | None = None
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ def perform(order: Order) -> Record | BitstreamDamage:
     work, bench, position = order.work, _workbench(), WorkPosition()
     _start_afresh(work.id)
     try:
+        bench.join(work.company)
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
@@ -83,7 +84,7 @@ def perform(order: Order) -> Record | BitstreamDamage:
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker={"host": platform.node(), "pid": os.getpid()},
+        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company)},
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
 
