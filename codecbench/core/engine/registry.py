@@ -13,6 +13,7 @@ import importlib
 import importlib.util
 import inspect
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -24,11 +25,13 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginTimeout
+from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _OURS = "codecbench"
+_MOST_LOSSES = 3
+"""A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
 _BASES: dict[Kind, tuple[str, str]] = {
     "codec": ("codecbench.core.contracts.codec", "Codec"),
     "evaluator": ("codecbench.core.contracts.evaluator", "Evaluator"),
@@ -100,7 +103,8 @@ class Registry:
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._hosts = {host.company: host for host in hosts}
         self._entry_points: dict[tuple[Kind, str], str] = {}
-        self._hung: dict[tuple[str, ...], str] = {}
+        self._losses: Counter[tuple[str, ...]] = Counter()
+        self._given_up: dict[tuple[str, ...], str] = {}
         for host in self._hosts.values():
             host.start()
         for point in sorted(points, key=_own_first):
@@ -167,8 +171,8 @@ class Registry:
         if not hosted:
             return function(self, *arguments)
         titles = tuple(plugin.title for plugin in hosted)
-        if titles in self._hung:
-            raise PluginFault(self._hung[titles])
+        if titles in self._given_up:
+            raise PluginFault(self._given_up[titles])
         company = tuple(sorted({plugin.company for plugin in hosted}))
         try:
             host = self._hosts.setdefault(company, PluginHost(company))
@@ -176,8 +180,10 @@ class Registry:
         except PluginFault as fault:
             text = str(fault)
             message = text if titles[0] in text else f"{' and '.join(titles)}: {text}"
-            if isinstance(fault, PluginTimeout):
-                self._hung[titles] = message
+            if isinstance(fault, PluginLoss):
+                self._losses[titles] += _MOST_LOSSES if isinstance(fault, PluginTimeout) else 1
+            if self._losses[titles] >= _MOST_LOSSES:
+                self._given_up[titles] = message
             raise PluginFault(" ".join(message.split())) from fault
 
     def _admit_hosted(self, host: PluginHost) -> None:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
+from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.registry import Registry
-
-log = logging.getLogger("codecbench.results")
+from codecbench.core.results.hosted_evaluator import ResultsEvaluator
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class Meaning:
     anchors: frozenset[str] = frozenset()
 
 
-def meaning_of(plan: Plan, evaluators: Mapping[str, Evaluator[Any]], registry: Registry) -> Meaning:
+def meaning_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: Registry) -> Meaning:
     """The meaning of a run. evaluators: instances by title, as far as they are installed.
 
     What the plan says comes first, so that a run folder reads the same wherever it is opened.
@@ -37,11 +34,13 @@ def meaning_of(plan: Plan, evaluators: Mapping[str, Evaluator[Any]], registry: R
     for title in dict.fromkeys(cell.evaluator.title for cell in plan.cells):
         stored = plan.declared.get("evaluators", {}).get(title, {})
         here = evaluators.get(title)
-        known = [_read(Metric, value) for value in stored.get("metrics", ())] + list(here.metrics if here else ())
+        known = [read_declared(Metric, value) for value in stored.get("metrics", ())] + list(
+            here.metrics if here else ()
+        )
         metrics[title] = {}
         for metric in filter(None, known):
             metrics[title].setdefault(metric.name, metric)
-        drawn = [view for value in stored.get("views", ()) if (view := _read(View, value))]
+        drawn = [view for value in stored.get("views", ()) if (view := read_declared(View, value))]
         views[title] = tuple(drawn) if stored else tuple(here.views if here else ())
     references = {name: _reference(name, plan, registry) for name in dict.fromkeys(c.codec.name for c in plan.cells)}
     return Meaning(
@@ -57,17 +56,11 @@ def _reference(name: str, plan: Plan, registry: Registry) -> str:
     if stored is not None:
         return str(stored.get("reference", ""))
     try:
-        return str(registry.load("codec", name).reference)
+        return str(registry.ask(reference_of, name, of=[("codec", name)]))
     except CodecbenchError:
         return ""
 
 
-def _read(kind: type[Any], value: dict[str, Any]) -> Any:
-    """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
-    names = {field.name for field in fields(kind)}
-    known = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items() if key in names}
-    try:
-        return kind(**known)
-    except (CodecbenchError, TypeError) as error:
-        log.warning("plan.json: %s", error)
-        return None
+def reference_of(registry: Registry, name: str) -> str:
+    """What a codec is to others."""
+    return str(registry.load("codec", name).reference)

@@ -44,8 +44,12 @@ class PluginFault(PluginError):
     """A plugin of another distribution exits, hangs, raises or breaks the contract; it costs that plugin's rows."""
 
 
-class PluginTimeout(PluginFault):
-    """A plugin of another distribution did not answer in time."""
+class PluginLoss(PluginFault):
+    """Its process ended, or had to be ended."""
+
+
+class PluginTimeout(PluginLoss):
+    """It did not answer in time."""
 
 
 def limit_s() -> float:
@@ -149,7 +153,7 @@ class PluginHost:
             if ready and (part := os.read(self._answers, 1 << 16)):
                 return part
             if ready or gone is not None:
-                raise PluginFault(_death(self._process))
+                raise PluginLoss(_death(self._process))
             if time.monotonic() > deadline:
                 raise PluginTimeout(f"no answer within {limit_s:g} s")
 

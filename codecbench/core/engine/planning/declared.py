@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import logging
+from dataclasses import asdict, fields
 from typing import Any
 
 from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
+
+log = logging.getLogger("codecbench.results")
 
 
 def codec_declared(codec: Codec[Any]) -> dict[str, Any]:
@@ -27,3 +31,14 @@ def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
 
 def _json(part: Metric | View) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(part).items()}
+
+
+def read_declared(kind: type[Any], value: dict[str, Any]) -> Any:
+    """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
+    names = {field.name for field in fields(kind)}
+    known = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items() if key in names}
+    try:
+        return kind(**known)
+    except (CodecbenchError, TypeError) as error:
+        log.warning("plan.json: %s", error)
+        return None

@@ -74,6 +74,8 @@ def perform(order: Order) -> Record | BitstreamDamage:
     try:
         bench.join(work.company)
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
+        position.at("check")
+        bench.check(work.company)
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
