@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
@@ -88,12 +91,28 @@ def _thinned(views: list[_View], budget_bytes: int) -> list[_View]:
 
 def _view(run: RunResult, entry: SequenceEntry, setting: PluginSetting) -> FrameView | None:
     """The middle frame of a sequence under a setting; None, with a line in the log, where it cannot be made again."""
-    path = Store(run.folder).coded_path(coding_id(entry, setting))
+    path = Store(run.folder).coded_path(coding_id(entry, setting)).absolute()
+    dataset = entry.dataset
+    asked: list[tuple[Kind, str]] = [("dataset", dataset.name), ("codec", setting.name)]
+    named = dataset.name, dataset.params, setting.name, setting.params
     try:
-        sequence = installed().create("dataset", entry.dataset.name, entry.dataset.params).open()
-        codec = installed().create("codec", setting.name, setting.params)
-        coded = CodedFrames(sequence, codec, BitstreamFile(path), WorkPosition())
-        return frame_view(coded.frame(entry.frames // 2))
+        return FrameView(**installed().ask(view_values, *named, str(path), entry.frames // 2, of=asked))
     except (CodecbenchError, OSError, ValueError) as error:
         log.warning("no picture of %s %s on %s: %s", setting.name, setting.label, entry.name, error)
         return None
+
+
+def view_values(
+    registry: Registry,
+    dataset: str,
+    dataset_params: dict[str, Any],
+    codec: str,
+    codec_params: dict[str, Any],
+    path: str,
+    frame: int,
+) -> dict[str, Any]:
+    """The fields of the view of one frame, whose bitstream is in the file `path`."""
+    sequence = registry.create("dataset", dataset, dataset_params).open()
+    instance = registry.create("codec", codec, codec_params)
+    coded = CodedFrames(sequence, instance, BitstreamFile(Path(path)), WorkPosition())
+    return asdict(frame_view(coded.frame(frame)))
