@@ -11,7 +11,6 @@ import difflib
 import functools
 import importlib
 import importlib.util
-import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -26,19 +25,13 @@ from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout
+from codecbench.core.engine.loading import load_class
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _OURS = "codecbench"
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
-_BASES: dict[Kind, tuple[str, str]] = {
-    "codec": ("codecbench.core.contracts.codec", "Codec"),
-    "evaluator": ("codecbench.core.contracts.evaluator", "Evaluator"),
-    "dataset": ("codecbench.core.contracts.sequence", "Dataset"),
-    "slam_backend": ("codecbench.core.contracts.slam", "SlamBackend"),
-    "executor": ("codecbench.core.contracts.executor", "Executor"),
-}
 
 
 @dataclass(frozen=True)
@@ -147,7 +140,7 @@ class Registry:
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
             raise Unsupported(missing)
-        return _load(plugin)
+        return load_class(kind, plugin.spec, plugin.title)
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
         """An instance with these parameters, which are validated (pydantic.ValidationError)."""
@@ -317,31 +310,6 @@ def _points() -> dict[str, list[EntryPoint]]:
         own = point.dist is not None and point.dist.name == _OURS
         found.setdefault(_OURS if own else origin_of(point), []).append(point)
     return found
-
-
-def _load(plugin: Plugin) -> Any:
-    module_name, _, class_name = plugin.spec.target.partition(":")
-    where = plugin.title
-    try:
-        module = importlib.import_module(module_name)
-    except Unsupported:
-        raise
-    except Exception as error:
-        raise PluginError(f"{where}: {module_name} does not import: {type(error).__name__}: {error}") from error
-    cls: Any = getattr(module, class_name, None)
-    base_module, base_name = _BASES[plugin.kind]
-    base = getattr(importlib.import_module(base_module), base_name)
-    if not isinstance(cls, type) or not issubclass(cls, base):
-        raise PluginError(f"{where}: {plugin.spec.target} is not a subclass of codecbench.{base_name}")
-    name = getattr(cls, "name", None)
-    if name != plugin.spec.name:
-        raise PluginError(f"{where}: {plugin.spec.target} calls itself {name!r}")
-    for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
-        if not hasattr(cls, attribute):
-            raise PluginError(f"{where}: {plugin.spec.target} has no class attribute {attribute!r}")
-    if left := sorted(getattr(cls, "__abstractmethods__", ())):
-        raise PluginError(f"{where}: {plugin.spec.target} does not define {', '.join(left)}")
-    return cls
 
 
 def _hook_names(module: ModuleType) -> set[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.samples import json_from_measurement, measurement_from_json
 
-ResultsEvaluator = Evaluator[Any] | "HostedEvaluator"
+ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
 
 class HostedEvaluator:

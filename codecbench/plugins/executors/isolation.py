@@ -76,6 +76,8 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -
     os.setpgid(0, 0)
     _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
+    if "CODECBENCH_CACHE" in os.environ:
+        os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
     os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)

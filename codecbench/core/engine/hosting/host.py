@@ -35,7 +35,7 @@ _PROGRAM: Final = """
 import json, sys
 paths, requests, answers, company = json.loads(sys.argv[1])
 sys.path[:] = paths
-from codecbench.core.engine.hosting.serve import serve
+from codecbench.core.engine.serving import serve
 serve(requests, answers, company)
 """
 
@@ -84,7 +84,7 @@ class PluginHost:
             stderr=subprocess.DEVNULL,
             pass_fds=(taken, given),
             cwd=folder,
-            env={**os.environ, "TMPDIR": folder},
+            env={**os.environ, **_cache_folder(), "TMPDIR": folder},
             start_new_session=True,
         )
         os.close(taken)
@@ -156,6 +156,12 @@ class PluginHost:
                 raise PluginLoss(_death(self._process))
             if time.monotonic() > deadline:
                 raise PluginTimeout(f"no answer within {limit_s:g} s")
+
+
+def _cache_folder() -> dict[str, str]:
+    """Where compiled kernels are kept, said so that it means the same in another folder."""
+    named = os.environ.get("CODECBENCH_CACHE")
+    return {} if named is None else {"CODECBENCH_CACHE": os.path.abspath(os.path.expanduser(named))}
 
 
 def _death(process: subprocess.Popen[bytes]) -> str:

@@ -92,7 +92,7 @@ class KnownCoded:
 
     def frame(self, index: int) -> CodedFrame:
         original = self.sequence.read(index)
-        return CodedFrame(original, bytes(100), original.image & 0xF8)
+        return CodedFrame(original, bytes(100), original.image & np.uint8(0xF8))
 
     def size_bytes(self, index: int) -> int:
         return 100

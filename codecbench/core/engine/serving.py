@@ -10,7 +10,11 @@ import json
 import os
 import signal
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
+
+from codecbench.core.contracts import errors
+from codecbench.core.engine.registry import registry_of
 
 _MARGIN_S: Final = 5
 """A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
@@ -21,19 +25,17 @@ def serve(requests: int, answers: int, company: list[str]) -> None:
 
     requests, answers: descriptors of pipes. A request names a function, its arguments and how long it may take.
     """
-    from codecbench.core.engine.registry import registry_of
-
     with os.fdopen(requests, "rb") as stream:
         for line in stream:
             request = json.loads(line)
             signal.alarm(request["limit_s"] + _MARGIN_S)
-            content = _answer(lambda request=request: _called(request, company, registry_of))
+            content = _answer(partial(_called, request, company))
             signal.alarm(0)
             _write(answers, content)
     os._exit(0)
 
 
-def _called(request: dict[str, Any], company: list[str], registry_of: Callable[..., Any]) -> Any:
+def _called(request: dict[str, Any], company: list[str]) -> Any:
     module, _, name = request["function"].partition(":")
     function = getattr(importlib.import_module(module), name)
     return function(registry_of(tuple(company), ours=request["ours"]), *request["arguments"])
@@ -41,8 +43,6 @@ def _called(request: dict[str, Any], company: list[str], registry_of: Callable[.
 
 def _answer(call: Callable[[], Any]) -> bytes:
     """The value or what went wrong, as a line of JSON."""
-    from codecbench.core.contracts import errors
-
     try:
         return json.dumps({"value": call()}).encode() + b"\n"
     except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
