@@ -24,12 +24,13 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout
+from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
 from codecbench.core.engine.loading import load_class
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _OURS = "codecbench"
+_SCOUTED = "codecbench.core.engine.serving:scouted"
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
 
@@ -88,22 +89,23 @@ class Problem:
 class Registry:
     """All plugins that were found, by kind and name; `problems` lists those that were not taken.
 
-    points: imported in this process. hosts: the hosts in which the plugins of other distributions are imported.
+    points: imported in this process. hosted: other distributions, whose plugins are imported in hosts.
     """
 
-    def __init__(self, points: Iterable[EntryPoint], hosts: Iterable[PluginHost] = ()) -> None:
+    def __init__(self, points: Iterable[EntryPoint], hosted: Sequence[str] = ()) -> None:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
-        self._hosts = {host.company: host for host in hosts}
         self._entry_points: dict[tuple[Kind, str], str] = {}
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
-        for host in self._hosts.values():
-            host.start()
+        self._hosts: dict[tuple[str, ...], PluginHost] = {}
+        scout = PluginHost(())
+        if hosted:
+            scout.start()  # it gets ready while our own plugins are imported
         for point in sorted(points, key=_own_first):
             self._admit(point)
-        for host in list(self._hosts.values()):
-            self._admit_hosted(host)
+        if hosted:
+            self._admit_hosted(scout, hosted)
 
     def plugins(self, kind: Kind) -> list[Plugin]:
         """Plugins of a kind in the order in which they were offered."""
@@ -179,21 +181,24 @@ class Registry:
                 self._given_up[titles] = message
             raise PluginFault(" ".join(message.split())) from fault
 
-    def _admit_hosted(self, host: PluginHost) -> None:
-        """Take what a distribution offers as its host tells it."""
-        (origin,) = host.company
+    def _admit_hosted(self, scout: PluginHost, hosted: Sequence[str]) -> None:
+        """Take what distributions offer as children of the scout tell it."""
         try:
-            found = host.ask(offered, (), ours=False)
+            answers = scout.ask(_SCOUTED, (hosted, limit_s()), ours=False, times=2)
         except CodecbenchError as error:
-            reason = f"its entry points cannot be read: {' '.join(str(error).split())}"
-            self.problems.append(Problem(origin, hooks.GROUP, reason, nameless=True))
-            return
-        self.problems += [Problem(**problem) for problem in found["problems"]]
-        for values in found["plugins"]:
-            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-            self._take(
-                Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"]), values["entry_point"]
-            )
+            answers = {origin: {"text": str(error)} for origin in hosted}
+        finally:
+            scout.end()
+        for origin, answer in answers.items():
+            if "value" not in answer:
+                reason = f"its entry points cannot be read: {' '.join(answer['text'].split())}"
+                self.problems.append(Problem(origin, hooks.GROUP, reason, nameless=True))
+                continue
+            self.problems += [Problem(**problem) for problem in answer["value"]["problems"]]
+            for values in answer["value"]["plugins"]:
+                spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+                plugin = Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"])
+                self._take(plugin, values["entry_point"])
 
     def _admit(self, point: EntryPoint) -> None:
         origin = origin_of(point)
@@ -257,8 +262,8 @@ class Registry:
 @functools.cache
 def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
-    points = _points()
-    return Registry(points.pop(_OURS, ()), [PluginHost((origin,)) for origin in sorted(points)])
+    points = points_by_origin()
+    return Registry(points.pop(_OURS, ()), hosted=sorted(points))
 
 
 def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
@@ -266,7 +271,7 @@ def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
 
     For hosts and workers. company: distributions with their versions; those that are not installed are left out.
     """
-    points = _points()
+    points = points_by_origin()
     wanted = (*((_OURS,) if ours else ()), *company)
     return _imported(tuple(point for origin in wanted for point in points.get(origin, ())))
 
@@ -303,7 +308,7 @@ def _imported(points: tuple[EntryPoint, ...]) -> Registry:
     return Registry(points)
 
 
-def _points() -> dict[str, list[EntryPoint]]:
+def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
     for point in entry_points(group=hooks.GROUP):

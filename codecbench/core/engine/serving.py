@@ -14,7 +14,8 @@ from functools import partial
 from typing import Any, Final
 
 from codecbench.core.contracts import errors
-from codecbench.core.engine.registry import registry_of
+from codecbench.core.engine.registry import Registry, offered, points_by_origin, registry_of
+from codecbench.core.engine.scouting import answers_of_children
 
 _MARGIN_S: Final = 5
 """A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
@@ -33,6 +34,17 @@ def serve(requests: int, answers: int, company: list[str]) -> None:
             signal.alarm(0)
             _write(answers, content)
     os._exit(0)
+
+
+def scouted(_: Registry, companies: list[str], limit_s: float) -> dict[str, Any]:
+    """What each of these distributions offers, or `error` and `text`; see `answers_of_children`."""
+
+    points = points_by_origin()
+
+    def question(origin: str) -> bytes:
+        return _answer(lambda: offered(Registry(points[origin])))
+
+    return answers_of_children({origin: partial(question, origin) for origin in companies}, limit_s)
 
 
 def _called(request: dict[str, Any], company: list[str]) -> Any:

@@ -92,16 +92,17 @@ class PluginHost:
         self._end = weakref.finalize(self, _end, self._process, (self._requests, self._answers), folder)
 
     def ask(
-        self, function: Callable[..., Any], arguments: Sequence[Any], *, ours: bool = True, times: float = 1
+        self, function: Callable[..., Any] | str, arguments: Sequence[Any], *, ours: bool = True, times: float = 1
     ) -> Any:
         """What `function(registry, *arguments)` returns in the host, where `registry` has the company's plugins.
 
-        ours: codecbench's own plugins are in that registry too. times: how many times the usual limit it may take.
+        function: also as `module:name`. ours: codecbench's own plugins are in that registry too. times: how many times
+        the usual limit it may take.
         Raises the CodecbenchError that the function raised, PluginTimeout, or PluginFault for anything else that
         happened.
         """
         request = {
-            "function": f"{function.__module__}:{function.__qualname__}",
+            "function": function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}",
             "arguments": arguments,
             "ours": ours,
             "limit_s": math.ceil(times * limit_s()),
