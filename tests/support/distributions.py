@@ -25,6 +25,11 @@ def install_edges(site: Path) -> None:
     _install_package(site, "codecbench-edges", "0.1.0")
 
 
+def install_zoo(site: Path) -> None:
+    """Put the distribution whose plugins misbehave into the folder `site`."""
+    _install_package(site, "codecbench-zoo", "1.0")
+
+
 def _install_package(site: Path, name: str, version: str) -> None:
     package = THIRD_PARTY / name.removeprefix("codecbench-") / name.replace("-", "_")
     shutil.copytree(package, site / package.name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -24,7 +24,8 @@ class Task:
 
     function and argument must pickle. timeout_s counts from when the worker starts it. memory_mb caps the
     worker's memory while it runs; None leaves it alone. exclusive: nothing else runs meanwhile, and the
-    worker is pinned to one core.
+    worker is pinned to one core. company: the distributions, besides codecbench's, whose code it runs; a worker
+    that has run a task with one company gets no task with another, so that nobody meets what another has changed.
     """
 
     id: str
@@ -33,6 +34,7 @@ class Task:
     timeout_s: float | None = None
     memory_mb: int | None = None
     exclusive: bool = False
+    company: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

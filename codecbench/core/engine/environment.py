@@ -16,9 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.identity import digest
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.registry import origins
 
 _DISTRIBUTIONS: Final = (
     "codecbench", "numpy", "scipy", "numba", "llvmlite", "opencv-python-headless", "opencv-python", "glymur",
@@ -36,7 +35,7 @@ def environment_id(environment: dict[str, Any]) -> str:
     return digest({name: value for name, value in environment.items() if name != "volatile"})[:16]
 
 
-def describe_environment(registry: Registry) -> dict[str, Any]:
+def describe_environment() -> dict[str, Any]:
     """The environment of this process as JSON types; what cannot be read is None."""
     return {
         "machine": describe_machine(),
@@ -44,7 +43,7 @@ def describe_environment(registry: Registry) -> dict[str, Any]:
         "python": {"version": platform.python_version(), "implementation": platform.python_implementation()},
         "distributions": _versions(),
         "libraries": _bundled_libraries(),
-        "plugins": sorted({plugin.distribution for kind in KINDS for plugin in registry.plugins(kind)}),
+        "plugins": origins(),
         "threads": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
         "checkout": _checkout(),
         "volatile": {"host": platform.node(), "governor": _text(_CPU / "cpu0/cpufreq/scaling_governor")},

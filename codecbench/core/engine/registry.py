@@ -1,7 +1,8 @@
 """Which plugins are installed, what they are called, and how a name becomes a class.
 
-Listing imports hook modules only. A distribution that fails to import, misspells a hook or offers a name
-that is taken is reported by name and version, and takes nobody down with it.
+Listing imports hook modules only, and those of other distributions than codecbench's in host processes. A
+distribution that fails to import, exits, hangs, misspells a hook or offers a name that is taken is reported by name and
+version, and takes nobody down with it.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ import difflib
 import functools
 import importlib
 import importlib.util
-import inspect
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any
@@ -21,31 +22,47 @@ from typing import Any
 import pluggy
 
 from codecbench.core.contracts import hooks
-from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
+from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
+from codecbench.core.engine.loading import load_class
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_BASES: dict[Kind, tuple[str, str]] = {
-    "codec": ("codecbench.core.contracts.codec", "Codec"),
-    "evaluator": ("codecbench.core.contracts.evaluator", "Evaluator"),
-    "dataset": ("codecbench.core.contracts.sequence", "Dataset"),
-    "slam_backend": ("codecbench.core.contracts.slam", "SlamBackend"),
-    "executor": ("codecbench.core.contracts.executor", "Executor"),
-}
+_OURS = "codecbench"
+_SCOUTED = "codecbench.core.engine.serving:scouted"
+_MOST_LOSSES = 3
+"""A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """What a distribution offers: the specification of a plugin, and where it came from."""
+    """What a distribution offers: the specification of a plugin, and where it came from.
+
+    hosted: it is imported in a host process. absent: what it needs and is not installed, as its host found.
+    """
 
     kind: Kind
     spec: PluginSpec
     distribution: str
+    hosted: bool = False
+    absent: str | None = None
+
+    @property
+    def company(self) -> str:
+        """Its distribution with its version; empty for codecbench's own plugins."""
+        return "" if self.distribution.startswith(f"{_OURS} ") else self.distribution
+
+    @property
+    def title(self) -> str:
+        """The plugin and its distribution, as messages name them."""
+        return f"{_words(self.kind)} {self.spec.name} of {self.distribution}"
 
     @property
     def missing(self) -> str | None:
-        """Why this plugin cannot be used here and the command that mends it, or None. Imports nothing."""
+        """Why this plugin cannot be used here and the command that mends it, or None. Imports nothing of its own."""
+        if self.hosted:
+            return self.absent
         absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
         if not absent:
             return None
@@ -55,24 +72,40 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Problem:
-    """A distribution's plugin that could not be taken, and why."""
+    """A distribution's plugin that could not be taken, and why.
+
+    nameless: nobody knows what it would have been called, because its module never said.
+    """
 
     distribution: str
     entry_point: str
     reason: str
+    nameless: bool = False
 
     def __str__(self) -> str:
         return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
 
 
 class Registry:
-    """All plugins that were found, by kind and name; `problems` lists those that were not taken."""
+    """All plugins that were found, by kind and name; `problems` lists those that were not taken.
 
-    def __init__(self, points: Iterable[EntryPoint]) -> None:
+    points: imported in this process. hosted: other distributions, whose plugins are imported in hosts.
+    """
+
+    def __init__(self, points: Iterable[EntryPoint], hosted: Sequence[str] = ()) -> None:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
+        self._entry_points: dict[tuple[Kind, str], str] = {}
+        self._losses: Counter[tuple[str, ...]] = Counter()
+        self._given_up: dict[tuple[str, ...], str] = {}
+        self._hosts: dict[tuple[str, ...], PluginHost] = {}
+        scout = PluginHost(())
+        if hosted:
+            scout.start()  # it gets ready while our own plugins are imported
         for point in sorted(points, key=_own_first):
             self._admit(point)
+        if hosted:
+            self._admit_hosted(scout, hosted)
 
     def plugins(self, kind: Kind) -> list[Plugin]:
         """Plugins of a kind in the order in which they were offered."""
@@ -85,6 +118,14 @@ class Registry:
             raise PluginError(f"no {_words(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
+    def maybe_broken(self, kind: Kind, name: str) -> str | None:
+        """Why a name is unknown that may be of a distribution which never said its names; None for any other name."""
+        nameless = [str(problem) for problem in self.problems if problem.nameless]
+        names = [plugin.spec.name for plugin in self.plugins(kind)]
+        if not nameless or difflib.get_close_matches(name, names, n=1):
+            return None
+        return f"no {_words(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
         names = [plugin.spec.name for plugin in self.plugins(kind)]
@@ -93,7 +134,7 @@ class Registry:
         return f"{meant}installed: {', '.join(names) or 'none'}"
 
     def load(self, kind: Kind, name: str) -> Any:
-        """The class behind a name, imported now.
+        """The class behind a name, imported into this process now; see `ask` for what other distributions offer.
 
         Raises PluginError where there is no such plugin, its module fails to import or it breaks the
         contract, and Unsupported, with the command that mends it, where it needs something not installed.
@@ -101,19 +142,71 @@ class Registry:
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
             raise Unsupported(missing)
-        return _load(plugin)
+        return load_class(kind, plugin.spec, plugin.title)
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
         """An instance with these parameters, which are validated (pydantic.ValidationError)."""
         cls = self.load(kind, name)
         return cls(cls.params_type.model_validate(params))
 
+    def entry_point(self, plugin: Plugin) -> str:
+        """The name of the entry point that offered a plugin."""
+        return self._entry_points[plugin.kind, plugin.spec.name]
+
+    def ask(
+        self, function: Callable[..., Any], *arguments: Any, of: Sequence[tuple[Kind, str]], times: float = 1
+    ) -> Any:
+        """What `function(registry, *arguments)` returns of these plugins: JSON types.
+
+        Where they are of other distributions it is called in a host process and may take `times` the usual limit.
+        Raises what the function raises, and PluginFault, which names the plugin, where a hosted one fails otherwise.
+        """
+        plugins = [self.find(kind, name) for kind, name in of]
+        hosted = [plugin for plugin in plugins if plugin.hosted]
+        if not hosted:
+            return function(self, *arguments)
+        titles = tuple(plugin.title for plugin in hosted)
+        if titles in self._given_up:
+            raise PluginFault(self._given_up[titles])
+        company = tuple(sorted({plugin.company for plugin in hosted}))
+        try:
+            host = self._hosts.setdefault(company, PluginHost(company))
+            return host.ask(function, arguments, times=times)
+        except PluginFault as fault:
+            text = str(fault)
+            message = text if titles[0] in text else f"{' and '.join(titles)}: {text}"
+            if isinstance(fault, PluginLoss):
+                self._losses[titles] += _MOST_LOSSES if isinstance(fault, PluginTimeout) else 1
+            if self._losses[titles] >= _MOST_LOSSES:
+                self._given_up[titles] = message
+            raise PluginFault(" ".join(message.split())) from fault
+
+    def _admit_hosted(self, scout: PluginHost, hosted: Sequence[str]) -> None:
+        """Take what distributions offer as children of the scout tell it."""
+        try:
+            answers = scout.ask(_SCOUTED, (hosted, limit_s()), ours=False, times=2)
+        except CodecbenchError as error:
+            answers = {origin: {"text": str(error)} for origin in hosted}
+        finally:
+            scout.end()
+        for origin, answer in answers.items():
+            if "value" not in answer:
+                reason = f"its entry points cannot be read: {' '.join(answer['text'].split())}"
+                self.problems.append(Problem(origin, hooks.GROUP, reason, nameless=True))
+                continue
+            self.problems += [Problem(**problem) for problem in answer["value"]["problems"]]
+            for values in answer["value"]["plugins"]:
+                spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+                plugin = Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"])
+                self._take(plugin, values["entry_point"])
+
     def _admit(self, point: EntryPoint) -> None:
-        origin = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+        origin = origin_of(point)
         try:
             module = importlib.import_module(point.module)
         except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
-            self._report(origin, point, f"{point.module} does not import: {type(error).__name__}: {error}")
+            reason = f"{point.module} does not import: {type(error).__name__}: {error}"
+            self._report(origin, point, reason, nameless=True)
             return
         manager = pluggy.PluginManager(hooks.GROUP)
         manager.add_hookspecs(hooks)
@@ -135,7 +228,7 @@ class Registry:
         try:
             answers = hook()
         except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
-            self._report(origin, point, f"codecbench_{kind}s failed: {type(error).__name__}: {error}")
+            self._report(origin, point, f"codecbench_{kind}s failed: {type(error).__name__}: {error}", nameless=True)
             return True
         for specs in answers:
             for spec in specs if isinstance(specs, list | tuple) else [specs]:
@@ -149,49 +242,79 @@ class Registry:
             self._report(origin, point, f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*")
         elif not _TARGET.fullmatch(spec.target):
             self._report(origin, point, f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class")
-        elif (kind, spec.name) in self._plugins:
-            owner = self._plugins[kind, spec.name].distribution
-            self._report(origin, point, f"{kind} {spec.name!r} is already offered by {owner}; left out")
         else:
-            self._plugins[kind, spec.name] = Plugin(kind, spec, origin)
+            self._take(Plugin(kind, spec, origin), point.name)
 
-    def _report(self, origin: str, point: EntryPoint, reason: str) -> None:
-        self.problems.append(Problem(origin, point.name, reason))
+    def _take(self, plugin: Plugin, entry_point: str) -> None:
+        kind, name = plugin.kind, plugin.spec.name
+        if (kind, name) in self._plugins:
+            owner = self._plugins[kind, name].distribution
+            reason = f"{kind} {name!r} is already offered by {owner}; left out"
+            self.problems.append(Problem(plugin.distribution, entry_point, reason))
+        else:
+            self._plugins[kind, name] = plugin
+            self._entry_points[kind, name] = entry_point
+
+    def _report(self, origin: str, point: EntryPoint, reason: str, nameless: bool = False) -> None:
+        self.problems.append(Problem(origin, point.name, reason, nameless))
 
 
 @functools.cache
 def installed() -> Registry:
-    """The registry of everything installed, read once a process."""
-    return Registry(entry_points(group=hooks.GROUP))
+    """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
+    points = points_by_origin()
+    return Registry(points.pop(_OURS, ()), hosted=sorted(points))
 
 
-def _load(plugin: Plugin) -> Any:
-    module_name, _, class_name = plugin.spec.target.partition(":")
-    where = f"{_words(plugin.kind)} {plugin.spec.name} of {plugin.distribution}"
-    try:
-        module = importlib.import_module(module_name)
-    except Unsupported:
-        raise
-    except Exception as error:
-        raise PluginError(f"{where}: {module_name} does not import: {type(error).__name__}: {error}") from error
-    cls: Any = getattr(module, class_name, None)
-    base_module, base_name = _BASES[plugin.kind]
-    base = getattr(importlib.import_module(base_module), base_name)
-    if not hasattr(module, class_name):
-        near = difflib.get_close_matches(class_name, vars(module), n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        raise PluginError(f"{where}: {module_name} has no {class_name}{meant}")
-    if not isinstance(cls, type) or not issubclass(cls, base):
-        raise PluginError(f"{where}: {plugin.spec.target} is not a subclass of codecbench.{base_name}")
-    name = getattr(cls, "name", None)
-    if name != plugin.spec.name:
-        raise PluginError(f"{where}: {plugin.spec.target} calls itself {name!r}")
-    for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
-        if not hasattr(cls, attribute):
-            raise PluginError(f"{where}: {plugin.spec.target} has no class attribute {attribute!r}")
-    if left := sorted(getattr(cls, "__abstractmethods__", ())):
-        raise PluginError(f"{where}: {plugin.spec.target} does not define {', '.join(left)}")
-    return cls
+def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
+    """A registry of these distributions and codecbench's own plugins, all imported into this process.
+
+    For hosts and workers. company: distributions with their versions; those that are not installed are left out.
+    """
+    points = points_by_origin()
+    wanted = (*((_OURS,) if ours else ()), *company)
+    return _imported(tuple(point for origin in wanted for point in points.get(origin, ())))
+
+
+def offered(registry: Registry) -> dict[str, Any]:
+    """All plugins of a registry and its problems, as JSON types."""
+    return {
+        "plugins": [
+            {
+                "kind": plugin.kind,
+                "spec": asdict(plugin.spec),
+                "missing": plugin.missing,
+                "entry_point": registry.entry_point(plugin),
+            }
+            for kind in KINDS
+            for plugin in registry.plugins(kind)
+        ],
+        "problems": [asdict(problem) for problem in registry.problems],
+    }
+
+
+def origins() -> list[str]:
+    """All distributions that have entry points of codecbench, with their versions. Imports none."""
+    return sorted({origin_of(point) for point in entry_points(group=hooks.GROUP)})
+
+
+def origin_of(point: EntryPoint) -> str:
+    """The distribution of an entry point with its version; where it has none, what it names."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+
+
+@functools.cache
+def _imported(points: tuple[EntryPoint, ...]) -> Registry:
+    return Registry(points)
+
+
+def points_by_origin() -> dict[str, list[EntryPoint]]:
+    """The entry points of what is installed: codecbench's own, and those of others by distribution."""
+    found: dict[str, list[EntryPoint]] = {}
+    for point in entry_points(group=hooks.GROUP):
+        own = point.dist is not None and point.dist.name == _OURS
+        found.setdefault(_OURS if own else origin_of(point), []).append(point)
+    return found
 
 
 def _hook_names(module: ModuleType) -> set[str]:

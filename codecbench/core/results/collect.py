@@ -9,17 +9,19 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
-from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
+from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
+from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.hosted_evaluator import HostedEvaluator, ResultsEvaluator
 from codecbench.core.results.meaning import meaning_of
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.table import CellResult
@@ -69,13 +71,18 @@ def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
     return found
 
 
-def _evaluators(found: list[tuple[Cell, Record]], registry: Registry) -> dict[str, Evaluator[Any]]:
-    """Instances by title; one that is no longer installed is left out, and its comparisons and drawings with it."""
-    instances: dict[str, Evaluator[Any]] = {}
+def _evaluators(found: list[tuple[Cell, Record]], registry: Registry) -> dict[str, ResultsEvaluator]:
+    """Evaluators by title; one that is no longer installed is left out, and its comparisons and drawings with it."""
+    instances: dict[str, ResultsEvaluator] = {}
     for setting in dict.fromkeys(cell.evaluator for cell, _ in found):
         try:
-            instances[setting.title] = registry.create("evaluator", setting.name, setting.params)
-        except (CodecbenchError, ValueError) as error:
+            hosted = registry.find("evaluator", setting.name).hosted
+            instances[setting.title] = (
+                HostedEvaluator(registry, setting)
+                if hosted
+                else registry.create("evaluator", setting.name, setting.params)
+            )
+        except (CodecbenchError, InvalidParams, ValueError) as error:
             log.warning("evaluator %s: %s; its comparisons and drawings are missing", setting.name, error)
     return instances
 
@@ -92,7 +99,7 @@ def _result(
     store: Store,
     cell: Cell,
     record: Record,
-    evaluator: Evaluator[Any] | None,
+    evaluator: ResultsEvaluator | None,
     metrics: dict[str, Metric],
     baseline: list[Outcome],
 ) -> CellResult:
@@ -128,7 +135,7 @@ def _declared_later(
             yield Measurement(metric, math.nan, reason=reason)
 
 
-def _drawing(evaluator: Evaluator[Any] | None, outcome: Outcome) -> Drawing | None:
+def _drawing(evaluator: ResultsEvaluator | None, outcome: Outcome) -> Drawing | None:
     """What a cell left, as its evaluator draws it; None, with a line in the log, where its files are damaged."""
     try:
         return None if evaluator is None else evaluator.drawing(outcome)

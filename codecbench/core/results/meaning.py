@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-from pydantic import TypeAdapter
-
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
+from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.registry import Registry
-
-log = logging.getLogger("codecbench.results")
+from codecbench.core.results.hosted_evaluator import ResultsEvaluator
 
 
 @dataclass(frozen=True)
@@ -29,7 +25,7 @@ class Meaning:
     anchors: frozenset[str] = frozenset()
 
 
-def meaning_of(plan: Plan, evaluators: Mapping[str, Evaluator[Any]], registry: Registry) -> Meaning:
+def meaning_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: Registry) -> Meaning:
     """The meaning of a run. evaluators: instances by title, as far as they are installed.
 
     What the plan says comes first, so that a run folder reads the same wherever it is opened.
@@ -39,11 +35,12 @@ def meaning_of(plan: Plan, evaluators: Mapping[str, Evaluator[Any]], registry: R
     for title in dict.fromkeys(cell.evaluator.title for cell in plan.cells):
         stored = plan.declared.get("evaluators", {}).get(title, {})
         here = evaluators.get(title)
-        known = [_read(Metric, value) for value in _listed(stored, "metrics")] + list(here.metrics if here else ())
+        known = [read_declared(Metric, value) for value in _listed(stored, "metrics")]
+        known += list(here.metrics if here else ())
         metrics[title] = {}
         for metric in filter(None, known):
             metrics[title].setdefault(metric.name, metric)
-        drawn = [view for value in _listed(stored, "views") if (view := _read(View, value))]
+        drawn = [view for value in _listed(stored, "views") if (view := read_declared(View, value))]
         views[title] = tuple(drawn) if stored else tuple(here.views if here else ())
     references = {name: _reference(name, plan, registry) for name in dict.fromkeys(c.codec.name for c in plan.cells)}
     return Meaning(
@@ -59,7 +56,7 @@ def _reference(name: str, plan: Plan, registry: Registry) -> str:
     if stored is not None:
         return str(stored.get("reference", ""))
     try:
-        return str(registry.load("codec", name).reference)
+        return str(registry.ask(reference_of, name, of=[("codec", name)]))
     except CodecbenchError:
         return ""
 
@@ -69,12 +66,6 @@ def _listed(stored: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return [value for value in found if isinstance(value, dict)] if isinstance(found, list) else []
 
 
-def _read(kind: type[Any], value: dict[str, Any]) -> Any:
-    """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
-    names = {field.name for field in fields(kind)}
-    known = {key: part for key, part in value.items() if key in names}
-    try:
-        return TypeAdapter(kind).validate_python(known)
-    except (CodecbenchError, ValueError) as error:
-        log.warning("plan.json: %s", " ".join(str(error).split()))
-        return None
+def reference_of(registry: Registry, name: str) -> str:
+    """What a codec is to others."""
+    return str(registry.load("codec", name).reference)

@@ -27,9 +27,11 @@ from typing import Any, Final
 import psutil
 
 from codecbench.core.contracts.executor import Task
+from codecbench.plugins.executors.process_state import ProcessState
 
 RETIRED: Final = 86
-"""Exit status of a worker that declines a task because an earlier one left too much memory in use."""
+"""Exit status of a worker that declines a task because an earlier one left too much memory in use, or left the process
+other than it found it."""
 
 SINGLE_THREADED: Final = dict.fromkeys(
     (
@@ -67,13 +69,16 @@ _state = _State()
 
 
 def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -> None:
-    """Make this process a worker: own process group, output and temporary files apart, gone when the parent is gone.
+    """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
 
     Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
     """
     os.setpgid(0, 0)
     _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
+    if "CODECBENCH_CACHE" in os.environ:
+        os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
+    os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
     _die_with(parent)
@@ -88,27 +93,29 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -
 def perform(task: Task) -> Any:
     """Call the task's function under its limits and return its value; whatever it raises is passed on.
 
-    A worker in which earlier tasks left more than half the cap in use exits with RETIRED instead, and the
-    pool gives the task to a fresh one.
+    What the task changed of the process is changed back. A worker where that failed, or in which earlier tasks left
+    more than half the cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
     """
     if _state.retiring:
         os._exit(RETIRED)
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
-    cores = os.sched_getaffinity(0)
+    cores, state = os.sched_getaffinity(0), ProcessState.now()
     try:
         if task.exclusive:
             os.sched_setaffinity(0, {max(cores)})
         _limit_memory(task.memory_mb)
         return task.function(task.argument)
     finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        with suppress(ValueError):  # the task lowered the limit for good; restoring then fails too
+            resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         os.sched_setaffinity(0, cores)
         faulthandler.cancel_dump_traceback_later()
         _end_children()
+        _state.retiring = not state.restore()
         if task.memory_mb is not None:
-            _state.retiring = private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
+            _state.retiring |= private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
 
 
 def private_mb(pid: int) -> float:

@@ -42,6 +42,8 @@ _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
 _ROOM_BYTES: Final = 1 << 16
 _FOLDER_PREFIX: Final = "codecbench-workers-"
+_PARKED: Final = 3
+"""So many idle workers are kept for when a task of their company comes, beyond those that can be busy at once."""
 
 _main_lock = threading.Lock()
 
@@ -73,6 +75,7 @@ class _Slot:
     """One worker and the task it has in hand."""
 
     files: WorkerFiles
+    company: tuple[str, ...] = ()
     pool: ProcessPool | None = None
     task: Task | None = None
     future: Future[Any] | None = None
@@ -85,13 +88,13 @@ class _Slot:
 
 
 class WorkerPool:
-    """Up to `workers` processes, each with one task at a time. To be used from one thread.
+    """Up to `workers` busy processes, each with one task at a time and one company. To be used from one thread.
 
     Their files are in a folder of their own in `folder`, by default the system's for temporary files.
     """
 
     def __init__(self, workers: int, prepare: Callable[[], None], folder: str | None = None) -> None:
-        self._prepare = prepare
+        self._prepare, self._workers = prepare, workers
         parent = folder or tempfile.gettempdir()
         _sweep(parent)
         self._folder, self._lock = _locked_folder(parent)
@@ -103,12 +106,11 @@ class WorkerPool:
         return sum(slot.task is not None for slot in self._slots)
 
     def start(self, task: Task) -> bool:
-        """Give the task to a free worker, preferring one that has started; False where all are busy."""
-        free = [slot for slot in self._slots if slot.task is None]
-        if not free:
+        """Give the task to a free worker of its company, preferring one that has started; False where all are busy."""
+        if self.running >= self._workers:
             return False
-        slot = min(free, key=lambda slot: slot.pool is None)
-        slot.task, slot.launches = task, 0
+        slot = self._slot_for(task.company)
+        slot.task, slot.company, slot.launches = task, task.company, 0
         self._launch(slot)
         return True
 
@@ -139,6 +141,19 @@ class WorkerPool:
         for slot in self._slots:
             with suppress(OSError, ValueError):
                 _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
+
+    def _slot_for(self, company: tuple[str, ...]) -> _Slot:
+        """A free worker of the company, else one that has not started, else another company's that has to go."""
+        free = [slot for slot in self._slots if slot.task is None]
+        known = next((slot for slot in free if slot.pool is not None and slot.company == company), None)
+        slot = known or next((slot for slot in free if slot.pool is None), None)
+        if slot is None and len(self._slots) < self._workers + _PARKED:
+            slot = _Slot(_files(self._folder, len(self._slots)))
+            self._slots.append(slot)
+        if slot is None:
+            slot = min(free, key=lambda slot: slot.launched)
+            self._discard(slot)
+        return slot
 
     def _launch(self, slot: _Slot) -> None:
         """Start the slot's task, in a new worker where the old one is gone."""

@@ -12,7 +12,7 @@ from codecbench import Drawing, Line, Metric, NoParams, SequenceEvaluator, View
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
 from codecbench.core.engine import aggregate
-from codecbench.core.engine.planning.declared import declared
+from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry, plan_from_json
 from codecbench.core.results.meaning import meaning_of
 from codecbench.core.results.style import curve_styles
@@ -114,13 +114,16 @@ def plan_with(meaning: dict[str, object]) -> Plan:
 class Nothing:
     """A registry in which nothing is installed."""
 
-    def load(self, kind: str, name: str) -> object:
-        raise PluginError(f"no {kind} is called {name!r}")
+    def ask(self, *_: object, of: list[tuple[str, str]]) -> object:
+        raise PluginError(f"none is called {of[0][1]!r}")
 
 
 def test_meaning_travels_with_the_plan() -> None:
     codec = SimpleNamespace(name="plain", reference="anchor")
-    meant = declared([codec, None], [("grain(size=2)", Grain.create()), ("gone", None)])
+    meant = {
+        "codecs": {codec.name: codec_declared(codec)},
+        "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())},
+    }
     plan = plan_from_json(json.loads(json.dumps(plan_with(meant).as_json())))
     meaning = meaning_of(plan, {}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
@@ -133,7 +136,7 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
     stored = plan_with({}).as_json()
     del stored["declared"]
     plan = plan_from_json(stored)
-    installed = SimpleNamespace(load=lambda kind, name: SimpleNamespace(reference="baseline"))
+    installed = SimpleNamespace(ask=lambda *_, of: "baseline")
     meaning = meaning_of(plan, {"grain(size=2)": Grain.create()}, installed)  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
@@ -141,7 +144,7 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
 
 
 def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> None:
-    meant = declared([], [("grain(size=2)", Grain.create())])
+    meant = {"codecs": {}, "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())}}
     meant["evaluators"]["grain(size=2)"]["metrics"][0] |= {"role": "mood", "aura": 1}
     meaning = meaning_of(plan_with(meant), {"grain(size=2)": Grain.create()}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics["grain(size=2)"]["grain_db"] == Grain.metrics[0]

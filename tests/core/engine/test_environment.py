@@ -14,12 +14,11 @@ import pytest
 
 from codecbench.core.engine import environment
 from codecbench.core.engine.environment import describe_environment, environment_id
-from codecbench.core.engine.registry import installed
 
 
 @pytest.fixture(scope="module")
 def described() -> dict:  # type: ignore[type-arg]
-    return describe_environment(installed())
+    return describe_environment()
 
 
 def test_it_names_what_can_change_a_result(described: dict) -> None:  # type: ignore[type-arg]
@@ -36,7 +35,7 @@ def test_its_id_is_the_same_in_another_process(described: dict) -> None:  # type
     code = """
 from codecbench.core.engine.environment import describe_environment, environment_id
 from codecbench.core.engine.registry import installed
-print(environment_id(describe_environment(installed())))
+print(environment_id(describe_environment()))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == environment_id(described)
@@ -80,7 +79,7 @@ def test_every_part_enters_its_id_down_to_the_last_leaf(described: dict, part: s
 def test_a_machine_that_tells_nothing_is_described_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "_text", lambda path: None)
     monkeypatch.setattr(environment, "_git", lambda *_: None)
-    described = describe_environment(installed())
+    described = describe_environment()
     assert described["machine"]["memory_mb"] is None
-    assert environment_id(described) == environment_id(describe_environment(installed()))
+    assert environment_id(described) == environment_id(describe_environment())
     assert environment_id({**described, "checkout": {"commit": "abc", "changed": False}}) != environment_id(described)

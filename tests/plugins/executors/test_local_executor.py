@@ -5,12 +5,14 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import pytest
 
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.plugins.executors.local import LocalExecutor
+from codecbench.plugins.executors.process_state import ProcessState
 
 
 def prepare() -> None:
@@ -300,3 +303,64 @@ def test_what_a_killed_coordinator_left_is_swept_and_what_is_in_use_is_not(
     first.stop()
     second.stop()
     assert not rests(tmp_path)
+
+
+def in_company(name: str, number: int) -> Task:
+    return Task(f"{name} {number}", pid, None, exclusive=True, company=(name,) if name else ())
+
+
+def test_a_worker_serves_one_company(executor) -> None:  # type: ignore[no-untyped-def]
+    names = ["", "a", "b", "", "a", "b", "c", "d", "e", "f", "", "a"]
+    tasks = [in_company(name, number) for number, name in enumerate(names)]
+    done = outcomes(executor, *tasks)
+    served: dict[int, set[str]] = {}
+    for task in tasks:
+        served.setdefault(done[task.id].value, set()).add(task.company[0] if task.company else "")
+    assert all(len(companies) == 1 for companies in served.values()), served
+    assert done[tasks[0].id].value == done[tasks[3].id].value
+
+
+def alone(name: str, function: Callable[[object], object]) -> Task:
+    """A task that one and the same worker gets."""
+    return Task(name, function, None, exclusive=True)
+
+
+def working_folder(_: object) -> str:
+    return os.getcwd()
+
+
+def disturb(_: object) -> None:
+    os.environ["CODECBENCH_DISTURBED"] = "1"
+    os.umask(0o7)
+    os.chdir("/")
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    warnings.simplefilter("error")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+
+
+def state(_: object) -> tuple[int, ProcessState]:
+    return os.getpid(), ProcessState.now()
+
+
+def lower_for_good(_: object) -> int:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+    return os.getpid()
+
+
+def test_workers_are_in_a_folder_of_their_own(executor) -> None:  # type: ignore[no-untyped-def]
+    folder = outcomes(executor, Task("folder", working_folder, None))["folder"].value
+    assert folder != os.getcwd()
+    assert "codecbench-workers-" in folder
+
+
+def test_what_a_task_changes_of_its_process_is_changed_back(executor) -> None:  # type: ignore[no-untyped-def]
+    tasks = [alone("before", state), alone("disturb", disturb), alone("after", state)]
+    done = outcomes(executor, *tasks)
+    assert done["before"].value == done["after"].value
+
+
+def test_a_worker_that_cannot_be_restored_ends(executor) -> None:  # type: ignore[no-untyped-def]
+    done = outcomes(executor, alone("lower", lower_for_good), alone("after", state))
+    (pid_after, state_after), pid_before = done["after"].value, done["lower"].value
+    assert pid_after != pid_before
+    assert state_after.limits[resource.RLIMIT_NOFILE] != (64, 64)

@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
+import logging
+from dataclasses import asdict, fields
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
 
+log = logging.getLogger("codecbench.results")
 
-def declared(codecs: Iterable[Any], evaluators: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Meaning of codecs by name, and of evaluator settings by what tables call them. None is passed over.
 
-    codecs: instances. evaluators: titles of settings with their instances.
-    """
+def codec_declared(codec: Codec[Any]) -> dict[str, Any]:
+    """The meaning of a codec."""
+    return {"reference": codec.reference}
+
+
+def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
+    """The meaning of an evaluator's setting."""
     return {
-        "codecs": {codec.name: {"reference": codec.reference} for codec in codecs if codec is not None},
-        "evaluators": {title: _evaluator(instance) for title, instance in evaluators if instance is not None},
-    }
-
-
-def _evaluator(instance: Evaluator[Any]) -> dict[str, Any]:
-    return {
-        "metrics": [_json(metric) for metric in instance.metrics],
-        "views": [_json(view) for view in instance.views],
-        "typical_ms_per_frame": instance.typical_ms_per_frame,
+        "metrics": [_json(metric) for metric in evaluator.metrics],
+        "views": [_json(view) for view in evaluator.views],
+        "typical_ms_per_frame": evaluator.typical_ms_per_frame,
     }
 
 
 def _json(part: Metric | View) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(part).items()}
+
+
+def read_declared(kind: type[Any], value: dict[str, Any]) -> Any:
+    """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
+    names = {field.name for field in fields(kind)}
+    known = {key: part for key, part in value.items() if key in names}
+    try:
+        return TypeAdapter(kind).validate_python(known)
+    except (CodecbenchError, ValueError) as error:
+        log.warning("plan.json: %s", " ".join(str(error).split()))
+        return None

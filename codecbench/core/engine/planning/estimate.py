@@ -33,7 +33,7 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     declared = plan.declared.get("evaluators", {})
     costs: dict[tuple[str, str], list[float]] = defaultdict(list)
     for cell in plan.cells:
-        if cell.id in durations:
+        if cell.id in durations and cell.sequence.frames:
             costs[cell.codec.name, cell.evaluator.name].append(durations[cell.id] / cell.sequence.frames)
     shared = alone = 0.0
     measured = 0

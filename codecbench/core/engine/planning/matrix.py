@@ -13,10 +13,10 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.contracts.params import Params
 from codecbench.core.engine.planning.axes import Point, points
+from codecbench.core.engine.planning.description import Description, InvalidParams, describe
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, shown, suggest
 from codecbench.core.engine.registry import Registry, installed
@@ -43,14 +43,16 @@ class RunSection(BaseModel):
 class Entry:
     """One setting of a section, and where in the file it stands.
 
-    params: as validated; None where the plugin cannot be used here, and `missing` then says why.
+    description: what the plugin says of it; None where it cannot be used here, and `missing` then says why.
+    faulty: that is the plugin's own fault.
     """
 
     where: Where
     setting: PluginSetting
     name: str | None = None
-    params: Params | None = None
+    description: Description | None = None
     missing: str | None = None
+    faulty: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,23 +151,28 @@ class _Reader:
 
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
         """One validated setting, or None after noting what is wrong with it."""
+        values = {key: value for key, (_, value) in point.items()}
+        unusable, plugin = Entry(where, PluginSetting(kind, name, "", values)), None
+        if (broken := self.registry.maybe_broken(kind, name)) is not None:
+            return replace(unusable, missing=broken, faulty=True)
         try:
-            cls = self.registry.load(kind, name)
+            plugin = self.registry.find(kind, name)
+            told = describe(self.registry, kind, name, values, str(self.folder))
+        except InvalidParams as invalid:
+            for detail in invalid.details:
+                self.note(where, point, detail, invalid.fields)
+            return None
         except Unsupported as error:
-            params = {key: value for key, (_, value) in point.items()}
-            return Entry(where, PluginSetting(kind, name, "", params), missing=str(error))
-        except PluginError as error:
+            return replace(unusable, missing=str(error))
+        except CodecbenchError as error:
+            if plugin is not None and plugin.hosted:
+                return replace(unusable, missing=str(error), faulty=True)
             self.problems.add((*where, "use"), str(error))
             return None
-        values = {key: value for key, (_, value) in point.items()}
-        try:
-            params = cls.params_type.model_validate(values, context={"relative_to": self.folder})
-        except ValidationError as error:
-            for detail in error.errors():
-                self.note(where, point, detail, list(cls.params_type.model_fields))
-            return None
-        setting = PluginSetting(kind, name, cls.version, params.model_dump(mode="json"))
-        return Entry(where, setting, params=params)
+        setting = PluginSetting(
+            kind, name, told.version, told.params, inert=tuple(told.inert), distribution=plugin.company
+        )
+        return Entry(where, setting, description=told)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
         """Translate one of pydantic's errors into a problem at the value that it is about."""
@@ -254,7 +261,7 @@ def _differing(several: list[dict[str, Any]]) -> set[str]:
 
 def _explicit(entry: Entry) -> list[str]:
     """Parameters of the only setting of a codec that differ from the defaults."""
-    return list(entry.setting.params if entry.params is None else entry.params.model_dump(exclude_defaults=True))
+    return list(entry.setting.params) if entry.description is None else entry.description.explicit
 
 
 def _word(value: Any) -> str:

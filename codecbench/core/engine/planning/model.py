@@ -17,7 +17,8 @@ class PluginSetting:
 
     params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
     same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one. uses: the plugins that an evaluator
-    runs. inert: names of parameters that cannot change a result, so that they are in no identity.
+    runs. inert: names of parameters that cannot change a result, so that they are in no identity. distribution: where
+    it comes from, with its version; empty for codecbench's own.
     """
 
     kind: Kind
@@ -27,6 +28,7 @@ class PluginSetting:
     label: str = ""
     uses: tuple[PluginSetting, ...] = ()
     inert: tuple[str, ...] = ()
+    distribution: str = ""
 
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
@@ -43,7 +45,10 @@ class PluginSetting:
 
 @dataclass(frozen=True)
 class SequenceEntry:
-    """A sequence of the matrix, opened once while planning."""
+    """A sequence of the matrix, opened once while planning.
+
+    missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
+    """
 
     name: str
     dataset: PluginSetting
@@ -52,6 +57,7 @@ class SequenceEntry:
     channels: int
     has_camera: bool
     has_ground_truth: bool
+    missing: str | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,11 @@ class CodingJob:
     id: str
     sequence: SequenceEntry
     codec: PluginSetting
+
+    @property
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(self.sequence.dataset, self.codec)
 
 
 @dataclass(frozen=True)
@@ -80,6 +91,11 @@ class Cell:
     exclusive: bool
     job_id: str | None
     unsupported: str | None = None
+
+    @property
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -182,3 +198,7 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
 
 def _shown(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
+
+
+def _company(*settings: PluginSetting) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))

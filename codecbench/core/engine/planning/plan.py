@@ -7,13 +7,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
-from codecbench.core.contracts.evaluator import CodecEvaluator, Evaluator, PluginUse
-from codecbench.core.contracts.params import Params
-from codecbench.core.engine.identity import digest, seed_from, without_defaults
-from codecbench.core.engine.planning.declared import declared
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.engine.hosting.host import PluginFault
+from codecbench.core.engine.identity import digest, seed_from
+from codecbench.core.engine.planning.description import (
+    Description,
+    InvalidParams,
+    describe,
+    sequence_described,
+)
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
 from codecbench.core.engine.registry import Registry, installed
+
+_OPENING = 10
+"""Opening a sequence may take so many times what other questions to a plugin may: it reads what is on disk."""
 
 RECORD_FORMAT = 1
 """Enters every identity: raised when the meaning of a record changes, so that old ones are recomputed."""
@@ -21,14 +29,14 @@ RECORD_FORMAT = 1
 
 @dataclass(frozen=True)
 class _Side:
-    """A codec or evaluator setting beside its instance, or why there is none.
+    """A codec or evaluator setting beside what its plugin says of it, or why it cannot be used.
 
     identities: what distinguishes it, without parameters at their default; one for each repeat of an evaluator.
     """
 
     setting: PluginSetting
     identities: tuple[list[Any], ...]
-    instance: Any = None
+    told: Description | None = None
     missing: str | None = None
 
 
@@ -41,7 +49,7 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
     """
     registry = registry or installed()
     sequences = _open_sequences(matrix, registry)
-    codecs = [_codec_side(entry, registry) for entry in matrix.codecs]
+    codecs = [_codec_side(entry) for entry in matrix.codecs]
     evaluators = [_evaluator_side(entry, registry) for entry in matrix.evaluators]
     jobs: dict[str, CodingJob] = {}
     cells: dict[str, Cell] = {}
@@ -49,7 +57,7 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         for codec in codecs:
             job = CodingJob(coding_id(sequence, codec.setting), sequence, codec.setting)
             for evaluator in evaluators:
-                for cell in _cells(job, codec, evaluator, matrix.run.seed, registry):
+                for cell in _cells(job, codec, evaluator, matrix.run.seed):
                     cells.setdefault(cell.id, cell)
                     if cell.job_id is not None and cell.unsupported is None:
                         jobs.setdefault(job.id, job)
@@ -60,9 +68,10 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         sequences=tuple(sequences),
         jobs=tuple(jobs.values()),
         cells=tuple(cells.values()),
-        declared=declared(
-            (codec.instance for codec in codecs), ((side.setting.title, side.instance) for side in evaluators)
-        ),
+        declared={
+            "codecs": {side.setting.name: side.told.declared for side in codecs if side.told and side.told.declared},
+            "evaluators": {side.setting.title: side.told.declared for side in evaluators if side.told},
+        },
     )
 
 
@@ -80,94 +89,79 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
     problems = matrix.problems()
     entries: dict[str, SequenceEntry] = {}
     for entry in matrix.sequences:
-        if entry.missing is not None:
-            problems.add(entry.where, entry.missing)
-            continue
-        setting = entry.setting
         try:
-            sequence = registry.create("dataset", setting.name, setting.params).open()
+            sequence = _opened(entry, registry)
         except CodecbenchError as error:
             problems.add(entry.where, str(error))
             continue
         name = entry.name or sequence.name
+        setting = entry.setting
         if name in entries:
             label = setting.label or setting.name
             name = f"{name} {label}"
         if name in entries:
             problems.add(entry.where, f"another sequence is called {name!r}; give this one a `name`")
             continue
-        entries[name] = SequenceEntry(
-            name=name,
-            dataset=setting,
-            fingerprint=sequence.fingerprint,
-            frames=len(sequence),
-            channels=sequence.channels,
-            has_camera=sequence.camera is not None,
-            has_ground_truth=sequence.ground_truth is not None,
-        )
+        entries[name] = replace(sequence, name=name)
     problems.raise_any()
     return list(entries.values())
 
 
-def _codec_side(entry: Entry, registry: Registry) -> _Side:
-    setting, params = entry.setting, entry.params
-    if params is None:
+def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
+    """The sequence of an entry, by the name that it has itself; one that its plugin's fault keeps shut says why."""
+    setting, missing = entry.setting, entry.missing
+    if missing is None:
+        try:
+            found = registry.ask(
+                sequence_described, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
+            )
+            return SequenceEntry(dataset=setting, **found)
+        except PluginFault as fault:
+            missing = str(fault)
+    elif not entry.faulty:
+        raise Unsupported(missing)
+    fingerprint = digest(["never opened", setting.name, setting.params])
+    return SequenceEntry(setting.name, setting, fingerprint, 0, 1, False, False, missing)
+
+
+def _codec_side(entry: Entry) -> _Side:
+    setting, told = entry.setting, entry.description
+    if told is None:
         return _Side(setting, ([setting.kind, setting.name, setting.version, setting.params],), None, entry.missing)
-    told = params.identity()
-    setting = replace(setting, inert=_inert(params, [told]))
-    identity = [setting.kind, setting.name, setting.version, without_defaults(told, params)]
-    instance, missing = _instance(setting, registry)
-    return _Side(setting, (identity,), instance, missing)
+    (identity,) = told.identities
+    return _Side(setting, ([setting.kind, setting.name, setting.version, identity],), told, told.missing)
 
 
 def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
-    setting, params = entry.setting, entry.params
-    evaluator, missing = (None, entry.missing) if params is None else _instance(setting, registry)
-    if params is None or evaluator is None:
+    setting, told = entry.setting, entry.description
+    missing = entry.missing if told is None else told.missing
+    if told is None or missing is not None:
         return _Side(setting, ([setting.name, setting.version, setting.params, 0, []],), None, missing)
-    told = [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]
-    uses, used = zip(*(_used(use, registry) for use in evaluator.uses), strict=True) if evaluator.uses else ((), ())
-    setting = replace(setting, inert=_inert(params, told), uses=tuple(uses))
+    used = [_used(*use, registry) for use in told.uses]
     identities = [
-        [setting.name, setting.version, without_defaults(of_repeat, params), repeat, list(used)]
-        for repeat, of_repeat in enumerate(told)
+        [setting.name, setting.version, of_repeat, repeat, [identity for _, identity, _ in used]]
+        for repeat, of_repeat in enumerate(told.identities)
     ]
-    return _Side(setting, tuple(identities), evaluator)
+    reasons = (reason for *_, reason in used if reason is not None)
+    setting = replace(setting, uses=tuple(plugin for plugin, *_ in used))
+    return _Side(setting, tuple(identities), told, next(reasons, None))
 
 
-def _instance(setting: PluginSetting, registry: Registry) -> tuple[Any, str | None]:
-    """The plugin of a setting, or None and why it cannot be used here."""
+def _used(
+    kind: Kind, name: str, params: dict[str, Any], registry: Registry
+) -> tuple[PluginSetting, list[Any], str | None]:
+    """A plugin that an evaluator runs, its identity, which has no version where it is not there, and why not."""
     try:
-        return registry.create(setting.kind, setting.name, setting.params), None
-    except Unsupported as error:
-        return None, str(error)
+        plugin, told = registry.find(kind, name), describe(registry, kind, name, params)
+    except (Unsupported, PluginError, InvalidParams) as error:
+        return PluginSetting(kind, name, "", params), [kind, name, None, params], str(error)
+    setting = PluginSetting(kind, name, told.version, told.params, inert=tuple(told.inert), distribution=plugin.company)
+    return setting, [kind, name, told.version, told.identities[0]], told.missing
 
 
-def _used(use: PluginUse, registry: Registry) -> tuple[PluginSetting, list[Any]]:
-    """A plugin that an evaluator runs, and its identity; without a version where it is not there."""
-    try:
-        cls = registry.load(use.kind, use.name)
-    except (Unsupported, PluginError):
-        return PluginSetting(use.kind, use.name, "", use.params), [use.kind, use.name, None, use.params]
-    params = cls.params_type.model_validate(use.params)
-    told = params.identity()
-    setting = PluginSetting(
-        use.kind, use.name, cls.version, params.model_dump(mode="json"), inert=_inert(params, [told])
-    )
-    return setting, [use.kind, use.name, cls.version, without_defaults(told, params)]
-
-
-def _inert(params: Params, told: list[dict[str, Any]]) -> tuple[str, ...]:
-    """Names of the parameters that a plugin leaves out of what it says distinguishes it, or tells otherwise."""
-    full = params.model_dump(mode="json")
-    return tuple(
-        name for name in full if any(name not in identity or identity[name] != full[name] for identity in told)
-    )
-
-
-def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int, registry: Registry) -> Iterator[Cell]:
-    instance: Evaluator[Any] | None = evaluator.instance
-    unsupported = _unsupported(job.sequence, codec, evaluator, registry)
+def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int) -> Iterator[Cell]:
+    told = evaluator.told
+    unsupported = _unsupported(job.sequence, codec, evaluator)
     shared = ["cell", RECORD_FORMAT, job.sequence.fingerprint, *codec.identities]
     for repeat, identity in enumerate(evaluator.identities):
         cell_id = digest([*shared, *identity, seed])
@@ -178,28 +172,26 @@ def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int, registry: 
             evaluator=evaluator.setting,
             repeat=repeat,
             seed=seed_from(cell_id, seed),
-            exclusive=bool(instance and instance.exclusive),
-            job_id=None if isinstance(instance, CodecEvaluator) else job.id,
+            exclusive=bool(told and told.exclusive),
+            job_id=None if told and told.runs_codec else job.id,
             unsupported=unsupported,
         )
 
 
-def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side, registry: Registry) -> str | None:
+def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str | None:
     """Why this combination cannot be computed here, or None."""
-    for side in (codec, evaluator):
-        if side.missing is not None:
-            return side.missing
-    allowed = codec.instance.capabilities.channels
+    if sequence.missing is not None:
+        return sequence.missing
+    if codec.told is None or codec.missing is not None:
+        return codec.missing
+    if evaluator.told is None:
+        return evaluator.missing
+    allowed = codec.told.channels
     if sequence.channels not in allowed:
         wanted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
         return f"codec {codec.setting.name} takes {wanted} frames; {sequence.name} has {sequence.channels} channel(s)"
-    if "camera" in evaluator.instance.needs and not sequence.has_camera:
+    if "camera" in evaluator.told.needs and not sequence.has_camera:
         return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
-    if "ground_truth" in evaluator.instance.needs and not sequence.has_ground_truth:
+    if "ground_truth" in evaluator.told.needs and not sequence.has_ground_truth:
         return f"evaluator {evaluator.setting.name} needs ground truth; {sequence.name} has none"
-    for use in evaluator.instance.uses:
-        try:
-            registry.create(use.kind, use.name, use.params)
-        except (Unsupported, PluginError) as error:
-            return str(error)
-    return None
+    return evaluator.missing

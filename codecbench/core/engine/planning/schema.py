@@ -80,8 +80,14 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
 
 
 def _params_schema(registry: Registry, plugin: Plugin) -> dict[str, Any]:
-    cls = registry.load(plugin.kind, plugin.spec.name)
-    schema: dict[str, Any] = cls.params_type.model_json_schema()
+    asked = plugin.kind, plugin.spec.name
+    schema: dict[str, Any] = registry.ask(params_schema, *asked, of=[asked])
+    return schema
+
+
+def params_schema(registry: Registry, kind: Kind, name: str) -> dict[str, Any]:
+    """The JSON Schema of a plugin's parameters."""
+    schema: dict[str, Any] = registry.load(kind, name).params_type.model_json_schema()
     return schema
 
 

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import ParamsError, PluginError, StoreError, Unsupported
 from codecbench.core.contracts.executor import Status
+from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.record import cell_description, settings_digest
@@ -115,17 +116,26 @@ def _changed_default(cell: Cell, store: Store, registry: Registry) -> str | None
 
 def _changed_parameter(before: dict[str, Any], setting: PluginSetting, registry: Registry) -> str | None:
     try:
-        params_type = registry.load(setting.kind, setting.name).params_type
+        asked = setting.kind, setting.name
+        effective = setting.effective_params()
+        return registry.ask(changed_parameter, *asked, before, effective, of=[asked])  # type: ignore[no-any-return]
     except (PluginError, Unsupported):
         return None
+
+
+def changed_parameter(
+    registry: Registry, kind: Kind, name: str, before: dict[str, Any], effective: dict[str, Any]
+) -> str | None:
+    """Which of a plugin's effective parameters those of before, completed by today's defaults, differ in, or None."""
+    params_type = registry.load(kind, name).params_type
     known = {name: value for name, value in before.items() if name in params_type.model_fields}
     try:
         then = params_type.model_validate(known).model_dump(mode="json")
     except ValidationError:
         return "its parameters of then are no longer valid"
-    for name, value in setting.effective_params().items():
-        if then[name] != value:
-            return f"the default of {name} was {then[name]!r} and is {value!r}"
+    for parameter, value in effective.items():
+        if then[parameter] != value:
+            return f"the default of {parameter} was {then[parameter]!r} and is {value!r}"
     return None
 
 

@@ -178,7 +178,7 @@ class _Run:
         settings = self.plan.run
         order = Order(work, self._bitstreams(work), cache_limit_bytes(settings.memory_mb))
         exclusive = isinstance(work, Cell) and work.exclusive
-        return Task(work.id, perform, order, settings.timeout_s, settings.memory_mb, exclusive)
+        return Task(work.id, perform, order, settings.timeout_s, settings.memory_mb, exclusive, work.company)
 
     def _bitstreams(self, work: Work) -> Path | bytes | None:
         """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""

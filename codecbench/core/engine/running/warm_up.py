@@ -6,29 +6,40 @@ What cannot be compiled ahead, for whatever reason, is compiled when it is first
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from typing import Any, TypeAlias
 
-from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Executor, Finished, Task
-from codecbench.core.contracts.hooks import KINDS
-from codecbench.core.engine.planning.model import Cell
+from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
 from codecbench.core.kernels.manifest import Entry, ManifestError, listed
 
 log = logging.getLogger("codecbench.run")
 
+_Call: TypeAlias = tuple[Kind, str, str]
+"""Kind and name of a plugin, and a package or module whose kernels it calls."""
+
 
 class WarmUp:
     """Kernels that are not in the cache: those that coding calls, which come first, and those of evaluators.
 
-    Those that only longer work comes to are compiled once all others are, beside the first cells.
+    Those that only longer work comes to are compiled once all others are, beside the first cells. companies: the
+    distributions that are imported to compile them.
     """
 
-    def __init__(self, coding: Iterable[Entry] = (), evaluating: Iterable[Entry] = ()) -> None:
+    def __init__(
+        self,
+        coding: Iterable[Entry] = (),
+        evaluating: Iterable[Entry] = (),
+        companies: Mapping[Entry, tuple[str, ...]] | None = None,
+    ) -> None:
         wanted = {True: list(coding), False: list(evaluating)}
         self._coding, self._evaluating = ([entry for entry in wanted[c] if entry.stage == 0] for c in (True, False))
         self._later = [entry for entries in wanted.values() for entry in entries if entry.stage > 0]
+        self._companies = companies or {}
         self._under_way: dict[str, Entry] = {}
         self._executor: Executor[Any] | None = None
         self.total = len(self._coding) + len(self._evaluating) + len(self._later)
@@ -73,7 +84,7 @@ class WarmUp:
         for entry in sorted(entries, key=lambda entry: (entry.stage, -entry.seconds)):
             id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
             self._under_way[id_] = entry
-            self._executor.submit(Task(id_, compile_entry, entry))
+            self._executor.submit(Task(id_, compile_entry, entry, company=self._companies.get(entry, ())))
 
 
 def compile_entry(entry: Entry) -> None:
@@ -84,40 +95,86 @@ def compile_entry(entry: Entry) -> None:
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
     """What the cells will call and the cache does not have."""
     by_setting = {(cell.sequence.dataset, cell.codec, cell.evaluator): cell for cell in cells}
-    coding: dict[str, None] = {}
-    counted: dict[str, None] = {}
-    evaluating: dict[str, None] = {}
+    coding: dict[_Call, None] = {}
+    counted: dict[_Call, None] = {}
+    evaluating: dict[_Call, None] = {}
+    told: dict[PluginSetting, dict[str, Any]] = {}
+
+    def calls(setting: PluginSetting) -> dict[_Call, None]:
+        if setting not in told:
+            told[setting] = _told(registry, setting.kind, setting.name, setting.params)
+        return {(setting.kind, setting.name, kernels): None for kernels in told[setting]["kernels"]}
+
     for cell in by_setting.values():
-        codec = registry.load("codec", cell.codec.name)
-        evaluator = registry.create("evaluator", cell.evaluator.name, cell.evaluator.params)
-        used = [registry.load(use.kind, use.name) for use in evaluator.uses]
-        coding |= dict.fromkeys((*registry.load("dataset", cell.sequence.dataset.name).kernels, *codec.kernels))
-        evaluating |= dict.fromkeys(name for plugin in (evaluator, *used) for name in getattr(plugin, "kernels", ()))
-        if evaluator.counts_operations:
-            counted |= dict.fromkeys(codec.kernels)
-    first = missing(coding, "fast")
-    counting = missing(counted, "counting")
-    later = [entry for entry in missing(evaluating, "fast") if entry not in first]
-    return WarmUp(first, [*counting, *later])
+        coding |= calls(cell.sequence.dataset) | calls(cell.codec)
+        for plugin in (cell.evaluator, *cell.evaluator.uses):
+            evaluating |= calls(plugin)
+        if told[cell.evaluator]["counts"]:
+            counted |= calls(cell.codec)
+    first = missing(registry, coding, "fast")
+    counting = missing(registry, counted, "counting")
+    evaluated = missing(registry, evaluating, "fast")
+    later = [entry for entry in evaluated if entry not in first]
+    return WarmUp([*first], [*counting, *later], companies={**evaluated, **counting, **first})
 
 
 def all_kernels(registry: Registry) -> WarmUp:
     """What any installed plugin may call and the cache does not have."""
-    names: dict[str, None] = {}
+    names: dict[_Call, None] = {}
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
+        asked = plugin.kind, plugin.spec.name
+        names |= {(*asked, kernels): None for kernels in _told(registry, *asked)["kernels"]}
+    found = missing(registry, names, "fast", "counting")
+    return WarmUp([*found], companies=found)
+
+
+def missing(registry: Registry, calls: Iterable[_Call], *builds: str) -> dict[Entry, tuple[str, ...]]:
+    """The listed kernels of packages and modules, in these builds, that the cache does not have, with their company."""
+    by_plugin: dict[tuple[Kind, str], list[str]] = {}
+    for kind, name, kernels in calls:
+        by_plugin.setdefault((kind, name), []).append(kernels)
+    entries: dict[Entry, tuple[str, ...]] = {}
+    for asked, names in by_plugin.items():
+        company = registry.find(*asked).company
         try:
-            names |= dict.fromkeys(getattr(registry.load(plugin.kind, plugin.spec.name), "kernels", ()))
-        except (Unsupported, PluginError) as error:
-            log.info("%s", error)
-    return WarmUp(missing(names, "fast", "counting"))
+            answer = registry.ask(entries_missing, names, builds, of=[asked])
+        except CodecbenchError as error:
+            log.warning("%s", error)
+            continue
+        for problem in answer["problems"]:
+            log.warning("%s", problem)
+        found = [Entry(**values) for values in answer["entries"]]
+        entries |= {e: (company,) if company and not e.kernel.startswith("codecbench.") else () for e in found}
+    return entries
 
 
-def missing(names: Iterable[str], *builds: str) -> list[Entry]:
-    """The listed kernels of packages and modules, in these builds, that the cache does not have."""
+def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None) -> dict[str, Any]:
+    """`kernels`, the packages and modules that a plugin names, and `counts`, whether it runs counting builds.
+
+    params: None where the class alone is asked.
+    """
+    plugin = registry.load(kind, name) if params is None else registry.create(kind, name, params)
+    counts = params is not None and bool(getattr(plugin, "counts_operations", False))
+    return {"kernels": [str(kernels) for kernels in getattr(plugin, "kernels", ())], "counts": counts}
+
+
+def entries_missing(_: Registry, names: list[str], builds: list[str]) -> dict[str, Any]:
+    """As JSON types: `entries` of manifests for these packages that the cache does not have, and `problems`."""
     entries: dict[Entry, None] = {}
+    problems: list[str] = []
     for name in names:
         try:
             entries |= dict.fromkeys(e for e in listed(name) if e.build in builds and not e.is_kept())
         except ManifestError as error:
-            log.warning("%s", error)
-    return list(entries)
+            problems.append(str(error))
+    return {"entries": [asdict(entry) for entry in entries], "problems": problems}
+
+
+def _told(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What `kernels_called` says; nothing, with a line in the log, where the plugin cannot be asked."""
+    try:
+        found: dict[str, Any] = registry.ask(kernels_called, kind, name, params, of=[(kind, name)])
+    except CodecbenchError as error:
+        log.info("%s", error)
+        return {"kernels": [], "counts": False}
+    return found

@@ -78,7 +78,10 @@ def perform(order: Order) -> Record | BitstreamDamage:
     work, bench, position = order.work, _workbench(), WorkPosition()
     _start_afresh(work.id)
     try:
+        bench.join(work.company)
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
+        position.at("check")
+        bench.check(work.company)
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
@@ -89,7 +92,7 @@ def perform(order: Order) -> Record | BitstreamDamage:
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker={"host": platform.node(), "pid": os.getpid()},
+        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company)},
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
 

@@ -14,21 +14,34 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.engine.environment import describe_environment, environment_id
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.registry import Registry, registry_of
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
+from codecbench.core.engine.running.sentinel import Sentinel
 
 _OPEN_SEQUENCES: Final = 4
 
 
 class Workbench:
-    """What a worker keeps between tasks."""
+    """What a worker keeps between tasks. Plugins of other distributions come with `join`."""
 
     def __init__(self) -> None:
-        self.registry = installed()
-        self.environment_description = describe_environment(self.registry)
+        self.registry = registry_of(())
+        self.environment_description = describe_environment()
         self.environment = environment_id(self.environment_description)
+        self._sentinel: Sentinel | None = None
         self._cache = FrameCache()
         self._sequences: dict[str, Sequence] = {}
+
+    def join(self, company: tuple[str, ...]) -> None:
+        """Import what these distributions offer; an executor gives a worker the tasks of one company only."""
+        if company and self._sentinel is None:
+            self._sentinel = Sentinel(self.registry)
+        self.registry = registry_of(company)
+
+    def check(self, company: tuple[str, ...]) -> None:
+        """Raise Tampering where the company's code changed what this process computes with."""
+        if company and self._sentinel is not None:
+            self._sentinel.check(company)
 
     def create(self, setting: PluginSetting) -> Any:
         """The plugin of a setting. Raises PluginError where another version of it is installed here."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
+from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,11 +13,13 @@ import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import CodedFrame
+from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.coding import checked_decoding
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
@@ -41,11 +46,11 @@ def frame_pictures(run: RunResult, budget_bytes: int, sequences_from: str | None
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     for entry in run.plan.sequences:
-        middle = _middle_frame(run, entry, sequences_from)
-        if middle is None:
+        params = _dataset_params(run, entry, sequences_from)
+        if params is None:
             continue
         chosen = _chosen(run, entry)
-        views = [(setting, rate, view) for setting, rate in chosen if (view := _view(run, entry, middle, setting))]
+        views = [(setting, rate, view) for setting, rate in chosen if (view := _view(run, entry, params, setting))]
         views = _thinned(views, share)
         for setting, rate, view in views:
             name = f"{setting.name} {setting.label}".strip()
@@ -99,28 +104,19 @@ def _thinned(views: list[_View], budget_bytes: int) -> list[_View]:
     return []
 
 
-def _middle_frame(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> Frame | None:
-    """The middle frame of a sequence; None, with a line in the log, where it is not there or no longer the same."""
+def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> dict[str, Any] | None:
+    """The parameters to open a sequence with; None, with a line in the log, where it may not be opened."""
     try:
-        sequence = _opened(run, entry, sequences_from)
-        if sequence.fingerprint != entry.fingerprint or len(sequence) != entry.frames:
-            raise DatasetError("its frames are no longer those of the run")
-        return sequence.read(entry.frames // 2)
-    except (CodecbenchError, OSError, ValueError) as error:
+        if sequences_from not in (None, SAME_PLACE):
+            return {name: _relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+        elsewhere = Store(run.folder).origin_elsewhere() if sequences_from is None else None
+        if elsewhere is not None:
+            message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
+            raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")
+    except (CodecbenchError, OSError) as error:
         log.warning("no pictures of %s: %s", entry.name, clean_line(str(error)))
         return None
-
-
-def _opened(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> Sequence:
-    params = entry.dataset.params
-    elsewhere = Store(run.folder).origin_elsewhere() if sequences_from is None else None
-    if elsewhere is not None:
-        message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
-        raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")
-    if sequences_from not in (None, SAME_PLACE):
-        params = {name: _relocated(value, Path(sequences_from)) for name, value in params.items()}
-    sequence: Sequence = installed().create("dataset", entry.dataset.name, params).open()
-    return sequence
+    return entry.dataset.params
 
 
 def _relocated(value: Any, folder: Path) -> Any:
@@ -135,13 +131,47 @@ def _relocated(value: Any, folder: Path) -> Any:
     raise DatasetError(f"{parts[-1] if parts else value} is not in {folder}")
 
 
-def _view(run: RunResult, entry: SequenceEntry, middle: Frame, setting: PluginSetting) -> FrameView | None:
+def _view(run: RunResult, entry: SequenceEntry, params: dict[str, Any], setting: PluginSetting) -> FrameView | None:
     """The middle frame of a sequence under a setting; None, with a line in the log, where it cannot be made again."""
     job_id = coding_id(entry, setting)
+    path = str(Store(run.folder).coded_path(job_id).absolute())
+    asked: list[tuple[Kind, str]] = [("dataset", entry.dataset.name), ("codec", setting.name)]
+    sequence = entry.dataset.name, params, entry.fingerprint, entry.frames
     try:
-        bitstream = BitstreamFile(Store(run.folder).coded_path(job_id), job_id).read(middle.index)
-        codec = installed().create("codec", setting.name, setting.params)
-        return frame_view(CodedFrame(middle, bitstream, checked_decoding(codec.decode(bitstream), middle.image)))
+        values = installed().ask(view_values, *sequence, setting.name, setting.params, path, job_id, of=asked)
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
-        log.warning("no picture of %s %s on %s: %s", setting.name, setting.label, entry.name, error)
+        where = f"{setting.name} {setting.label} on {entry.name}"
+        log.warning("no picture of %s: %s", where, clean_line(str(error)))
         return None
+    return FrameView(**values)
+
+
+def view_values(
+    registry: Registry,
+    dataset: str,
+    dataset_params: dict[str, Any],
+    fingerprint: str,
+    frames: int,
+    codec: str,
+    codec_params: dict[str, Any],
+    path: str,
+    job_id: str,
+) -> dict[str, Any]:
+    """The fields of the view of a sequence's middle frame, whose bitstream is in the file `path` of the job.
+
+    Raises DatasetError where the sequence is no longer the one of the fingerprint, and BitstreamDamage where the file
+    is not the job's.
+    """
+    middle = _middle_frame(registry, dataset, canonical_json(dataset_params).decode(), fingerprint, frames)
+    bitstream = BitstreamFile(Path(path), job_id).read(middle.index)
+    decoded = registry.create("codec", codec, codec_params).decode(bitstream)
+    return asdict(frame_view(CodedFrame(middle, bitstream, checked_decoding(decoded, middle.image))))
+
+
+@lru_cache(maxsize=1)
+def _middle_frame(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> Frame:
+    """The middle frame of a sequence, read once for all settings. params: as JSON."""
+    sequence: Sequence = registry.create("dataset", dataset, json.loads(params)).open()
+    if sequence.fingerprint != fingerprint or len(sequence) != frames:
+        raise DatasetError("its frames are no longer those of the run")
+    return sequence.read(frames // 2)

@@ -1,0 +1,137 @@
+"""What a plan needs to know of plugins, as data: asked of each in this process or in its host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.evaluator import CodecEvaluator
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.params import Params
+from codecbench.core.engine.identity import without_defaults
+from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
+from codecbench.core.engine.registry import Registry
+
+_CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend")
+_MOST_REPEATS: Final = 100_000
+
+
+class InvalidParams(Exception):
+    """Parameters that a plugin does not take: pydantic's errors, and the names that it knows."""
+
+    def __init__(self, details: list[dict[str, Any]], fields: list[str]) -> None:
+        super().__init__(f"{len(details)} invalid parameter(s)")
+        self.details, self.fields = details, fields
+
+
+@dataclass(frozen=True)
+class Description:
+    """One setting of a plugin.
+
+    params: complete, as JSON types. explicit: names of those that are not at their default. identities: what
+    distinguishes each repeat, without parameters at their default; empty where `missing` says why there is no instance.
+    inert: see PluginSetting. declared: what it says of its meaning, see `planning.declared`. channels: of a codec.
+    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator.
+    """
+
+    version: str
+    params: dict[str, Any]
+    explicit: list[str] = field(default_factory=list)
+    identities: list[dict[str, Any]] = field(default_factory=list)
+    inert: list[str] = field(default_factory=list)
+    missing: str | None = None
+    declared: dict[str, Any] = field(default_factory=dict)
+    channels: list[int] = field(default_factory=list)
+    needs: list[str] = field(default_factory=list)
+    exclusive: bool = False
+    runs_codec: bool = False
+    uses: list[tuple[Kind, str, dict[str, Any]]] = field(default_factory=list)
+
+
+def describe(
+    registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None = None
+) -> Description:
+    """The description of a plugin with these parameters; paths in them start at `folder`.
+
+    Raises InvalidParams, Unsupported where it cannot be used here, and PluginError where it breaks the contract.
+    """
+    answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
+    if "invalid" in answer:
+        raise InvalidParams(answer["invalid"], answer["fields"])
+    return Description(**answer)
+
+
+def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None) -> dict[str, Any]:
+    """The fields of a Description as JSON types, or `invalid` with pydantic's errors and `fields`."""
+    cls = registry.load(kind, name)
+    try:
+        params = cls.params_type.model_validate(values, context={"relative_to": folder} if folder else None)
+    except ValidationError as error:
+        return {"invalid": [_plain(detail) for detail in error.errors()], "fields": list(cls.params_type.model_fields)}
+    found: dict[str, Any] = {
+        "version": _version(cls),
+        "params": params.model_dump(mode="json"),
+        "explicit": list(params.model_dump(exclude_defaults=True)),
+    }
+    if kind not in _CONSTRUCTED:
+        return {**found, **_identities(params, [params.identity()])}
+    try:
+        instance = cls(params)
+    except Unsupported as error:
+        unknown = {} if kind == "evaluator" else _identities(params, [params.identity()])
+        return {**found, **unknown, "missing": str(error)}
+    if kind == "evaluator":
+        return {**found, **_evaluator(instance, params)}
+    found |= _identities(params, [params.identity()])
+    if kind == "codec":
+        found |= {"declared": codec_declared(instance), "channels": [int(n) for n in instance.capabilities.channels]}
+    return found
+
+
+def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
+    if not 1 <= evaluator.repeats <= _MOST_REPEATS:
+        raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it is 1 to {_MOST_REPEATS}")
+    return {
+        **_identities(params, [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]),
+        "declared": evaluator_declared(evaluator),
+        "needs": sorted(evaluator.needs),
+        "exclusive": bool(evaluator.exclusive),
+        "runs_codec": isinstance(evaluator, CodecEvaluator),
+        "uses": [(use.kind, use.name, use.params) for use in evaluator.uses],
+    }
+
+
+def _identities(params: Params, told: list[dict[str, Any]]) -> dict[str, Any]:
+    full = params.model_dump(mode="json")
+    inert = [name for name in full if any(name not in identity or identity[name] != full[name] for identity in told)]
+    return {"identities": [without_defaults(identity, params) for identity in told], "inert": inert}
+
+
+def _version(cls: Any) -> str:
+    if not isinstance(cls.version, str):
+        raise PluginError(f"{cls.__name__}.version is {cls.version!r}; it is a string")
+    return cls.version
+
+
+def _plain(detail: Any) -> dict[str, Any]:
+    """One of pydantic's errors, without the exception that it may hold."""
+    return {name: detail.get(name) for name in ("type", "loc", "msg", "input")}
+
+
+def sequence_described(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
+    """What a plan keeps of a dataset's sequence, which is opened. Raises DatasetError."""
+    sequence = registry.create("dataset", name, params).open()
+    found = {"name": sequence.name, "fingerprint": sequence.fingerprint}
+    for attribute, value in found.items():
+        if not isinstance(value, str) or not value:
+            raise PluginError(f"{type(sequence).__name__}.{attribute} is {value!r}; it is a string")
+    return {
+        **found,
+        "frames": len(sequence),
+        "channels": int(sequence.channels),
+        "has_camera": sequence.camera is not None,
+        "has_ground_truth": sequence.ground_truth is not None,
+    }

@@ -1,0 +1,68 @@
+"""What a host process does: call functions of codecbench on the plugins of its company, and answer with data.
+
+It imports as little as it can, because `codecbench list` waits for it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+from codecbench.core.contracts import errors
+from codecbench.core.engine.registry import Registry, offered, points_by_origin, registry_of
+from codecbench.core.engine.scouting import answers_of_children
+
+_MARGIN_S: Final = 5
+"""A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
+
+
+def serve(requests: int, answers: int, company: list[str]) -> None:
+    """Answer one request a line until there are no more.
+
+    requests, answers: descriptors of pipes. A request names a function, its arguments and how long it may take.
+    """
+    with os.fdopen(requests, "rb") as stream:
+        for line in stream:
+            request = json.loads(line)
+            signal.alarm(request["limit_s"] + _MARGIN_S)
+            content = _answer(partial(_called, request, company))
+            signal.alarm(0)
+            _write(answers, content)
+    os._exit(0)
+
+
+def scouted(_: Registry, companies: list[str], limit_s: float) -> dict[str, Any]:
+    """What each of these distributions offers, or `error` and `text`; see `answers_of_children`."""
+
+    points = points_by_origin()
+
+    def question(origin: str) -> bytes:
+        return _answer(lambda: offered(Registry(points[origin])))
+
+    return answers_of_children({origin: partial(question, origin) for origin in companies}, limit_s)
+
+
+def _called(request: dict[str, Any], company: list[str]) -> Any:
+    module, _, name = request["function"].partition(":")
+    function = getattr(importlib.import_module(module), name)
+    return function(registry_of(tuple(company), ours=request["ours"]), *request["arguments"])
+
+
+def _answer(call: Callable[[], Any]) -> bytes:
+    """The value or what went wrong, as a line of JSON."""
+    try:
+        return json.dumps({"value": call()}).encode() + b"\n"
+    except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
+        known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
+        text = str(error) if known else f"{type(error).__name__}: {error}"
+        return json.dumps({"error": known, "text": text[:4000]}).encode() + b"\n"
+
+
+def _write(descriptor: int, content: bytes) -> None:
+    while content:
+        content = content[os.write(descriptor, content) :]

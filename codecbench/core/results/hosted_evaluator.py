@@ -1,0 +1,96 @@
+"""An evaluator of another distribution as results need it: what it declares, compares and draws, asked of its host."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from codecbench.core.contracts.errors import CodecbenchError, PluginError
+from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing, Line, View
+from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.description import describe
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.storage.samples import json_from_measurement, measurement_from_json
+
+ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
+
+
+class HostedEvaluator:
+    """Has the members of an Evaluator that results use. Raises the CodecbenchErrors of `planning.describe`."""
+
+    def __init__(self, registry: Registry, setting: PluginSetting) -> None:
+        told = describe(registry, "evaluator", setting.name, setting.params)
+        if told.missing is not None:
+            raise PluginError(told.missing)
+        self._registry, self._setting = registry, setting
+        declared = told.declared
+        self.metrics: tuple[Metric, ...] = tuple(filter(None, (read_declared(Metric, m) for m in declared["metrics"])))
+        self.views: tuple[View, ...] = tuple(filter(None, (read_declared(View, v) for v in declared["views"])))
+
+    def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        """What the plugin yields; where it fails, missing values of what the cell did not measure, with the reason."""
+        try:
+            rows = self._ask(compared, _plain(outcome), [_plain(other) for other in baseline])
+            found = [measurement_from_json(row) for row in rows]
+        except CodecbenchError as error:
+            measured = {measurement.metric for measurement in outcome.measurements}
+            for metric in self.metrics:
+                if metric.name not in measured:
+                    yield Measurement(metric.name, math.nan, reason=f"not compared: {error}")
+        else:
+            yield from found
+
+    def drawing(self, outcome: Outcome) -> Drawing | None:
+        """What the plugin draws of a cell. Raises CodecbenchError where it fails."""
+        answer = self._ask(drawn, _plain(outcome))
+        if answer is None:
+            return None
+        lines = (Line(name, stroke, np.array(points, float).reshape(-1, 2)) for name, stroke, points in answer["lines"])
+        return Drawing(tuple(lines), answer["caption"], answer["holds"])
+
+    def _ask(self, function: Any, *outcomes: Any) -> Any:
+        asked: tuple[Kind, str] = "evaluator", self._setting.name
+        return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[asked])
+
+
+def compared(
+    registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any], baseline: list[dict[str, Any]]
+) -> list[list[Any]]:
+    """What an evaluator yields of a cell beside the baseline's, as JSON types."""
+    evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
+    found = list(evaluator.compare(_outcome(outcome), [_outcome(other) for other in baseline]))
+    known = {metric.name for metric in evaluator.metrics}
+    for measurement in found:
+        if not isinstance(measurement, Measurement) or measurement.metric not in known:
+            raise PluginError(f"compare yielded {measurement!r}; it yields Measurements of {', '.join(sorted(known))}")
+        if math.isnan(measurement.value) and not measurement.reason:
+            raise PluginError(f"compare yielded NaN without a reason for {measurement.metric}")
+    return [json_from_measurement(measurement) for measurement in found]
+
+
+def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any]) -> dict[str, Any] | None:
+    """What an evaluator draws of a cell, as JSON types."""
+    evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
+    drawing = evaluator.drawing(_outcome(outcome))
+    if drawing is None:
+        return None
+    lines = [(line.name, line.stroke, line.points.tolist()) for line in drawing.lines]
+    return {"lines": lines, "caption": str(drawing.caption), "holds": drawing.holds}
+
+
+def _plain(outcome: Outcome) -> dict[str, Any]:
+    rows = [json_from_measurement(measurement) for measurement in outcome.measurements]
+    return {"repeat": outcome.repeat, "measurements": rows, "artifacts": str(outcome.artifacts.absolute())}
+
+
+def _outcome(values: dict[str, Any]) -> Outcome:
+    measurements = tuple(measurement_from_json(row) for row in values["measurements"])
+    return Outcome(values["repeat"], measurements, Path(values["artifacts"]))
