@@ -240,6 +240,15 @@ def test_members_outside_the_folder_are_refused(tmp_path, name, kind):
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["deep", archive.name]
 
 
+@pytest.mark.parametrize(("kind", "name"), [("tgz", ""), ("tgz", "."), ("zip", ".")])
+def test_members_without_a_name_are_refused(tmp_path, kind, name):
+    archive = tmp_path / f"odd.{kind}"
+    archive.write_bytes((tar_of if kind == "tgz" else zip_of)({"good": b"1", name: b"2"}))
+    with pytest.raises(DatasetError, match="which names none; nothing was unpacked"):
+        unpack(archive, tmp_path / "target")
+    assert [file.name for file in tmp_path.iterdir()] == [archive.name]
+
+
 def test_links_are_refused(tmp_path):
     with tarfile.open(tmp_path / "evil.tgz", "w:gz") as archive:
         info = tarfile.TarInfo("link")

@@ -24,8 +24,8 @@ _KEY_BYTES: Final = 32
 
 
 def origin_here(plan_digest: str, folder: Path) -> dict[str, Any]:
-    """Host, user and folder, and the seal that proves them; the seal is None where no key can be kept."""
-    origin = {"host": socket.gethostname(), "user": _user(), "folder": str(folder.absolute())}
+    """Host, user and path, and the seal that proves them; the seal is None where no key can be kept."""
+    origin = {"host": socket.gethostname(), "user": _user(), "path": str(folder.absolute())}
     return {**origin, "seal": _seal(plan_digest, origin, _key(make=True))}
 
 

@@ -127,7 +127,7 @@ class Store:
             return "a place that it does not name"
         if is_from_here(digest(document["plan"]), origin):
             return None
-        return clean_line(f"{origin.get('folder')} on {origin.get('host')} by {origin.get('user')}")
+        return clean_line(f"{origin.get('path')} on {origin.get('host')} by {origin.get('user')}")
 
     def _plan_document(self) -> dict[str, Any]:
         """The content of plan.json. Raises ValueError, KeyError or TypeError where its checksum is wrong."""
