@@ -33,7 +33,7 @@ def _cases() -> Iterator[Any]:
                     yield pytest.param(name, setting, check, id=f"{label}-{check.name}", marks=marks)
 
 
-@pytest.mark.parametrize(("name", "setting", "check"), _cases())
+@pytest.mark.parametrize(("name", "setting", "check"), list(_cases()))
 def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Check) -> None:
     codec_class = installed().load("codec", name)
     for channels in codec_class.capabilities.channels:
