@@ -266,14 +266,16 @@ def installed() -> Registry:
     return Registry(points.pop(_OURS, ()), hosted=sorted(points))
 
 
+@functools.cache
 def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
     """A registry of these distributions and codecbench's own plugins, all imported into this process.
 
-    For hosts and workers. company: distributions with their versions; those that are not installed are left out.
+    For hosts and workers, which read it once. company: distributions with their versions; those that are not installed
+    are left out.
     """
     points = points_by_origin()
     wanted = (*((_OURS,) if ours else ()), *company)
-    return _imported(tuple(point for origin in wanted for point in points.get(origin, ())))
+    return Registry(point for origin in wanted for point in points.get(origin, ()))
 
 
 def offered(registry: Registry) -> dict[str, Any]:
@@ -301,11 +303,6 @@ def origins() -> list[str]:
 def origin_of(point: EntryPoint) -> str:
     """The distribution of an entry point with its version; where it has none, what it names."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
-
-
-@functools.cache
-def _imported(points: tuple[EntryPoint, ...]) -> Registry:
-    return Registry(points)
 
 
 def points_by_origin() -> dict[str, list[EntryPoint]]:

@@ -25,6 +25,7 @@ class Workbench:
     """What a worker keeps between tasks. Plugins of other distributions come with `join`."""
 
     def __init__(self) -> None:
+        self._company: tuple[str, ...] = ()
         self.registry = registry_of(())
         self.environment_description = describe_environment()
         self.environment = environment_id(self.environment_description)
@@ -34,9 +35,11 @@ class Workbench:
 
     def join(self, company: tuple[str, ...]) -> None:
         """Import what these distributions offer; an executor gives a worker the tasks of one company only."""
+        if company == self._company:
+            return
         if company and self._sentinel is None:
             self._sentinel = Sentinel(self.registry)
-        self.registry = registry_of(company)
+        self.registry, self._company = registry_of(company), company
 
     def check(self, company: tuple[str, ...]) -> None:
         """Raise Tampering where the company's code changed what this process computes with."""
