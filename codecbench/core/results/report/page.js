@@ -192,7 +192,8 @@ function bars(view, id) {
         .reduce((sum, bar) => sum + bar.value, 0)),
       hovertemplate: `${stage}: %{x:.4s} ${view.unit}<extra>%{y}</extra>`,
     })), { barmode: "stack", xaxis: { title: { text: `${view.unit} a frame` } }, yaxis: { automargin: true, autorange: "reversed" },
-      height: Math.max(320, 90 + 26 * settings.length) });
+      legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 56, r: 16, t: 90, b: 48 },
+      height: Math.max(320, 150 + 26 * settings.length) });
   };
   for (const name of ["choice", "direction", "sequence"]) part(name).addEventListener("change", plot);
   plot();
