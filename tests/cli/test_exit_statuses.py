@@ -21,6 +21,8 @@ from project import DOCS, SUPPORT
 from codecbench.cli import COMMANDS
 from codecbench.cli.exit_status import ExitStatus
 
+pytestmark = pytest.mark.thorough
+
 MATRIX = """
 version: 1
 name: tiny

@@ -18,6 +18,8 @@ from project import SUPPORT
 
 from codecbench.cli.exit_status import ExitStatus
 
+pytestmark = pytest.mark.thorough
+
 MATRIX = """
 version: 1
 name: tiny

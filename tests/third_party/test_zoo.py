@@ -17,6 +17,8 @@ from distributions import install_source, install_zoo
 from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store
 
+pytestmark = pytest.mark.thorough
+
 OURS = """
 version: 1
 name: NAME

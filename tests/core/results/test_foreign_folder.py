@@ -19,6 +19,8 @@ from project import SUPPORT
 from codecbench.core.engine.foreign_text import LINE_LIMIT, clean_line, clean_text
 from codecbench.core.results.markdown import escaped
 
+pytestmark = pytest.mark.thorough
+
 MATRIX = """
 version: 1
 name: small
