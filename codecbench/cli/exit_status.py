@@ -67,7 +67,8 @@ def told(error: BaseException) -> ExitStatus:
         click.echo(f"error: {_sentence(error)}", err=True)
         return ExitStatus.NOT_POSSIBLE
     if isinstance(error, CodecbenchError):
-        click.echo(f"error: {error}", err=True)
+        hint = _NEXT.get(error.__cause__.errno or 0) if isinstance(error.__cause__, OSError) else None
+        click.echo(f"error: {error}" + (f"; {hint}" if hint else ""), err=True)
         return ExitStatus.NOT_POSSIBLE if _is_of_the_machine(error) else ExitStatus.WRONG_USE
     click.echo(f"error in codecbench: {type(error).__name__}: {error}{_where_it_is_kept(error)}", err=True)
     return ExitStatus.FAULT

@@ -272,5 +272,5 @@ def test_a_record_of_another_shape_is_damage_though_its_checksum_is_right(
 def test_what_is_no_json_is_refused(literal: str, folder: Path, site: Path) -> None:
     (folder / "plan.json").write_text(f'{{"checksum": "", "plan": {literal}}}')
     done = command(site, "table", folder)
-    assert done.returncode == 2
+    assert done.returncode == 3
     assert "plan.json is damaged" in done.stderr
