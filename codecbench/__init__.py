@@ -1,4 +1,4 @@
-"""A benchmark of codecs by what they do to the task that reads the pictures.
+"""A benchmark of codecs by what they do to the task that uses the images.
 
 The names below are loaded when they are first used, so that importing codecbench costs nothing.
 """

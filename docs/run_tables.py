@@ -81,12 +81,12 @@ def against_psnr(run: RunResult) -> str:
     from scipy.stats import spearmanr  # a second of import, for this sentence alone
 
     rho = spearmanr(qualities, features).statistic
-    sentence = f"On one sequence PSNR\nranks the settings much alike (Spearman's ρ {rho:.3f})"
+    sentence = f"On one sequence PSNR\nranks the settings almost alike (Spearman's ρ {rho:.3f})"
     kept = [at_quality([row for row in rows_of(run, name) if row["codec"] == "jpeg"], 30.0) for name in (MAIN, STILLS)]
     if any(map(np.isnan, kept)):
         return f"{sentence}."
     return (
-        f"{sentence}; across pictures it does not tell how many are left: JPEG at 30 dB keeps\n"
+        f"{sentence}; across images it does not predict how many survive: JPEG at 30 dB keeps\n"
         f"{100 * kept[0]:.0f} % in the office and {100 * kept[1]:.0f} % on the photographs."
     )
 

@@ -77,7 +77,7 @@ BLOCKS = {
         ("decoder", "`coverage`: time, inputs, branch edges", "`mutation`: time, inputs"), benchmark_tables.campaigns,
     ),
     "largest": Block(
-        "docs/reliability.md", "printed", "largest", ("decoder", "picture", "bytes", "time", "memory"),
+        "docs/reliability.md", "printed", "largest", ("decoder", "image", "bytes", "time", "memory"),
         benchmark_tables.printed,
     ),
 }  # fmt: skip

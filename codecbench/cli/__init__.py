@@ -57,7 +57,7 @@ class LazyGroup(click.Group):
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="codecbench")
 def cli() -> None:
-    """Benchmark image codecs by what they do to the task that reads the pictures."""
+    """Benchmark image codecs by what they do to the task that uses the images."""
 
 
 def main() -> None:

@@ -40,9 +40,9 @@ _MEMORY_MB = 1024
 
 @dataclass(frozen=True)
 class Entry:
-    """A bitstream of the corpus: what wrote it, of which picture, and what it decoded to there.
+    """A bitstream of the corpus: what wrote it, of which image, and what it decoded to there.
 
-    shape: height, width and channels of the picture.
+    shape: height, width and channels of the image.
     """
 
     file: str
@@ -77,9 +77,9 @@ def pixels_sha256(pixels: Image) -> str:
 
 
 def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], written_by: str) -> list[Entry]:
-    """Encode the pictures at every setting, and write bitstreams and manifest into a new or empty folder.
+    """Encode the images at every setting, and write bitstreams and manifest into a new or empty folder.
 
-    A picture that a setting does not support is left out. Codecs work in another process. Raises StoreError where the
+    An image that a setting does not support is left out. Codecs work in another process. Raises StoreError where the
     folder holds anything, and PluginError where a codec fails; then there is no manifest.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -115,7 +115,7 @@ def _written(
 ) -> Entry:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
-        raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
+        raise PluginError(f"{codec.name}, image {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
     bitstream = encoded.value
     write_file(folder / file, bitstream)
     return Entry(
@@ -192,10 +192,10 @@ def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None
 def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
     """Whether the encoder still writes these bytes, which it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
-        return EntryResult(entry, "passed", note=f"the picture is of generator {entry.generator}; only decoded")
+        return EntryResult(entry, "passed", note=f"the image is of generator {entry.generator}; only decoded")
     reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
     if reply.status != "done":
-        return EntryResult(entry, "failed", f"does not encode its picture any more: {reply.status}: {reply.reason}")
+        return EntryResult(entry, "failed", f"does not encode its image any more: {reply.status}: {reply.reason}")
     if hashlib.sha256(reply.value).hexdigest() == entry.bitstream_sha256:
         return EntryResult(entry, "passed")
     changes = _changes(entry, codec)

@@ -21,11 +21,11 @@ class NamedImage:
 def conformance_images(channels: int, seed: int = 1) -> list[NamedImage]:
     """Images of 1 or 3 channels: single pixels, single rows and columns, prime sizes, constants, extremes, noise.
 
-    The first one is a picture of ordinary content; the same seed gives the same images everywhere.
+    The first has ordinary content; the same seed gives the same images everywhere.
     """
     rng = np.random.default_rng(seed)
     planes = {
-        "picture 64x48": _picture(48, 64, rng),
+        "image 64x48": _picture(48, 64, rng),
         "1x1": rng.integers(0, 256, (1, 1)),
         "1x1 black": np.zeros((1, 1)),
         "row 1x19": rng.integers(0, 256, (1, 19)),

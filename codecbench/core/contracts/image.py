@@ -45,7 +45,7 @@ def channel_count(image: Image) -> int:
 
 
 def gray_from_image(image: Image) -> Image:
-    """The (H, W) gray picture of an image: itself, or BT.601 luma of RGB as OpenCV computes it.
+    """The (H, W) gray form of an image: itself, or BT.601 luma of RGB as OpenCV computes it.
 
     Every score and every tracker in codecbench uses this function, because file readers' own gray modes
     differ from it on half the pixels and Rec. 709 weights on nearly all.

@@ -27,7 +27,7 @@ class Metric:
     aggregates: how the wide table summarises it over frames and repeats, the first for short tables and figures.
     repeatable: equal code on equal input gives equal values; False for times, which are compared statistically.
 
-    role: what it means to a ranking. `rate` is what a codec spends; `quality` what is left of the pictures; `task`
+    role: what it means to a ranking. `rate` is what a codec spends; `quality` what is left of the images; `task`
     how well something that reads them does; `time` and `operations` what coding takes; `success` is 1 where a run
     succeeds and 0 where not; `behaviour` describes and ranks nothing.
     headline: shown first, and by its role in Pareto fronts, BD-rates and curves.

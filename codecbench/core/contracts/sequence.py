@@ -55,7 +55,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: its index in the sequence as opened, its time in seconds, its pixels."""
+    """One image: its index in the sequence as opened, its time in seconds, its pixels."""
 
     index: int
     timestamp_s: float

@@ -23,7 +23,7 @@ class View:
 
     kind: `curve`, the last of `metrics` over the first, or a single one over the rate; `bars`, each metric stacked by
     stage (`encode/dct`); `map`, the drawings that the evaluator reads from what its cells left. metrics: names of the
-    evaluator's own. title: over the picture. note: a sentence on how to read it.
+    evaluator's own. title: over the drawing. note: a sentence on how to read it.
 
     Headlines of role `quality` and `task` are drawn over the rate without a view.
     """
@@ -45,7 +45,7 @@ class View:
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a drawing: its name, what it stands for, and its points (N, 2) in the plane of the picture."""
+    """A line of a drawing: its name, what it stands for, and its points (N, 2) in the plane of the drawing."""
 
     name: str
     stroke: Stroke

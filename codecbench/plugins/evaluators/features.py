@@ -27,7 +27,7 @@ LEVELS: Final = 8
 SCALE_FACTOR: Final = 1.2
 """Pyramid of ORB as published and as ORB-SLAM uses it."""
 BORDER_PX: Final = 31
-"""ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the picture."""
+"""ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the image."""
 MIN_MATCHES: Final = 8
 """Matches that a fundamental matrix needs at the least."""
 RANSAC_CONFIDENCE: Final = 0.999
@@ -50,7 +50,7 @@ class FeaturesParams(Params):
 
 @dataclass(frozen=True)
 class Keypoints:
-    """ORB keypoints of a picture: `places` (N, 3) x, y in pixels and pyramid level; `descriptors` (N, 4) uint64."""
+    """ORB keypoints of an image: `places` (N, 3) x, y in pixels and pyramid level; `descriptors` (N, 4) uint64."""
 
     places: NDArray[np.float64]
     descriptors: NDArray[np.uint64]

@@ -135,7 +135,7 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
     elsewhere = {"CODECBENCH_CACHE": str(tmp_path / "cache")}  # another user's, with another key
     done = command(place, "report", run, **elsewhere)
     assert done.returncode == 0
-    assert "no pictures of pictures: the run was made in " in done.stderr
+    assert "no images of pictures: the run was made in " in done.stderr
     assert "--sequences-from" in done.stderr
     assert pictures(run) == 0
     command(place, "report", run, "--sequences-from", "same", **elsewhere)
@@ -144,7 +144,7 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
     command(place, "report", run, "--sequences-from", tmp_path / "mine", **elsewhere)
     assert pictures(run) == 3
     done = command(place, "report", run, "--sequences-from", tmp_path / "cache", **elsewhere)
-    assert "no pictures of pictures: pictures is not in" in done.stderr
+    assert "no images of pictures: pictures is not in" in done.stderr
     assert pictures(run) == 0
 
 

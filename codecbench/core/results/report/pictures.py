@@ -115,7 +115,7 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
             message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
             raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")
     except (CodecbenchError, OSError) as error:
-        log.warning("no pictures of %s: %s", entry.name, clean_line(str(error)))
+        log.warning("no images of %s: %s", entry.name, clean_line(str(error)))
         return None
     return entry.dataset.params
 
@@ -142,7 +142,7 @@ def _view(run: RunResult, entry: SequenceEntry, params: dict[str, Any], setting:
         values = installed().ask(view_values, *sequence, setting.name, setting.params, path, job_id, of=asked)
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
         where = f"{setting.name} {setting.label} on {entry.name}"
-        log.warning("no picture of %s: %s", where, clean_line(str(error)))
+        log.warning("no image of %s: %s", where, clean_line(str(error)))
         return None
     return FrameView(**values)
 

@@ -155,7 +155,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 def source_counts(codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
     """What the codec's kernels do to encode and to decode an image, by stage.
 
-    Raises RuntimeError where counting changes the bitstream or the picture.
+    Raises RuntimeError where counting changes the bitstream or the decoded image.
     """
     encoding, decoding = CountingTrace(), CountingTrace()
     bitstream = codec.encode(image, trace=encoding)

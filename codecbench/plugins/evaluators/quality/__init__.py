@@ -1,4 +1,4 @@
-"""Rate and picture quality, frame by frame."""
+"""Rate and image quality, frame by frame."""
 
 from codecbench.plugins.evaluators.quality.evaluator import Quality
 

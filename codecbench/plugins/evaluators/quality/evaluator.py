@@ -49,7 +49,7 @@ class Quality(SequenceEvaluator[NoParams]):
             role="rate", headline=True, label="saved against PNG", brief="CR %",
         ),
         Metric(
-            "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal pictures",
+            "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal images",
             role="quality", headline=True, label="PSNR", brief="PSNR dB",
         ),
         Metric(
@@ -61,7 +61,7 @@ class Quality(SequenceEvaluator[NoParams]):
             role="quality", headline=True, label="SSIM",
         ),
         Metric(
-            "ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the picture",
+            "ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the image",
             role="quality", label="SSIM inside",
         ),
         Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray", role="quality", label="MS-SSIM"),

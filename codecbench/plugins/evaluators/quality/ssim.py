@@ -1,4 +1,4 @@
-"""Structural similarity (SSIM) and its multi-scale form, two definitions fused into one pass over the picture.
+"""Structural similarity (SSIM) and its multi-scale form, two definitions fused into one pass over the image.
 
 Sources: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural
 similarity", IEEE TIP 13(4), 2004, doi:10.1109/TIP.2003.819861 (eqs. 13 and 17); Wang, Simoncelli, Bovik,
@@ -22,21 +22,21 @@ WINDOW_SIGMA = 1.5
 K1, K2 = 0.01, 0.03
 """Stabilising constants (Wang 2004, section III-C)."""
 PEAK = 255.0
-"""The dynamic range L of 8-bit pictures."""
+"""The dynamic range L of 8-bit images."""
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales, finest first (Wang 2003, section 3.2)."""
 
 WINDOW_SIDE = 2 * WINDOW_RADIUS + 1
-"""Smallest side for which the window fits inside the picture."""
+"""Smallest side for which the window fits inside the image."""
 MULTISCALE_SIDE = WINDOW_SIDE << (len(SCALE_WEIGHTS) - 1)
-"""Smallest side for which the window fits inside the picture at the coarsest scale: 176."""
+"""Smallest side for which the window fits inside the image at the coarsest scale: 176."""
 
 
 class Similarity(NamedTuple):
-    """Mean SSIM of a pair of pictures under both definitions of the border, and its contrast part.
+    """Mean SSIM of a pair of images under both definitions of the border, and its contrast part.
 
-    full: over all pixels, the picture continued by its border pixels. inner: over the pixels whose window lies
-    inside the picture, NaN where there are none. contrast_structure: the mean over the same inner pixels of the
+    full: over all pixels, the image continued by its border pixels. inner: over the pixels whose window lies
+    inside the image, NaN where there are none. contrast_structure: the mean over the same inner pixels of the
     product of contrast and structure, which the finer scales of MS-SSIM use.
     """
 
@@ -55,7 +55,7 @@ _WINDOW = gaussian_window()
 
 
 def similarity(gray: NDArray[Any], other: NDArray[Any]) -> Similarity:
-    """SSIM of two (H, W) pictures of equal shape and dtype (uint8 or float64), values 0..255."""
+    """SSIM of two (H, W) images of equal shape and dtype (uint8 or float64), values 0..255."""
     full, inner, contrast = _mean_similarity(gray, other, _WINDOW, (K1 * PEAK) ** 2, (K2 * PEAK) ** 2)
     height, width = gray.shape
     if min(height, width) < WINDOW_SIDE:
@@ -65,9 +65,9 @@ def similarity(gray: NDArray[Any], other: NDArray[Any]) -> Similarity:
 
 
 def multiscale_similarity(gray: NDArray[Any], other: NDArray[Any], finest: Similarity) -> float:
-    """MS-SSIM of two (H, W) pictures whose `similarity` is `finest`; NaN where a side is below MULTISCALE_SIDE.
+    """MS-SSIM of two (H, W) images whose `similarity` is `finest`; NaN where a side is below MULTISCALE_SIDE.
 
-    Each scale halves the picture by averaging 2x2 blocks, leaving out an odd last row or column. A negative mean of
+    Each scale halves the image by averaging 2x2 blocks, leaving out an odd last row or column. A negative mean of
     contrast and structure counts as zero, because the exponents are fractions.
     """
     if min(gray.shape) < MULTISCALE_SIDE:
@@ -83,7 +83,7 @@ def multiscale_similarity(gray: NDArray[Any], other: NDArray[Any], finest: Simil
 
 @compiled
 def _halve(gray: NDArray[Any]) -> NDArray[np.float64]:
-    """(H // 2, W // 2) means of the 2x2 blocks of a picture."""
+    """(H // 2, W // 2) means of the 2x2 blocks of an image."""
     height, width = gray.shape[0] // 2, gray.shape[1] // 2
     half = np.empty((height, width))
     for row in range(height):

@@ -1,4 +1,4 @@
-"""A SLAM backend of the simplest kind: the camera moves as the picture shifts, and nothing corrects the drift."""
+"""A SLAM backend of the simplest kind: the camera moves as the image shifts, and nothing corrects the drift."""
 
 import time
 from collections.abc import Callable, Iterable
