@@ -76,7 +76,7 @@ def compare(
     second = read_snapshot(after)
     if set(first.machines) != set(second.machines):
         machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
-        warning = f"warning: other machines ({machines}): times cannot be judged"
+        warning = f"warning: the runs are from different machines ({machines}); changes of times cannot be judged"
         click.echo(warning, err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     _print(found, format_, everything)

@@ -18,20 +18,20 @@ from codecbench.core.contracts.errors import CodecbenchError, StoreError
 
 
 class ExitStatus(IntEnum):
-    """What a command's exit status says; docs/commands.md tells it command by command."""
+    """What a command's exit status says; docs/commands.md lists it command by command."""
 
     SUCCESS = 0
     FOUND = 1
     """The command did its work and found something wrong: failed cells or checks, a run that became worse."""
     WRONG_USE = 2
-    """What was asked for cannot be meant: options, a matrix, a name, a folder that is no run."""
+    """The request is wrong: options, a matrix, a name, a folder that is not a run."""
     NOT_POSSIBLE = 3
-    """The machine or the files do not allow it: disk full, no permission, damaged, no connection."""
+    """The machine or a file prevents it: disk full, no permission, damaged, no connection."""
     FAULT = 70
     """An error in codecbench itself."""
     INTERRUPTED = 130
     BROKEN_PIPE = 141
-    """Whoever read the output stopped reading."""
+    """The program that read the output ended."""
 
 
 DEBUG: Final = "CODECBENCH_DEBUG"
@@ -44,9 +44,9 @@ _NEXT: Final = {
     errno.EROFS: "choose a place that can be written",
     errno.EACCES: "choose another place, or ask its owner for the permission",
     errno.EPERM: "choose another place, or ask its owner for the permission",
-    errno.EEXIST: "a file is where a folder is wanted: move it, or choose another place",
-    errno.ENOTDIR: "a file is where a folder is wanted: move it, or choose another place",
-    errno.EISDIR: "a folder is where a file is wanted: choose another place",
+    errno.EEXIST: "a file is where a folder is expected: move it, or choose another place",
+    errno.ENOTDIR: "a file is where a folder is expected: move it, or choose another place",
+    errno.EISDIR: "a folder is where a file is expected: choose another place",
     errno.EMFILE: "too many files are open; see `ulimit -n`",
 }
 
@@ -119,4 +119,4 @@ def _where_it_is_kept(error: BaseException) -> str:
             stream.write("".join(traceback.format_exception(error)))
     except OSError:
         return f"\n{DEBUG}=1 shows where"
-    return f"\nwhere it happened is in {Path(name)}; please report it with that file"
+    return f"\nthe traceback is in {Path(name)}; please report the error with that file"

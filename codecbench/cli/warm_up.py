@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str, ...]) -> None:
     """Compile ahead the kernels that runs of each MATRIX will call, or all that installed plugins list.
 
-    For images of containers and continuous integration; a run does the same at its beginning. With --record,
+    For container images and continuous integration; a run does the same at its beginning. With --record,
     do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
     from codecbench.core.engine.registry import installed

@@ -192,7 +192,7 @@ def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None
 def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
     """Whether the encoder still writes these bytes, which it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
-        return EntryResult(entry, "passed", note=f"the image is of generator {entry.generator}; only decoded")
+        return EntryResult(entry, "passed", note=f"only decoded: generator {entry.generator} is not of this version")
     reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
     if reply.status != "done":
         return EntryResult(entry, "failed", f"does not encode its image any more: {reply.status}: {reply.reason}")

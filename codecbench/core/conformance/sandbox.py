@@ -128,7 +128,7 @@ def _serve(connection: Connection) -> None:
         try:
             connection.send(reply)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
-            connection.send(Reply("raised", reason=f"what came cannot leave its process: {error}"))
+            connection.send(Reply("raised", reason=f"its result cannot be passed to another process: {error}"))
 
 
 def _coded(codec_class: Any, params: Params, verb: Verb, argument: Any) -> Any:

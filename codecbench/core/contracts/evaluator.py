@@ -161,7 +161,7 @@ class Evaluator(ABC, Generic[P]):
 
     @property
     def repeats(self) -> int:
-        """How many cells this evaluator makes of each sequence and setting; each is told its `repeat`."""
+        """How many cells this evaluator makes of each sequence and setting; each gets its `repeat`."""
         return 1
 
     @property

@@ -73,7 +73,7 @@ class SlamBackend(ABC, Generic[P]):
     kernels: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: P) -> None:
-        """Keep the setting; raise Unsupported, with the command that mends it, where a library is missing."""
+        """Keep the setting; raise Unsupported, with the command that installs it, where a library is missing."""
         self.params = params
 
     @classmethod

@@ -14,7 +14,7 @@ import os
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from typing import Any, Literal
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
+import numba.core.types
 from numba.core import caching, compiler, serialize, sigutils
 
 from codecbench.core.kernels.cache_folder import cache_folder
@@ -32,6 +33,7 @@ _settings: Any = numba.config
 _serialize: Any = serialize
 _result: Any = compiler.CompileResult
 _arguments: Any = sigutils.normalize_signature
+_types: Any = numba.core.types
 
 _DIGEST_BYTES = 32
 
@@ -70,7 +72,8 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
         arguments, result = _arguments(signature)
         versions = (numba.__version__, llvmlite.__version__, platform.python_version(), platform.machine())
         settings = (_settings.OPT, _settings.BOUNDSCHECK, _settings.LOOP_VECTORIZE)
-        key = (self._fingerprint, arguments, result, codegen.magic_tuple(), versions, settings)
+        named = tuple(_named_tuples(arguments))  # numba writes a named tuple with the bare name of its class
+        key = (self._fingerprint, arguments, result, codegen.magic_tuple(), versions, settings, *named)
         name = "".join(letter for letter in self.kernel.replace(":", ".") if letter.isalnum() or letter in "._-")
         return Path(self.cache_path) / f"{name}.{self.build}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
 
@@ -133,6 +136,16 @@ class CompileOnce:
             made = self._compiler.compile(args, return_type)
             self._cache.save_overload(args, made)
             return made
+
+
+def _named_tuples(types: Iterable[Any]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Module, name and fields of the named tuples among types, also inside of other tuples."""
+    for tuple_type in types:
+        if isinstance(tuple_type, _types.BaseNamedTuple):
+            named = tuple_type.instance_class
+            yield named.__module__, named.__qualname__, named._fields
+        if isinstance(tuple_type, _types.BaseTuple):
+            yield from _named_tuples(tuple_type)
 
 
 _held: set[Path] = set()

@@ -36,7 +36,7 @@ def with_checksum(bitstream: bytes) -> bytes:
     place = bitstream.find(_OPENJPEG_COMMENT, 4, _MAIN_HEADER_BYTES)
     text_bytes = int.from_bytes(bitstream[place - 4 : place - 2], "big") - 4 if place > 0 else 0
     if text_bytes < len(_CRC_COMMENT) + _CRC_DIGITS:
-        raise RuntimeError("this OpenJPEG does not write the comment that the checksum takes the place of")
+        raise RuntimeError("this OpenJPEG does not write the comment in which codecbench puts a checksum")
     before = bitstream[:place] + _CRC_COMMENT
     after = b" " * (text_bytes - len(_CRC_COMMENT) - _CRC_DIGITS) + bitstream[place + text_bytes :]
     crc = zlib.crc32(after, zlib.crc32(before))

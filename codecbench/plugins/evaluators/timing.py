@@ -124,7 +124,7 @@ class Timing(CodecEvaluator[TimingParams]):
             yield from _measurements("encode", durations.encoding, images[index], index)
             yield from _measurements("decode", durations.decoding, images[index], index)
             preparing = durations.preparing
-            reason = None if preparing else f"{codec.name} has nothing to find with this setting"
+            reason = None if preparing else f"{codec.name} searches for nothing with this setting"
             yield Measurement("prepare_wall_ms", preparing.wall_ms if preparing else math.nan, index, reason=reason)
             yield Measurement("prepare_cpu_ms", preparing.cpu_ms if preparing else math.nan, index, reason=reason)
 

@@ -52,7 +52,7 @@ class OrbSlam3Params(Params):
 class OrbSlam3(SlamBackend[OrbSlam3Params]):
     """ORB-SLAM3, monocular, paced at the times of the frames, with codecbench's own vocabulary.
 
-    It tells neither its map points nor what a loop was closed onto: `points_world` is empty, and a LoopEvent's
+    It gives neither its map points nor what a loop was closed onto: `points_world` is empty, and a LoopEvent's
     matched frame is -1. The seed has no effect.
     """
 

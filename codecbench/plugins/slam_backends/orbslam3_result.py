@@ -31,21 +31,21 @@ def run_from_files(
     folder: Path, states: list[TrackedFrame], poses: list[TrackedPose], events: PrintedEvents
 ) -> SlamRun:
     """The run whose trajectories ORB-SLAM3 saved as frames.txt (nanoseconds) and keyframes.txt (seconds)."""
-    stamps_s = np.array([one.timestamp_s for one in states])
+    stamps_s = np.array([frame.timestamp_s for frame in states])
     saved = _read_rows(folder / "frames.txt")
     saved[:, 0] *= 1e-9
     at, rows = _frames_of(saved, stamps_s)
     final = Trajectory(stamps_s[at], _poses(rows))
     kept = set(final.timestamps_s.tolist())
-    as_tracked = [one for one in poses if one.timestamp_s in kept]
+    as_tracked = [pose for pose in poses if pose.timestamp_s in kept]
     before = Trajectory(
-        np.array([one.timestamp_s for one in as_tracked]),
-        np.array([one.world_from_camera for one in as_tracked]).reshape(-1, 4, 4),
+        np.array([pose.timestamp_s for pose in as_tracked]),
+        np.array([pose.world_from_camera for pose in as_tracked]).reshape(-1, 4, 4),
     )
     keyframes, _ = _frames_of(_read_rows(folder / "keyframes.txt"), stamps_s)
     is_keyframe = set(keyframes.tolist())
     return SlamRun(
-        frames=tuple(replace(one, keyframe=position in is_keyframe) for position, one in enumerate(states)),
+        frames=tuple(replace(frame, keyframe=position in is_keyframe) for position, frame in enumerate(states)),
         trajectory=final,
         trajectory_before_loops=before,
         keyframe_indices=np.array([states[position].index for position in keyframes], dtype=np.int64),

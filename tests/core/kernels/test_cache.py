@@ -34,6 +34,21 @@ class Noting:
 plus._compiler._compiler = Noting()
 print(plus(1, 2), len(compiled))
 """
+PAIRS = """
+from codecbench.core.kernels.compiled import compiled
+from %s import Pair
+
+@compiled
+def first_of(pair):
+    return pair.first
+"""
+PAIR = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    %s: int
+    %s: int
+"""
 
 
 def start(folder: Path, program: str) -> subprocess.Popen[str]:
@@ -79,3 +94,18 @@ def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> N
 
 def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
+
+
+def test_a_named_tuple_is_known_by_its_module_and_its_fields(tmp_path: Path) -> None:
+    environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    for home, fields, expected in (
+        ("here", ("first", "second"), "1"),
+        ("here", ("second", "first"), "2"),
+        ("there", ("second", "first"), "2"),
+    ):
+        (tmp_path / "here.py").unlink(missing_ok=True)
+        (tmp_path / f"{home}.py").write_text(PAIR % fields)
+        (tmp_path / "pairs.py").write_text(PAIRS % home)
+        command = [sys.executable, "-c", "from pairs import Pair, first_of; print(first_of(Pair(1, 2)))"]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.stdout.strip() == expected, done.stderr

@@ -1,4 +1,4 @@
-"""A run folder from elsewhere: nothing it names is opened unasked, no link is followed out, text is only text."""
+"""A run folder from elsewhere: nothing it names is opened, no link is followed out, text is only text."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_the_name_of_an_own_folder_does_not_make_a_plan_ones_own(run: Path, plac
     content = {"plan": document["plan"], "origin": document["origin"]}
     (run / "plan.json").write_text(json.dumps({"checksum": digest(content), **content}))
     done = command(place, "report", run)
-    assert "what its plan names is not opened unasked" in done.stderr
+    assert "the sequences that its plan names are not opened" in done.stderr
     assert pictures(run) == 0
 
 

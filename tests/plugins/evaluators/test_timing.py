@@ -104,7 +104,7 @@ def test_a_codec_that_searches_for_nothing_has_no_time_of_it(tmp_path: Path) -> 
     measured = list(Timing.create(warmup=1).evaluate(Slow(), sequence, context(tmp_path)))
     preparing = [m for m in measured if m.metric.startswith("prepare_")]
     assert {m.metric for m in preparing} == {"prepare_wall_ms", "prepare_cpu_ms"}
-    assert all(np.isnan(m.value) and "slow has nothing to find" in str(m.reason) for m in preparing)
+    assert all(np.isnan(m.value) and "slow searches for nothing" in str(m.reason) for m in preparing)
 
 
 def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:

@@ -60,7 +60,7 @@ def load(path: Path) -> tuple[str, Any]:
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:
-        raise MatrixError(f"{path}: no such file; see `codecbench run --help` and examples/ for one") from None
+        raise MatrixError(f"{path}: no such file; codecbench's folder examples/ has matrices to begin with") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MatrixError(f"{path}: cannot be read as UTF-8 text: {error}") from None
     try:

@@ -2,7 +2,7 @@
 
 A record with status `ok` is kept for ever: as long as it is whole, as long as its plugins' parameters would be the
 same today, and until it is asked for again by name. Cells that failed, crashed, timed out or were unsupported are
-tried again, because a run is repeated after mending what was wrong.
+tried again, because a run is repeated after repairing what was wrong.
 """
 
 from __future__ import annotations
@@ -155,6 +155,6 @@ def _asked_for(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
     for name in sorted(names - found):
         near = difflib.get_close_matches(name, known, n=1)
         meant = f"did you mean {near[0]!r}? " if near else ""
-        message = f"nothing to recompute is called {name!r}; {meant}codecs, evaluators and sequences of this matrix"
-        raise ParamsError(f"{message}: {', '.join(sorted(known))}")
+        message = f"nothing to recompute is called {name!r}; {meant}this matrix has"
+        raise ParamsError(f"{message} {', '.join(sorted(known))}")
     return asked

@@ -112,8 +112,8 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
             return {name: _relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
         elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
-            message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
-            raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")
+            message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"
+            raise DatasetError(f"{message}; give --sequences-from FOLDER, or --sequences-from same")
     except (CodecbenchError, OSError) as error:
         log.warning("no images of %s: %s", entry.name, clean_line(str(error)))
         return None

@@ -31,7 +31,7 @@ _CALLGRIND = (
 
 
 def missing() -> str | None:
-    """Why instructions cannot be counted here and what would mend it; None where they can."""
+    """Why instructions cannot be counted here, and what to install; None where they can."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return f"machine counts need an x86-64 processor, this is {platform.machine()}"
     if shutil.which("valgrind") is None:

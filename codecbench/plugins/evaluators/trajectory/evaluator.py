@@ -94,7 +94,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
         yield self._success(outcome, baseline)
-        same = next((one for one in baseline if one.repeat == outcome.repeat), None)
+        same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"
             yield Measurement("ate_to_raw_m", math.nan, reason=reason)
@@ -114,7 +114,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
             return Measurement("success", 0.0)
         limit_m = self.params.ate_limit_m
         if limit_m is None:
-            errors_m = [value for one in baseline if not math.isnan(value := one.value("ate_rmse_m"))]
+            errors_m = [value for raw in baseline if not math.isnan(value := raw.value("ate_rmse_m"))]
             if not errors_m:
                 reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
                 return Measurement("success", math.nan, reason=reason)
@@ -144,21 +144,21 @@ def _check(run: SlamRun, frames: int, backend: str) -> None:
 def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     """What SLAM did, whatever the truth is."""
     stamps_s = run.trajectory.timestamps_s
-    states = [one.state for one in run.frames]
+    states = [frame.state for frame in run.frames]
     lost = sum(before == "tracked" and now != "tracked" for before, now in pairwise(states))
     yield Measurement("tracked_fraction", len(stamps_s) / len(run.frames))
-    first = next((one.index for one in run.frames if len(stamps_s) and one.timestamp_s >= stamps_s[0] - 1e-6), None)
-    yield _or_missing("first_tracked_frame", first, "no frame was tracked")
+    tracked = (frame.index for frame in run.frames if len(stamps_s) and frame.timestamp_s >= stamps_s[0] - 1e-6)
+    yield _or_missing("first_tracked_frame", next(tracked, None), "no frame was tracked")
     yield Measurement("times_lost", float(lost))
     yield Measurement("maps", float(run.maps))
     yield Measurement("keyframes", float(len(run.keyframe_indices)))
-    untold = len(stamps_s) > 0 and len(run.points_world) == 0
-    yield _or_missing("map_points", None if untold else len(run.points_world), "the backend does not give its points")
+    points = None if len(stamps_s) and not len(run.points_world) else len(run.points_world)
+    yield _or_missing("map_points", points, "the backend does not give its points")
     yield Measurement("loops_closed", float(len(run.loops)))
-    yield _or_missing("loop_frame", min((one.frame for one in run.loops), default=None), "no loop was closed")
-    inliers = [one.inliers for one in run.frames if one.state == "tracked"]
+    yield _or_missing("loop_frame", min((loop.frame for loop in run.loops), default=None), "no loop was closed")
+    inliers = [frame.inliers for frame in run.frames if frame.state == "tracked"]
     yield _or_missing("mean_inliers", np.mean(inliers) if inliers else None, "no frame was tracked")
-    elapsed = [one.elapsed_ms for one in run.frames if math.isfinite(one.elapsed_ms)]
+    elapsed = [frame.elapsed_ms for frame in run.frames if math.isfinite(frame.elapsed_ms)]
     yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend does not time itself")
 
 
@@ -168,7 +168,7 @@ def _or_missing(metric: str, value: float | np.floating | None, reason: str) -> 
 
 def _distance(outcome: Outcome, raw: Outcome) -> Measurement:
     """The outcome's trajectory against the raw codec's, frame by frame, after Sim(3) alignment."""
-    estimate, reference = (files.read_tum(one.artifacts / files.TRAJECTORY) for one in (outcome, raw))
+    estimate, reference = (files.read_tum(run.artifacts / files.TRAJECTORY) for run in (outcome, raw))
     pairs = associate(estimate, reference, 0.0)
     try:
         return Measurement("ate_to_raw_m", rms(position_errors(pairs, align(pairs))))
@@ -182,7 +182,7 @@ def _save(run: SlamRun, accuracy: Accuracy, sequence: Sequence, context: Context
     after = accuracy.after or Similarity(1.0, np.eye(3), np.zeros(3))
     before = accuracy.before or after
     kept = set(run.keyframe_indices.tolist())
-    keyframe_stamps_s = np.array([one.timestamp_s for one in run.frames if one.index in kept])
+    keyframe_stamps_s = np.array([frame.timestamp_s for frame in run.frames if frame.index in kept])
     final = after.trajectory(run.trajectory)
     keyframes = nearest_stamps(final.timestamps_s, keyframe_stamps_s, 0.0) >= 0
     files.write_tum(folder / files.TRAJECTORY, final)

@@ -60,10 +60,10 @@ def write_states(path: Path, frames: tuple[TrackedFrame, ...]) -> None:
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", "timestamp_s", "state", "inliers", "keyframe", "map_id", "elapsed_ms", "reason"])
-        for one in frames:
-            stamp, elapsed = f"{one.timestamp_s:.6f}", f"{one.elapsed_ms:.3f}"
-            keyframe = int(one.keyframe)
-            writer.writerow([one.index, stamp, one.state, one.inliers, keyframe, one.map_id, elapsed, one.reason])
+        for frame in frames:
+            stamp, elapsed = f"{frame.timestamp_s:.6f}", f"{frame.elapsed_ms:.3f}"
+            tracking = (frame.inliers, int(frame.keyframe), frame.map_id)
+            writer.writerow([frame.index, stamp, frame.state, *tracking, elapsed, frame.reason])
 
 
 def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
@@ -71,5 +71,5 @@ def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", "matched_frame", "inliers", "merged_maps"])
-        for one in loops:
-            writer.writerow([one.frame, one.matched_frame, one.inliers, int(one.merged_maps)])
+        for loop in loops:
+            writer.writerow([loop.frame, loop.matched_frame, loop.inliers, int(loop.merged_maps)])
