@@ -7,15 +7,13 @@ outside the bytes that are counted.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Literal, Self
 
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.params import Configured, P
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-
-P = TypeVar("P", bound=Params)
 
 Reference = Literal["", "baseline", "anchor"]
 
@@ -36,7 +34,7 @@ class Capabilities:
     thread_safe: bool = True
 
 
-class Codec(ABC, Generic[P]):
+class Codec(Configured[P]):
     """Base class of codecs.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
@@ -46,22 +44,10 @@ class Codec(ABC, Generic[P]):
     packages and modules whose listed kernels it calls, which a run compiles ahead.
     """
 
-    name: ClassVar[str]
-    version: ClassVar[str]
-    params_type: ClassVar[type[Params]]
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
     kernels: ClassVar[tuple[str, ...]] = ()
     reference: ClassVar[Reference] = ""
-
-    def __init__(self, params: P) -> None:
-        """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
-        self.params = params
-
-    @classmethod
-    def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters: `Jpeg.create(quality=10)`."""
-        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
     @abstractmethod
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:

@@ -7,12 +7,12 @@ Measurements of metrics that the class declared; an undeclared one fails the cel
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -21,11 +21,9 @@ from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.contracts.view import Drawing, View
-
-P = TypeVar("P", bound=Params)
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class Outcome:
         return next((m.value for m in self.measurements if m.metric == metric), float("nan"))
 
 
-class Evaluator(ABC, Generic[P]):
+class Evaluator(Configured[P]):
     """Base of the three kinds of evaluator; subclass one of those.
 
     metrics: everything that `evaluate` and `compare` may yield. views: what it offers to draw of them, beyond
@@ -128,9 +126,6 @@ class Evaluator(ABC, Generic[P]):
     measured; None for evaluators that look at a few frames, whatever the length of the sequence.
     """
 
-    name: ClassVar[str]
-    version: ClassVar[str]
-    params_type: ClassVar[type[Params]]
     metrics: ClassVar[tuple[Metric, ...]]
     views: ClassVar[tuple[View, ...]] = ()
     needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
@@ -150,14 +145,6 @@ class Evaluator(ABC, Generic[P]):
                 raise PluginError(f"{cls.__name__}: {where} names {name!r}; declared are {', '.join(names)}")
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise PluginError(f"{cls.__name__}: metrics declares {', '.join(twice)} twice")
-
-    def __init__(self, params: P) -> None:
-        self.params = params
-
-    @classmethod
-    def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters: `Timing.create(repeats=5)`."""
-        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
     @property
     def repeats(self) -> int:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Generic, Literal, Self, TypeVar
+from typing import Any, Final, Literal
 
-from codecbench.core.contracts.params import Params
-
-P = TypeVar("P", bound=Params)
+from codecbench.core.contracts.params import Configured, P
 
 Status = Literal["ok", "failed", "timed_out", "crashed", "unsupported"]
 
@@ -48,24 +46,13 @@ class Finished:
     traceback: str = ""
 
 
-class Executor(ABC, Generic[P]):
+class Executor(Configured[P]):
     """Runs tasks. The engine submits those whose inputs are ready and takes back whatever has finished.
 
     shares_files: workers see the run folder, so that large inputs and outputs travel by path, not by value.
     """
 
-    name: ClassVar[str]
-    version: ClassVar[str]
-    params_type: ClassVar[type[Params]]
     shares_files: bool = True
-
-    def __init__(self, params: P) -> None:
-        self.params = params
-
-    @classmethod
-    def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters."""
-        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
     @abstractmethod
     def start(self, workers: int, prepare: Callable[[], None]) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from abc import ABC
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationInfo
 
@@ -28,6 +29,30 @@ class Params(BaseModel):
 
 class NoParams(Params):
     """For plugins that have nothing to set."""
+
+
+P = TypeVar("P", bound=Params)
+
+
+class Configured(ABC, Generic[P]):
+    """What codecs, evaluators, datasets, SLAM backends and executors have in common; an instance is one setting.
+
+    Class attributes: `name` as used in a matrix; `version`, raised whenever results change, so that stored cells are
+    recomputed; `params_type`.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+    params_type: ClassVar[type[Params]]
+
+    def __init__(self, params: P) -> None:
+        """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
+        self.params = params
+
+    @classmethod
+    def create(cls, **values: Any) -> Self:
+        """An instance from keyword parameters: `Jpeg.create(quality=10)`."""
+        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
 
 def _expand(value: Any) -> Any:

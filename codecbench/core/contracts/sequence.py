@@ -6,15 +6,14 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Self, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image, png_bytes
-from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.params import Configured, P
 
-P = TypeVar("P", bound=Params)
 T = TypeVar("T")
 
 
@@ -111,24 +110,13 @@ class Sequence(ABC):
         return (self.read(index) for index in range(len(self)))
 
 
-class Dataset(ABC, Generic[P]):
+class Dataset(Configured[P]):
     """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened.
 
     kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
     """
 
-    name: ClassVar[str]
-    version: ClassVar[str]
-    params_type: ClassVar[type[Params]]
     kernels: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, params: P) -> None:
-        self.params = params
-
-    @classmethod
-    def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters: `Tum.create(path="...")`."""
-        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
     @abstractmethod
     def open(self) -> Sequence:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
-
-P = TypeVar("P", bound=Params)
 
 FrameState = Literal["not_initialized", "tracked", "lost", "refused"]
 """`refused`: the backend could not look at the frame at all (another size, say); the reason says why."""
@@ -63,23 +61,11 @@ class SlamRun:
     maps: int
 
 
-class SlamBackend(ABC, Generic[P]):
+class SlamBackend(Configured[P]):
     """A monocular SLAM system. kernels: the packages and modules whose listed kernels it calls, compiled ahead."""
 
-    name: ClassVar[str]
-    version: ClassVar[str]
-    params_type: ClassVar[type[Params]]
     architectures: ClassVar[frozenset[Literal["cta", "atc"]]]
     kernels: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, params: P) -> None:
-        """Keep the setting; raise Unsupported, with the command that installs it, where a library is missing."""
-        self.params = params
-
-    @classmethod
-    def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters."""
-        return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
     @abstractmethod
     def run(
