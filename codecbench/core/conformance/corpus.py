@@ -115,7 +115,7 @@ def _written(
 ) -> Entry:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
-        raise PluginError(f"{codec.name}, image {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
+        raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
     bitstream = encoded.value
     write_file(folder / file, bitstream)
     return Entry(

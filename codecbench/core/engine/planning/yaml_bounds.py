@@ -43,7 +43,7 @@ def require_bounded(text: str, source: str) -> None:
     ruamel's YAMLError for what is no YAML.
     """
     if len(text) > MOST_CHARACTERS:
-        raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, the most that a matrix may have")
+        raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, which no matrix is")
     for event, message in _problems(text):
         mark = event.start_mark
         raise MatrixError(f"{source}:{mark.line + 1}:{mark.column + 1}: {message}")

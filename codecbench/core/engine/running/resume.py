@@ -2,7 +2,7 @@
 
 A record with status `ok` is kept for ever: as long as it is whole, as long as its plugins' parameters would be the
 same today, and until it is asked for again by name. Cells that failed, crashed, timed out or were unsupported are
-tried again, because a run is repeated after repairing what was wrong.
+tried again, because a run is repeated after mending what was wrong.
 """
 
 from __future__ import annotations

@@ -195,6 +195,6 @@ def _artifacts(folder: Path) -> dict[str, bytes]:
     files = {}
     for path in sorted(folder.iterdir()):
         if not path.is_file() or path.name in (RECORD_FILE, SAMPLES_FILE) or path.name.startswith("."):
-            raise MeasurementError(f"artifact {path.name!r} is a folder, or the engine uses its name")
+            raise MeasurementError(f"artifact {path.name!r} is a folder or takes a name that the engine uses")
         files[path.name] = path.read_bytes()
     return files
