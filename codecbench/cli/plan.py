@@ -36,7 +36,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     missing = [cell for cell in made.cells if cell.id not in done and cell.unsupported is None]
     wanted = {cell.job_id for cell in missing if cell.job_id is not None}
     coded = {job.id for job in made.jobs if store.coded_path(job.id).exists()}
-    to_code = [job for job in made.jobs if job.id in wanted - coded]
+    to_code = [job for job in made.jobs if job.id in wanted and job.id not in coded]
     click.echo(f"{made.name}: {len(made.sequences)} sequences, run folder {folder}")
     _list_sequences(made)
     click.echo(f"coding jobs: {len(made.jobs)}, of which {len(coded)} are coded and {len(to_code)} are to do")

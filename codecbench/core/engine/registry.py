@@ -96,6 +96,7 @@ class Registry:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
+        self._classes: dict[tuple[Kind, str], Any] = {}
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
         self._hosts: dict[tuple[str, ...], PluginHost] = {}
@@ -142,7 +143,9 @@ class Registry:
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
             raise Unsupported(missing)
-        return load_class(kind, plugin.spec, plugin.title)
+        if (kind, name) not in self._classes:
+            self._classes[kind, name] = load_class(kind, plugin.spec, plugin.title)
+        return self._classes[kind, name]
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
         """An instance with these parameters, which are validated (pydantic.ValidationError)."""
