@@ -46,7 +46,7 @@ class _TooDeep(MarkedYAMLError):
 class _ShallowScanner(Scanner):
     """Refuses brackets as it comes to them: it reads a thousand ahead before anybody sees the first."""
 
-    def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:  # noqa: N803 - named by ruamel
+    def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:
         if len(self.flow_context) >= _DEEPEST:
             raise _TooDeep(problem=_TOO_DEEP, problem_mark=self.reader.get_mark())
         super().fetch_flow_collection_start(TokenClass, to_push)
