@@ -69,9 +69,14 @@ class CodingJob:
     codec: PluginSetting
 
     @property
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec
+
+    @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec)
+        return _company(*self.plugins)
 
 
 @dataclass(frozen=True)
@@ -93,9 +98,14 @@ class Cell:
     unsupported: str | None = None
 
     @property
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
+
+    @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
+        return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""

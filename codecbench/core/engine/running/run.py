@@ -13,7 +13,9 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status, Task
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
+from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.progress import Pace, Progress
@@ -39,7 +41,7 @@ class RunSummary:
 
     statuses: how many cells of the plan have which status now. computed: cells computed by this run. kept:
     cells that an earlier run had computed. encoded: coding jobs done. interrupted: the signal that ended the
-    run early, or None. damaged: what was found damaged and why, by cell.
+    run early, or None. damaged: what was found damaged and why, by cell. notices: what was said of kept cells.
     """
 
     folder: Path
@@ -49,6 +51,7 @@ class RunSummary:
     encoded: int
     interrupted: str | None = None
     damaged: dict[str, str] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
 
 def run_plan(
@@ -122,6 +125,9 @@ class _Run:
         log.info(message, len(plan.cells), len(self.kept), len(todo), len(jobs))
 
     def perform(self, interruption: Interruption) -> None:
+        for notice in self.resumption.notices:
+            log.warning("%s", notice)
+            self._tell(notice=notice)
         for cell in self.plan.cells:
             if cell.unsupported is not None and cell.id not in self.kept:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
@@ -166,7 +172,8 @@ class _Run:
         counts: dict[str, int] = dict(Counter(self.statuses.values()))
         log.info("%s", ", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing recorded")
         kept = len(self.kept)
-        return RunSummary(self.store.folder, counts, computed, kept, self.jobs_done, interrupted, self.damaged)
+        jobs, notices = self.jobs_done, self.resumption.notices
+        return RunSummary(self.store.folder, counts, computed, kept, jobs, interrupted, self.damaged, notices)
 
     def _hand_out(self) -> None:
         """Keep every worker busy and one task in reserve for each, so that none waits for this process."""
@@ -205,7 +212,7 @@ class _Run:
             self._encode_again(work, str(outcome))
         else:
             record = Record(work.id, "failed", str(outcome)) if isinstance(outcome, BitstreamDamage) else outcome
-            self._record(work, record)
+            self._record(work, self._with_encoder(work, record))
             self.schedule.ended(work)
 
     def _coded(self, job: CodingJob, record: Record) -> None:
@@ -214,6 +221,7 @@ class _Run:
         if record.status == "ok":
             if BITSTREAMS in record.contents:
                 self.store.write_coded(job.id, record.contents[BITSTREAMS])
+            self.store.note_encoder(job.id, record.code.get(code_label("codec", job.codec.name), ""))
             self.schedule.ended(job)
             self._tell()
             return
@@ -242,7 +250,12 @@ class _Run:
             log.warning("%s | repeat %d: %s: %s [%s]", where, cell.repeat, record.status, record.reason, cell.id)
         self._tell(cell, record)
 
-    def _tell(self, cell: Cell | None = None, record: Record | None = None) -> None:
+    def _with_encoder(self, cell: Cell, record: Record) -> Record:
+        """The record with the code that encoded the bitstreams which the cell read, where it is known."""
+        encoder = self.store.encoders.read(cell.job_id) if cell.job_id is not None else ""
+        return replace(record, code=record.code | {BITSTREAMS_LABEL: encoder}) if encoder and record.code else record
+
+    def _tell(self, cell: Cell | None = None, record: Record | None = None, notice: str = "") -> None:
         self.listener(
             Progress(
                 cells_total=len(self.plan.cells),
@@ -252,6 +265,7 @@ class _Run:
                 jobs_done=self.jobs_done,
                 not_ok=self.not_ok,
                 compiling=self.warm_up.progress,
+                notice=notice,
                 elapsed_s=self.pace.elapsed_s,
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,

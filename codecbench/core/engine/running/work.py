@@ -75,10 +75,11 @@ def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
 def perform(order: Order) -> Record | BitstreamDamage:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
     begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, position = order.work, _workbench(), WorkPosition()
+    work, bench, position, code = order.work, _workbench(), WorkPosition(), {}
     _start_afresh(work.id)
     try:
         bench.join(work.company)
+        code = bench.code(work.plugins)
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
         position.at("check")
         bench.check(work.company)
@@ -93,6 +94,7 @@ def perform(order: Order) -> Record | BitstreamDamage:
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
         worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company)},
+        code=code,
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
 
