@@ -60,6 +60,10 @@ class Pace:
             seconds, counted = self._spent[kind]
             self._spent[kind] = seconds + duration_s, counted + frames
 
+    def again(self, work: Work) -> None:
+        """A job or cell that has ended is to be done once more."""
+        self._left[_kind(work)] += work.sequence.frames
+
     def remaining_s(self) -> float | None:
         """Seconds to the end; kinds of work that have not been seen yet are taken to cost the mean."""
         seconds = sum(spent for spent, _ in self._spent.values())

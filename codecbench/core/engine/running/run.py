@@ -16,14 +16,16 @@ from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
+from codecbench.core.engine.running.distrust import beside_notice, made_beside
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.interruption import Interruption
+from codecbench.core.engine.running.mending import mend_environments
 from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
-from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker, tell_environment
+from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
@@ -121,6 +123,7 @@ class _Run:
         self.not_ok = sum(status != "ok" for status in self.kept.values())
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
+        self.redone: set[str] = set()
         message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
         log.info(message, len(plan.cells), len(self.kept), len(todo), len(jobs))
 
@@ -132,7 +135,7 @@ class _Run:
             if cell.unsupported is not None and cell.id not in self.kept:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
-            self._mend_environments()
+            mend_environments(self.store, self.executor, self.plan.run.timeout_s)
             return
         if self.executor.shares_files:  # elsewhere each machine has a cache of its own, and any worker may be on any
             self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
@@ -147,23 +150,6 @@ class _Run:
                 finished = self.executor.next_finished(0.0)
         if interruption.requested:
             log.warning("ended by %s; %d jobs and cells were left", interruption.signal_name, len(self.schedule))
-
-    def _mend_environments(self) -> None:
-        """Have a worker tell its environment again, where a file is damaged that no cell's worker will write."""
-        damaged = self.store.environments.damaged()
-        if not damaged:
-            return
-        self.executor.start(1, prepare_worker)
-        self.executor.submit(Task("environment", tell_environment, None, self.plan.run.timeout_s))
-        while (finished := self.executor.next_finished(_POLL_S)) is None or finished.task_id != "environment":
-            pass
-        if finished.value is not None:
-            name, description = finished.value
-            self.store.environments.write(name, description)
-        for name, reason in damaged.items():
-            mended = finished.value is not None and finished.value[0] == name
-            outcome = "it was written again" if mended else "no worker of this run can tell it again"
-            log.warning("environment/%s.json is damaged (%s); %s", name, reason, outcome)
 
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
@@ -202,6 +188,8 @@ class _Run:
             self._tell()
             return
         work = self.under_way.pop(finished.task_id)
+        if isinstance(finished.value, Record) and not finished.value.worker["checked"]:
+            self._distrust(finished.value.worker, work.company)
         outcome: Record | BitstreamDamage = finished.value or Record(
             work.id, finished.status, clean_line(finished.reason), clean_text(finished.traceback)
         )
@@ -225,6 +213,8 @@ class _Run:
             self.schedule.ended(job)
             self._tell()
             return
+        if self.store.coded_path(job.id).exists():  # written before its worker was found changed
+            self.store.drop_coded(job.id, record.reason)
         for cell in self.schedule.failed(job):
             self._record(cell, Record(cell.id, record.status, f"coding failed: {record.reason}", record.traceback))
 
@@ -234,8 +224,25 @@ class _Run:
         self.recoded[cell.id] += 1
         self.store.drop_coded(cell.job_id, damage)
         self.damaged[cell.id] = damage
-        self.jobs_total += 1
-        self.schedule.encode_again(cell)
+        self.jobs_total += self.schedule.encode_again(cell)
+
+    def _distrust(self, worker: dict[str, Any], company: tuple[str, ...]) -> None:
+        """A worker was found changed by the code that it ran: compute again what was made beside that code."""
+        done = [cell for cell in self.plan.cells if self.statuses.get(cell.id) == "ok" and cell.id not in self.redone]
+        again = list(made_beside(company, worker, done, self.store))
+        for cell, encode in again:
+            self.redone.add(cell.id)
+            self.store.drop_record(cell.id)
+            self.kept.pop(cell.id, None)
+            del self.statuses[cell.id]
+            self.pace.again(cell)
+            if self.schedule.compute_again(cell, encode):
+                self.jobs_total += 1
+                self.pace.again(self.schedule.jobs[cell.job_id or ""])
+        if again:
+            notice = beside_notice(len(again), company)
+            log.warning("%s", notice)
+            self._tell(notice=notice)
 
     def _record(self, cell: Cell, record: Record) -> None:
         """Keep what became of a cell; a record that no worker made still says which cell it is of."""

@@ -18,7 +18,7 @@ from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.plugin_code import code_label, code_of
 from codecbench.core.engine.registry import Registry, registry_of
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
-from codecbench.core.engine.running.sentinel import Sentinel
+from codecbench.core.engine.running.sentinel import Sentinel, Tampering
 
 _OPEN_SEQUENCES: Final = 4
 
@@ -49,6 +49,14 @@ class Workbench:
         """Raise Tampering where the company's code changed what this process computes with."""
         if company and self._sentinel is not None:
             self._sentinel.check(company)
+
+    def is_sound(self, company: tuple[str, ...]) -> bool:
+        """Whether `check` finds nothing."""
+        try:
+            self.check(company)
+        except Tampering:
+            return False
+        return True
 
     def code(self, settings: Iterable[PluginSetting]) -> dict[str, str]:
         """The code of these plugins by label, as it was before this process first imported any of it."""
