@@ -229,6 +229,12 @@ def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
     return Registry(point for origin in wanted for point in points.get(origin, ()))
 
 
+def loads(registry: Registry, kind: Kind, name: str) -> bool:
+    """That a plugin's module imports and keeps the contract, found out where it is asked. Raises like `load`."""
+    registry.load(kind, name)
+    return True
+
+
 def offered(registry: Registry) -> dict[str, Any]:
     """All plugins of a registry and its problems, as JSON types."""
     return {
