@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
+import tempfile
+import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import psutil
+import pytest
 
-from codecbench.core.engine.scouting import answers_of_children
+from codecbench.core.engine.scouting import answers_of_children, is_single_threaded
 
 
 def line(value: object) -> bytes:
@@ -29,6 +33,30 @@ def test_each_answers_from_a_process_of_its_own() -> None:
     pids = {answer["value"] for answer in answers.values()}
     assert len(pids | {os.getpid()}) == 4
     assert list(answers) == ["a", "b", "c"]
+
+
+def test_they_are_elsewhere_and_silent(capfd: pytest.CaptureFixture[str]) -> None:
+    def where() -> bytes:
+        os.write(1, b"hello")
+        Path("left behind").write_text("here")
+        return line([os.getcwd(), tempfile.gettempdir(), os.getsid(0)])
+
+    folder, temporary, session = answers_of_children({"a": where}, 20.0)["a"]["value"]
+    assert folder == temporary != os.getcwd()
+    assert session != os.getsid(0)
+    assert not Path(folder).exists()
+    assert capfd.readouterr().out == ""
+
+
+def test_threads_are_counted() -> None:
+    stop = threading.Event()
+    thread = threading.Thread(target=stop.wait)
+    thread.start()
+    assert not is_single_threaded()
+    stop.set()
+    thread.join()
+    answer = answers_of_children({"a": lambda: line(is_single_threaded())}, 20.0)
+    assert answer == {"a": {"value": True}}
 
 
 def test_a_long_answer_arrives_whole() -> None:
