@@ -11,6 +11,7 @@ import difflib
 import functools
 import importlib
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
@@ -26,10 +27,11 @@ from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
 from codecbench.core.engine.loading import load_class
 from codecbench.core.engine.plugin import OURS, Plugin, Problem, spoken
+from codecbench.core.engine.scouting import is_single_threaded
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_SCOUTED = "codecbench.core.engine.serving:scouted"
+_SCOUTED = ("codecbench.core.engine.serving", "scouted")
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
 
@@ -44,11 +46,12 @@ class Registry:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
+        self._classes: dict[tuple[Kind, str], Any] = {}
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
         self._hosts: dict[tuple[str, ...], PluginHost] = {}
-        scout = PluginHost(())
-        if hosted:
+        scout = None if is_single_threaded() else PluginHost(())
+        if hosted and scout is not None:
             scout.start()  # it gets ready while our own plugins are imported
         for point in sorted(points, key=_own_first):
             self._admit(point)
@@ -90,7 +93,9 @@ class Registry:
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
             raise Unsupported(missing)
-        return load_class(kind, plugin.spec, plugin.title)
+        if (kind, name) not in self._classes:
+            self._classes[kind, name] = load_class(kind, plugin.spec, plugin.title)
+        return self._classes[kind, name]
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
         """An instance with these parameters, which are validated (pydantic.ValidationError)."""
@@ -129,14 +134,19 @@ class Registry:
                 self._given_up[titles] = message
             raise PluginFault(" ".join(message.split())) from fault
 
-    def _admit_hosted(self, scout: PluginHost, hosted: Sequence[str]) -> None:
-        """Take what distributions offer as children of the scout tell it."""
+    def _admit_hosted(self, scout: PluginHost | None, hosted: Sequence[str]) -> None:
+        """Take what distributions offer as children tell it, of the scout or, where that is safe, of this process."""
         try:
-            answers = scout.ask(_SCOUTED, (hosted, limit_s()), ours=False, times=2)
+            if scout is None:
+                function = getattr(importlib.import_module(_SCOUTED[0]), _SCOUTED[1])  # it imports this module
+                answers = function(self, hosted, limit_s())
+            else:
+                answers = scout.ask(":".join(_SCOUTED), (hosted, limit_s()), ours=False, times=2)
         except CodecbenchError as error:
             answers = {origin: {"text": str(error)} for origin in hosted}
         finally:
-            scout.end()
+            if scout is not None:
+                scout.end()
         for origin, answer in answers.items():
             if "value" not in answer:
                 reason = f"its entry points cannot be read: {' '.join(answer['text'].split())}"
@@ -226,6 +236,12 @@ def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
     return Registry(point for origin in wanted for point in points.get(origin, ()))
 
 
+def loads(registry: Registry, kind: Kind, name: str) -> bool:
+    """That a plugin's module imports and keeps the contract, found out where it is asked. Raises like `load`."""
+    registry.load(kind, name)
+    return True
+
+
 def offered(registry: Registry) -> dict[str, Any]:
     """All plugins of a registry and its problems, as JSON types."""
     return {
@@ -256,10 +272,16 @@ def origin_of(point: EntryPoint) -> str:
 def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
-    for point in entry_points(group=hooks.GROUP):
+    for point in _points(tuple(sys.path)):
         own = point.dist is not None and point.dist.name == OURS
         found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
+
+
+@functools.cache
+def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """All entry points on this path, looked for once: it means reading a file of every distribution."""
+    return tuple(entry_points(group=hooks.GROUP))
 
 
 def _hook_names(module: ModuleType) -> set[str]:

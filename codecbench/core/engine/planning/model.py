@@ -69,9 +69,14 @@ class CodingJob:
     codec: PluginSetting
 
     @property
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec
+
+    @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec)
+        return _company(*self.plugins)
 
 
 @dataclass(frozen=True)
@@ -93,9 +98,14 @@ class Cell:
     unsupported: str | None = None
 
     @property
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
+
+    @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
+        return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -149,7 +159,7 @@ class Plan:
             "matrix_text": self.matrix_text,
             "run": asdict(self.run),
             "sequences": [asdict(entry) for entry in self.sequences],
-            "settings": [asdict(setting) for setting in settings],
+            "settings": [_json_from_setting(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
             "declared": self.declared,
@@ -198,6 +208,11 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
 
 def _shown(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
+
+
+def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
+    """The fields of a setting, without the copies that `asdict` makes of each value: plans have 100,000 of them."""
+    return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}
 
 
 def _company(*settings: PluginSetting) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.encoder_notes import EncoderNotes
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
 from codecbench.core.engine.storage.plain_file import open_plain, read_plain, refuse_links
 from codecbench.core.engine.storage.plan_file import PlanFile
@@ -58,6 +59,7 @@ class Store:
         self.coded_folder = folder / "coded"
         self.log_path = folder / "run.log"
         self._index = RecordIndex(self.records_folder / "index.jsonl")
+        self.encoders = EncoderNotes(self.coded_folder)
         self.environments = EnvironmentFiles(folder / "environment")
 
     @contextmanager
@@ -127,6 +129,11 @@ class Store:
         """Keep a file of bitstreams that came from a worker which does not see this folder."""
         with self._writing():
             write_file(self.coded_path(job_id), content)
+
+    def note_encoder(self, job_id: str, code: str) -> None:
+        """Keep with which code of its codec a job's bitstreams were encoded."""
+        with self._writing():
+            self.encoders.write(job_id, code)
 
     def drop_coded(self, job_id: str, reason: str) -> None:
         """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""
