@@ -19,7 +19,8 @@ from codecbench.core.conformance.settings import setting_from_text, setting_labe
 from codecbench.core.conformance.suite import CHECKS, Check, CheckResult
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.params import Params
-from codecbench.core.engine.registry import Plugin, installed
+from codecbench.core.engine.plugin import Plugin
+from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}

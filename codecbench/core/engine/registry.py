@@ -10,11 +10,10 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
-import importlib.util
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any
@@ -26,64 +25,13 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsup
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
 from codecbench.core.engine.loading import load_class
+from codecbench.core.engine.plugin import OURS, Plugin, Problem, spoken
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_OURS = "codecbench"
 _SCOUTED = "codecbench.core.engine.serving:scouted"
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
-
-
-@dataclass(frozen=True)
-class Plugin:
-    """What a distribution offers: the specification of a plugin, and where it came from.
-
-    hosted: it is imported in a host process. absent: what it needs and is not installed, as its host found.
-    """
-
-    kind: Kind
-    spec: PluginSpec
-    distribution: str
-    hosted: bool = False
-    absent: str | None = None
-
-    @property
-    def company(self) -> str:
-        """Its distribution with its version; empty for codecbench's own plugins."""
-        return "" if self.distribution.startswith(f"{_OURS} ") else self.distribution
-
-    @property
-    def title(self) -> str:
-        """The plugin and its distribution, as messages name them."""
-        return f"{_words(self.kind)} {self.spec.name} of {self.distribution}"
-
-    @property
-    def missing(self) -> str | None:
-        """Why this plugin cannot be used here and the command that mends it, or None. Imports nothing of its own."""
-        if self.hosted:
-            return self.absent
-        absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
-        if not absent:
-            return None
-        command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
-        return f"{self.kind} {self.spec.name} needs {', '.join(absent)}, which is not installed; run: {command}"
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A distribution's plugin that could not be taken, and why.
-
-    nameless: nobody knows what it would have been called, because its module never said.
-    """
-
-    distribution: str
-    entry_point: str
-    reason: str
-    nameless: bool = False
-
-    def __str__(self) -> str:
-        return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
 
 
 class Registry:
@@ -115,7 +63,7 @@ class Registry:
         """The plugin of that name. Raises PluginError with the nearest names where there is none."""
         plugin = self._plugins.get((kind, name))
         if plugin is None:
-            raise PluginError(f"no {_words(kind)} is called {name!r}; {self.suggestion(kind, name)}")
+            raise PluginError(f"no {spoken(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
     def maybe_broken(self, kind: Kind, name: str) -> str | None:
@@ -124,7 +72,7 @@ class Registry:
         names = [plugin.spec.name for plugin in self.plugins(kind)]
         if not nameless or difflib.get_close_matches(name, names, n=1):
             return None
-        return f"no {_words(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+        return f"no {spoken(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
 
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
@@ -263,7 +211,7 @@ class Registry:
 def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
-    return Registry(points.pop(_OURS, ()), hosted=sorted(points))
+    return Registry(points.pop(OURS, ()), hosted=sorted(points))
 
 
 @functools.cache
@@ -274,7 +222,7 @@ def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
     are left out.
     """
     points = points_by_origin()
-    wanted = (*((_OURS,) if ours else ()), *company)
+    wanted = (*((OURS,) if ours else ()), *company)
     return Registry(point for origin in wanted for point in points.get(origin, ()))
 
 
@@ -309,8 +257,8 @@ def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
     for point in entry_points(group=hooks.GROUP):
-        own = point.dist is not None and point.dist.name == _OURS
-        found.setdefault(_OURS if own else origin_of(point), []).append(point)
+        own = point.dist is not None and point.dist.name == OURS
+        found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
 
 
@@ -325,8 +273,4 @@ def _hook_names(module: ModuleType) -> set[str]:
 def _own_first(point: EntryPoint) -> tuple[bool, str, str]:
     """Codecbench's own plugins come first, so that nobody can take one of their names."""
     distribution = point.dist.name if point.dist else ""
-    return (distribution != "codecbench", distribution, point.name)
-
-
-def _words(kind: Kind) -> str:
-    return kind.replace("_", " ")
+    return (distribution != OURS, distribution, point.name)
