@@ -69,7 +69,7 @@ class Stuck(jpeg2000.Jpeg2000):
 def codecbench_codecs():
     return [PluginSpec("stuck", "stuck:Stuck", "hangs")]
 '''
-SHORT_RUNS = 10
+SHORT_RUNS = 40
 """Runs inside this process for each one with workers, each command and each command that is killed."""
 WARM_ROUNDS = 1
 """Until then libraries load what they load once."""
