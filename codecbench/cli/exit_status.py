@@ -50,6 +50,9 @@ _NEXT: Final = {
     errno.EMFILE: "too many files are open; see `ulimit -n`",
 }
 
+_NO_TEMPORARY_FOLDER: Final = "No usable temporary directory found"
+"""How `tempfile` begins to say that it can write to none of the folders that it then lists."""
+
 
 def told(error: BaseException) -> ExitStatus:
     """Say what ended a command, on standard error, and give the exit status."""
@@ -106,6 +109,8 @@ def _sentence(error: OSError) -> str:
     what = error.strerror or errno.errorcode.get(error.errno, f"error {error.errno}")
     where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
     hint = _NEXT.get(error.errno)
+    if what.startswith(_NO_TEMPORARY_FOLDER):
+        hint = "make room in one of them, or set TMPDIR to a folder that can be written"
     return f"{where}{what}" + (f"; {hint}" if hint else "")
 
 

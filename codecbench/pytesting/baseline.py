@@ -17,6 +17,8 @@ from typing import Any, Final, overload
 
 import numpy as np
 
+from codecbench.core.engine.storage.atomic import write_file
+
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
 _ROUNDING_DB: Final = 1e-9
 """How much two computations of one PSNR may differ."""
@@ -93,9 +95,9 @@ class Baseline:
         )
 
     def save(self) -> None:
-        """Write what was added."""
+        """Write what was added. Raises OSError, and then the file is as it was."""
         if self._path is not None and self._added:
-            self._path.write_text(json.dumps({**self._known, **self._added}, indent=2) + "\n")
+            write_file(self._path, (json.dumps({**self._known, **self._added}, indent=2) + "\n").encode())
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,10 @@ def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
     processor = str(describe_machine()["cpu"])
     baseline = Baseline(Path(option) if option else None, request.config.getoption("--codecbench-slower"), processor)
     yield baseline
-    baseline.save()
+    try:
+        baseline.save()
+    except OSError as error:
+        pytest.fail(f"{error}: what the baseline lacks was not added to it", pytrace=False)
 
 
 def _cases(text: str) -> list[CodecCase]:

@@ -14,23 +14,14 @@ from pathlib import Path
 
 import psutil
 import pytest
-from distributions import install_source, register
-from installed_command import COMMAND, Done, Place
-from project import DOCS, SUPPORT
+from distributions import install_source
+from installed_command import COMMAND, TINY, Done, Place, tiny_place
+from project import DOCS
 
 from codecbench.cli import COMMANDS
 from codecbench.cli.exit_status import ExitStatus
 
 pytestmark = pytest.mark.thorough
-
-MATRIX = """
-version: 1
-name: tiny
-sequences: [{use: ramp, params: {frames: 4}}]
-codecs: [shift]
-evaluators: [error]
-run: {workers: 1}
-"""
 
 CRASHING = """
 import time
@@ -56,15 +47,12 @@ def codecbench_codecs():
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     """Matrices, a finished run in `runs/tiny`, one that became worse, one without records, and a damaged one."""
-    place = Place(tmp_path_factory.mktemp("statuses"))
-    shutil.copy(SUPPORT / "plain_plugins.py", place.site)
-    register(place.site, "plain", "1", "plain_plugins")
+    place = tiny_place(tmp_path_factory.mktemp("statuses"))
     install_source(place.site, "odd", "1", CRASHING)
     folder = place.folder
-    for name, codec in {"tiny": "shift", "failing": "failing", "slow": "slow", "absent": "absent"}.items():
-        (folder / f"{name}.yaml").write_text(MATRIX.replace("[shift]", f"[{codec}]").replace("tiny", name))
-    (folder / "wrong.yaml").write_text(MATRIX.replace("shift", "shfit"))
-    assert place.call("run", "tiny.yaml").status == ExitStatus.SUCCESS
+    for name in ("failing", "slow", "absent"):
+        (folder / f"{name}.yaml").write_text(TINY.replace("shift", name).replace("tiny", name))
+    (folder / "wrong.yaml").write_text(TINY.replace("shift", "shfit"))
     assert place.call("compare", "runs/tiny", "--save", "base.json").status == ExitStatus.SUCCESS
     (folder / "better.json").write_text(
         re.sub(r'"values": \[[^]]*\]', '"values": [-1.0]', (folder / "base.json").read_text())
@@ -128,6 +116,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "reproduce nowhere", "is not a run folder"),
     (ExitStatus.WRONG_USE, "reproduce empty", "has no results yet"),
     (ExitStatus.NOT_POSSIBLE, "reproduce damaged", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "reproduce runs/tiny --out file/page.md", "a file is where a folder is wanted"),
     (ExitStatus.SUCCESS, "data list", "kodak"),
     (ExitStatus.WRONG_USE, "data path kodack", "did you mean kodak?"),
     (ExitStatus.SUCCESS, "warm-up tiny.yaml", "0 failed"),

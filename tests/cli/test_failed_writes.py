@@ -8,26 +8,27 @@ from __future__ import annotations
 import os
 import resource
 import shutil
-from collections.abc import Callable
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from distributions import register
-from installed_command import Done, Place
-from project import SUPPORT
+from installed_command import Done, Place, tiny_place
 
 from codecbench.cli.exit_status import ExitStatus
 
 pytestmark = pytest.mark.thorough
 
-MATRIX = """
+PICTURED = """
 version: 1
-name: tiny
-sequences: [{use: ramp, params: {frames: 4}}]
-codecs: [shift]
-evaluators: [error]
+name: pictured
+sequences: [{use: ramp, params: {frames: 2}}]
+codecs: [{use: jpeg, params: {quality: {grid: [20, 60]}}}]
+evaluators: [quality]
 run: {workers: 1}
 """
+"""Whose run has figures."""
 
 FAILING = """
 import errno, os
@@ -46,12 +47,10 @@ for name in real:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
-    """A matrix, and its finished run in `runs/tiny`."""
-    place = Place(tmp_path_factory.mktemp("writes"))
-    shutil.copy(SUPPORT / "plain_plugins.py", place.site)
-    register(place.site, "plain", "1", "plain_plugins")
-    (place.folder / "tiny.yaml").write_text(MATRIX)
-    assert place.call("run", "tiny.yaml").status == ExitStatus.SUCCESS
+    """Matrices, and their finished runs in `runs/tiny` and `runs/pictured`."""
+    place = tiny_place(tmp_path_factory.mktemp("writes"))
+    (place.folder / "pictured.yaml").write_text(PICTURED)
+    assert place.call("run", "pictured.yaml").status == ExitStatus.SUCCESS
     return place
 
 
@@ -90,11 +89,67 @@ def test_an_output_that_does_not_fit_leaves_what_was_there(place: Place, words: 
     assert {path.name: path.read_text() for path in new.iterdir()} == ({"kept": "of before"} if there_before else {})
 
 
-def test_figures_and_corpora_that_do_not_fit_leave_no_part(place: Place) -> None:
-    is_refused(
-        place.call("verify", "raw", "--write-corpus", "corpus", limits=small_files(8)), "corpus/raw/000.bin: File"
-    )
-    assert [path for path in (place.folder / "corpus").rglob("*") if path.is_file()] == []
+FOLDERS = [
+    ("verify raw --write-corpus new", "new/raw/000.bin"),
+    ("plot runs/pictured --out new", "new/ramp-rate-psnr_gray_db.svg"),
+    ("reproduce runs/pictured --out new/page.md", "new/page-figures/ramp-rate-psnr_gray_db.svg"),
+]
+"""Commands that write several files, and the first of them."""
+
+
+@pytest.mark.parametrize(("words", "first"), FOLDERS)
+def test_figures_and_corpora_that_do_not_fit_leave_no_part(place: Place, words: str, first: str) -> None:
+    new = place.folder / "new"
+    shutil.rmtree(new, ignore_errors=True)
+    is_refused(place.call(*words.split(), limits=small_files(8)), f"{first}: File too large")
+    assert [path for path in new.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("words", [*OUTPUTS, *(words for words, _ in FOLDERS)])
+def test_an_output_on_a_full_disk_leaves_no_part(place: Place, full_disk: Path, words: str) -> None:
+    done = place.call(*words.replace(" new", f" {full_disk}/new", 1).split())
+    is_refused(done, f"{full_disk}/new", "No space left on device; make room on that disk")
+    assert [path.name for path in full_disk.rglob("*") if path.is_file()] == ["filler"]
+
+
+def test_a_run_on_a_full_disk_goes_on_when_there_is_room(place: Place, full_disk: Path) -> None:
+    is_refused(place.call("run", "tiny.yaml", "--out", str(full_disk / "run")), "No space left on device")
+    (full_disk / "filler").unlink()
+    done = place.call("run", "tiny.yaml", "--out", str(full_disk / "run"))
+    assert done.status == ExitStatus.SUCCESS, done.output
+    assert "cells: 1 ok" in done.stdout
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A small disk in memory without a free byte."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)], capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("no disk can be mounted here: that takes root")
+    try:
+        with suppress(OSError), open(disk / "filler", "wb", buffering=0) as filler:
+            while filler.write(bytes(4096)):
+                continue
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_manifest_of_kernels_that_cannot_be_written_stays_as_it_was(place: Place, tmp_path: Path) -> None:
+    package = place.site / "kernelled"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "kernels.json").write_text("of before")
+    (tmp_path / "sitecustomize.py").write_text(FAILING.format(call="replace", error="ENOSPC", inside="kernels.json"))
+    path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
+    done = place.call("warm-up", "tiny.yaml", "--record", "kernelled", PYTHONPATH=path)
+    is_refused(done, "kernelled/kernels.json: No space left on device; make room on that disk")
+    assert {path.name: path.read_text() for path in package.glob("*.json")} == {"kernels.json": "of before"}
+    assert list(package.glob(".new-*")) == []
+    assert place.call("warm-up", "tiny.yaml", "--record", "kernelled").status == ExitStatus.SUCCESS
+    assert (package / "kernels.json").read_text() == "[\n\n]\n"
 
 
 @pytest.mark.parametrize(
@@ -146,7 +201,7 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
 def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
     done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), limits=small_files(size))
     if size == 0:  # not even a temporary file can be made, which comes before the run folder
-        is_refused(done, "No usable temporary directory")
+        is_refused(done, "No usable temporary directory", "; make room in one of them, or set TMPDIR to a folder")
     else:
         is_refused(done, str(tmp_path / "run"), "File too large")
     assert place.call("run", "tiny.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS

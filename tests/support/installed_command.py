@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from distributions import register
+from project import SUPPORT
+
 COMMAND = Path(sys.executable).parent / "codecbench"
+
+TINY = """
+version: 1
+name: tiny
+sequences: [{use: ramp, params: {frames: 4}}]
+codecs: [shift]
+evaluators: [error]
+run: {workers: 1}
+"""
+"""A matrix of one quick cell, of the plugins in `plain_plugins`."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +62,17 @@ class Place:
             [str(COMMAND), *words], cwd=self.folder, env=self.environment(**variables), stdout=pipe, stderr=pipe,
             text=True, start_new_session=True,
         )  # fmt: skip
+
+
+def tiny_place(folder: Path) -> Place:
+    """A place with the plain plugins, and the matrix `tiny.yaml` with its finished run in `runs/tiny`."""
+    place = Place(folder)
+    shutil.copy(SUPPORT / "plain_plugins.py", place.site)
+    register(place.site, "plain", "1", "plain_plugins")
+    (folder / "tiny.yaml").write_text(TINY)
+    done = place.call("run", "tiny.yaml")
+    assert done.status == 0, done.output
+    return place
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import shutil
 import signal
 from collections.abc import Callable
 from functools import partial
@@ -21,10 +22,11 @@ _MARGIN_S: Final = 5
 """A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
 
 
-def serve(requests: int, answers: int, company: list[str]) -> None:
-    """Answer one request a line until there are no more.
+def serve(requests: int, answers: int, company: list[str], folder: str) -> None:
+    """Answer one request a line until there are no more, and remove `folder`, whose asker may be gone.
 
     requests, answers: descriptors of pipes. A request names a function, its arguments and how long it may take.
+    folder: where this process keeps its temporary files.
     """
     with os.fdopen(requests, "rb") as stream:
         for line in stream:
@@ -33,6 +35,7 @@ def serve(requests: int, answers: int, company: list[str]) -> None:
             content = _answer(partial(_called, request, company))
             signal.alarm(0)
             _write(answers, content)
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
 
 

@@ -83,14 +83,13 @@ def listed(name: str) -> tuple[Entry, ...]:
     raise ManifestError(f"no {MANIFEST} beside {name} or above it; record it: codecbench warm-up --help")
 
 
-def write(package: str, entries: Iterable[Entry]) -> Path:
-    """Write the manifest of `package`: those of the entries whose kernels are in it. Returns the file."""
+def recorded(package: str, entries: Iterable[Entry]) -> tuple[Path, bytes]:
+    """The file of the manifest of `package` and its content: those of the entries whose kernels are in it."""
     path = _beside(package)
     if path is None:
         raise ManifestError(f"{package} is not a package with a folder; name one that can be imported")
     own = sorted(entry for entry in entries if entry.kernel.startswith((f"{package}.", f"{package}:")))
-    path.write_text("[\n" + ",\n".join(json.dumps(asdict(entry)) for entry in own) + "\n]\n", encoding="utf-8")
-    return path
+    return path, ("[\n" + ",\n".join(json.dumps(asdict(entry)) for entry in own) + "\n]\n").encode()
 
 
 def _beside(package: str) -> Path | None:

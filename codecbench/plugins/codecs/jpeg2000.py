@@ -10,7 +10,6 @@ needs the PNG's size and a few trials; `prepared` does both beforehand.
 
 from __future__ import annotations
 
-import os
 import struct
 import tempfile
 import warnings
@@ -202,8 +201,6 @@ def _larger(best: _Trial | None, found: _Trial | None) -> _Trial | None:
 
 @contextmanager
 def _scratch_file() -> Iterator[Path]:
-    """The path of a file that does not exist yet, in memory where the system offers it, removed in any case."""
-    shared_memory = "/dev/shm"
-    folder = shared_memory if os.access(shared_memory, os.W_OK | os.X_OK) else None
-    with tempfile.TemporaryDirectory(prefix="codecbench-", dir=folder) as name:
+    """The path of a file that does not exist yet, in the process's own temporary folder, which outlives no worker."""
+    with tempfile.TemporaryDirectory(prefix="codecbench-") as name:
         yield Path(name) / "frame.jp2"

@@ -233,12 +233,17 @@ def test_damage_inside_the_packets_with_a_right_checksum_neither_crashes_nor_rai
     assert refused < 150
 
 
-def test_scratch_files_are_removed_also_on_failure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(jpeg2000.os, "access", lambda *_: False)
+def test_scratch_files_are_in_the_temporary_folder_and_removed_also_on_failure(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     codec = Jpeg2000.create(ratio=20)
     bitstream = codec.encode(GRAY)
+    written: list[Path] = []
+    write = Path.write_bytes
+    monkeypatch.setattr(Path, "write_bytes", lambda path, content: written.append(path) or write(path, content))
     codec.decode(bitstream)
+    assert [path.parent.parent for path in written] == [tmp_path]
     with pytest.raises(TypeError):
         codec._write(GRAY, nonsense=1)
     packets = bitstream.index(b"\xff\x93") + 2

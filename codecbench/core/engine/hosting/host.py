@@ -33,10 +33,10 @@ _MOST_BYTES: Final = 64 << 20
 _POLL_S: Final = 0.1
 _PROGRAM: Final = """
 import json, sys
-paths, requests, answers, company = json.loads(sys.argv[1])
+paths, requests, answers, company, folder = json.loads(sys.argv[1])
 sys.path[:] = paths
 from codecbench.core.engine.serving import serve
-serve(requests, answers, company)
+serve(requests, answers, company, folder)
 """
 
 
@@ -78,7 +78,7 @@ class PluginHost:
         self._answers, given = os.pipe()
         paths = [os.path.abspath(path) for path in sys.path]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company])],
+            [sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company, folder])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -14,6 +14,7 @@ from codecbench.core.engine.planning.model import CodingJob, Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.work import BITSTREAMS, Order, perform
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.kernels import manifest
 
@@ -27,12 +28,16 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
 
     The first matrix stands for what any work calls; what only a later one calls is compiled later.
 
-    Raises RecordingError where something of a matrix fails, MatrixError and ManifestError as their names say.
+    Raises RecordingError where something of a matrix fails, MatrixError and ManifestError as their names say, and
+    OSError where a file cannot be written, which then is as it was.
     """
     with _empty_cache(), manifest.recording() as recorder:
         for recorder.stage, matrix in enumerate(matrices):
             _perform(make_plan(read_matrix(matrix)))
-    return [manifest.write(package, recorder.entries) for package in packages]
+    files = dict(manifest.recorded(package, recorder.entries) for package in packages)
+    for path, content in files.items():
+        write_file(path, content)
+    return list(files)
 
 
 def _perform(plan: Plan) -> None:

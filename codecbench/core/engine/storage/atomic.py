@@ -1,21 +1,27 @@
-"""Files and folders that are complete or absent: written beside their place, then renamed into it."""
+"""Files and folders that are complete or absent: written beside their place, then renamed into it.
+
+What is `durable` is on the disk when the function returns, with every folder that leads to it, and outlasts a power
+cut; it takes milliseconds. What is not may be lost or damaged by one until `sync_file_system` was called.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
+
+_libc: Final = ctypes.CDLL(None, use_errno=True)
 
 
 def write_file(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Put `content` at `path`, replacing what was there in one step.
 
-    `durable` also waits until the disk has it, which costs milliseconds and survives a power cut. Raises
-    OSError (disk full, read-only) and then leaves `path` as it was.
+    Raises OSError (disk full, read-only) and then leaves `path` as it was.
     """
     with open_whole(path, durable=durable) as stream:
         stream.write(content)
@@ -32,7 +38,7 @@ def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
             yield stream
         return
     with _naming(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, durable=durable)
         handle, name = tempfile.mkstemp(prefix=".new-", dir=path.parent)
     try:
         with _naming(path), os.fdopen(handle, "wb") as stream:
@@ -48,6 +54,14 @@ def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         raise
     if durable:
         _sync_folder(path.parent)
+
+
+def make_folder(path: Path, *, durable: bool = False) -> None:
+    """Make a folder and those above it, where they are missing. Raises OSError."""
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()] if durable else []
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in missing:
+        _sync_folder(folder.parent)
 
 
 @contextmanager
@@ -67,12 +81,14 @@ def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = F
     A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
     """
     with _naming(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, durable=durable)
         new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
     try:
         new.chmod(0o755)
         for name, content in contents.items():
             _write_plain(new / name, content, durable)
+        if durable:
+            _sync_folder(new)
         if path.exists():
             remove_folder(path)
         os.rename(new, path)
@@ -108,9 +124,25 @@ def _write_plain(path: Path, content: bytes, durable: bool) -> None:
             os.fsync(stream.fileno())
 
 
+def sync_file_system(folder: Path) -> None:
+    """Wait until the disk has everything that was written on the file system of `folder`.
+
+    For many small files this is faster by orders of magnitude than waiting for each. Raises OSError.
+    """
+    with _opened(folder) as handle:
+        if _libc.syncfs(handle) != 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
+
+
 def _sync_folder(folder: Path) -> None:
+    with _opened(folder) as handle:
+        os.fsync(handle)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
     handle = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(handle)
+        yield handle
     finally:
         os.close(handle)

@@ -33,7 +33,7 @@ class EnvironmentFiles:
         except (OSError, ValueError):
             body = {"id": name, "environment": description}
             document = {"checksum": digest(body), **body}
-            write_file(path, json.dumps(document, indent=1, allow_nan=False).encode() + b"\n")
+            write_file(path, json.dumps(document, indent=1, allow_nan=False).encode() + b"\n", durable=True)
         self._sound.add(name)
 
     def read(self) -> dict[str, dict[str, Any]]:

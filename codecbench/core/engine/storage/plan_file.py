@@ -30,8 +30,8 @@ class PlanFile:
         """Keep the plan and its matrix. Raises OSError."""
         body = plan.as_json()
         content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
-        write_file(self._matrix_path, plan.matrix_text.encode())
-        write_file(self._path, canonical_json({"checksum": digest(content), **content}))
+        write_file(self._matrix_path, plan.matrix_text.encode(), durable=True)
+        write_file(self._path, canonical_json({"checksum": digest(content), **content}), durable=True)
 
     def read(self) -> Plan:
         """The plan. Raises StoreError where it is missing or damaged; a damaged matrix is reported in the log."""

@@ -25,7 +25,14 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
+from codecbench.core.engine.storage.atomic import (
+    make_folder,
+    remove_folder,
+    sweep,
+    sync_file_system,
+    write_file,
+    write_folder,
+)
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.encoder_notes import EncoderNotes
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
@@ -47,7 +54,8 @@ _DEPTH: Final = 3
 """Levels of a run folder on which it has files and folders of its own: `records/ab/<cell>`."""
 
 _DURABLE_FROM_S: Final = 1.0
-"""A record of a cell that took longer is waited for until the disk has it; a quicker one is cheaper to redo."""
+"""A record of a cell that took longer is waited for until the disk has it; the disk has quicker ones, which are cheaper
+to compute again, when the run ends."""
 
 
 class Store:
@@ -66,10 +74,11 @@ class Store:
     def locked(self) -> Iterator[None]:
         """Hold the folder for writing. Raises StoreError where another process does, or a link leads out of it.
 
-        The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale.
+        The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale. When it is
+        given back, the disk has all that was written.
         """
         with self._writing():
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder, durable=True)
             refuse_links(self.folder, _DEPTH)
             lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
         with lock as stream:
@@ -83,6 +92,8 @@ class Store:
                 os.write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()}".encode())
                 self._tidy()
             yield
+            with self._writing():
+                sync_file_system(self.folder)
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -76,6 +79,25 @@ def test_it_answers_from_another_process_in_a_folder_of_its_own(host: PluginHost
     host.end()
     assert not psutil.pid_exists(pid)
     assert not os.path.exists(folder)
+
+
+def test_a_host_whose_program_was_killed_removes_its_folder_and_ends(tmp_path: Path) -> None:
+    program = (
+        "import json, time; from codecbench.core.engine.hosting.host import PluginHost; host = PluginHost(()); "
+        "print(json.dumps(host.ask('test_host:where', ())), flush=True); time.sleep(60)"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": paths}
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment) as asker:
+        assert asker.stdout is not None
+        pid, folder = json.loads(asker.stdout.readline())
+        assert list(tmp_path.iterdir()) == [Path(folder)]
+        asker.kill()
+    deadline = time.monotonic() + 20
+    while (psutil.pid_exists(pid) or list(tmp_path.iterdir())) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not psutil.pid_exists(pid)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

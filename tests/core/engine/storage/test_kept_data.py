@@ -1,0 +1,116 @@
+"""Run folders and bitstreams that earlier versions wrote are opened, shown and decoded as then.
+
+`tests/golden/kept/README.md` says how they were made. What a version wrote stays as it is; a version that writes
+another format adds its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from project import GOLDEN
+
+from codecbench.core.conformance.corpus import Entry, pixels_sha256, read_manifest
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.engine.planning.model import CodingJob
+from codecbench.core.engine.registry import installed
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.collect import open_run
+from codecbench.core.results.export import exported
+
+KEPT = GOLDEN / "kept"
+RUNS = sorted(path.name for path in KEPT.glob("run-*"))
+OWN = {"raw", "jpeg_qf", "multilevel"}
+"""Codecs whose pixels hang on no library's version."""
+
+
+def test_there_are_runs_of_every_format_and_they_are_small() -> None:
+    assert RUNS == ["run-1", "run-2"]
+    assert sum(path.stat().st_size for path in KEPT.rglob("*") if path.is_file()) < 500_000
+
+
+@pytest.fixture(params=RUNS)
+def kept(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A copy of a kept run folder, with `table.csv` beside it."""
+    return Path(shutil.copytree(KEPT / request.param, tmp_path / "kept"))
+
+
+def test_a_kept_run_is_opened_and_gives_the_table_of_then(kept: Path) -> None:
+    result = open_run(kept / "run")
+    assert [found.status for found in result.results] == ["ok"] * 14
+    assert result.environments
+    (kept / "now.csv").write_bytes(exported(result.wide, "csv"))
+    then, now = pd.read_csv(kept / "table.csv"), pd.read_csv(kept / "now.csv")
+    assert {
+        "codec",
+        "setting",
+        "quality.rate_bpp.mean",
+        "quality.psnr_gray_db.mean",
+        "features.inlier_ratio.mean",
+    } <= set(then.columns)
+    pd.testing.assert_frame_equal(now[list(then.columns)], then)
+
+
+def test_records_of_a_kept_run_are_whole_to_the_last_byte(kept: Path) -> None:
+    store = Store(kept / "run")
+    ids = {cell.id for cell in store.read_plan().cells}
+    sound, damaged = store.sound_entries(ids)
+    assert (set(sound), damaged) == (ids, {})
+    assert not store.environments.damaged()
+
+
+def coded(store: Store, job: CodingJob) -> Iterator[bytes]:
+    """The bitstreams of a job; those of the first format, which says not whose they are, by their index."""
+    content = store.coded_path(job.id).read_bytes()
+    if content[:8] != b"CBBITS\x00\x01":
+        file = BitstreamFile(content, job.id)
+        yield from (file.read(index) for index in range(len(file)))
+        return
+    with pytest.raises(BitstreamDamage, match="earlier version"):
+        BitstreamFile(content, job.id)
+    at, count = np.frombuffer(content[-40:-24], "<u8").tolist()
+    index = np.frombuffer(content[at:], np.dtype([("at", "<u8"), ("size", "<u8"), ("crc", "<u4")]), count)
+    yield from (content[entry["at"] : entry["at"] + entry["size"]] for entry in index)
+
+
+def test_bitstreams_of_a_kept_run_decode_to_the_same_pixels(kept: Path) -> None:
+    store = Store(kept / "run")
+    expected = json.loads((kept / "pixels.json").read_text())
+    found = {}
+    for job in store.read_plan().jobs:
+        codec = installed().create("codec", job.codec.name, job.codec.params)
+        found[job.codec.title] = [pixels_sha256(codec.decode(bitstream)) for bitstream in coded(store, job)]
+    assert found.keys() == expected.keys()
+    for title, hashes in found.items():
+        assert len(hashes) == 2
+        assert hashes == expected[title], title
+
+
+CORPUS = read_manifest(KEPT / "bitstreams")
+
+
+def test_the_kept_bitstreams_are_of_every_codec_that_ships() -> None:
+    assert {entry.codec for entry in CORPUS} == {plugin.spec.name for plugin in installed().plugins("codec")}
+
+
+@pytest.mark.parametrize("entry", CORPUS, ids=[entry.file for entry in CORPUS])
+def test_a_kept_bitstream_decodes_to_the_same_pixels(entry: Entry) -> None:
+    """Pixels of a lossy format may differ where another version of a library decodes it."""
+    bitstream = (KEPT / "bitstreams" / entry.file).read_bytes()
+    assert hashlib.sha256(bitstream).hexdigest() == entry.bitstream_sha256
+    try:
+        decoder = installed().load("codec", entry.codec).create(**entry.params)
+    except Unsupported as reason:
+        pytest.skip(str(reason))
+    pixels = decoder.decode(bitstream)
+    assert pixels.shape[:2] == entry.shape[:2]
+    if entry.codec in OWN or decoder.libraries() == entry.libraries:
+        assert pixels_sha256(pixels) == entry.pixels_sha256
