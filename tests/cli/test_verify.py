@@ -107,11 +107,13 @@ def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
     ("codec_class", "said"),
     [
         ("Exits", "raised: SystemExit(0), which ends programs"),
-        ("Interrupts", "raised: KeyboardInterrupt(), which ends programs"),
-        ("EndsItsProcess", "crashed: the process ended itself with exit status 0"),
-        ("KillsItself", "crashed: the process died of SIGKILL"),
+        pytest.param("Interrupts", "raised: KeyboardInterrupt(), which ends programs", marks=pytest.mark.thorough),
+        pytest.param(
+            "EndsItsProcess", "crashed: the process ended itself with exit status 0", marks=pytest.mark.thorough
+        ),
+        pytest.param("KillsItself", "crashed: the process died of SIGKILL", marks=pytest.mark.thorough),
         ("Segfaults", "crashed: the process died of SIGSEGV"),
-        ("NeverEnds", "hung: no answer within 6 s"),
+        pytest.param("NeverEnds", "hung: no answer within 6 s", marks=pytest.mark.thorough),
     ],
 )
 def test_a_codec_that_ends_or_stops_its_process_fails_its_check_alone(
@@ -137,6 +139,7 @@ def test_a_codec_that_ends_its_process_when_constructed_costs_itself(tmp_path: P
     assert "pass  bytes" in done.stdout
 
 
+@pytest.mark.thorough
 def test_after_a_check_that_hung_no_other_is_waited_for(tmp_path: Path) -> None:
     place = with_broken(tmp_path, "NeverEnds")
     done = place.call("verify", "broken", "--only", "bytes", "--only", "shape", "--only", "cut", "--timeout", "6")
@@ -311,6 +314,7 @@ def test_a_codec_that_ends_its_process_writes_no_corpus(tmp_path: Path, codec_cl
     assert not (tmp_path / "corpus" / "manifest.json").exists()
 
 
+@pytest.mark.thorough
 def test_an_encoder_that_ends_its_process_fails_its_bitstreams(tmp_path: Path) -> None:
     place = with_broken(tmp_path, "ClaimsToCount")
     assert place.call("verify", "broken", "raw", "--write-corpus", "corpus").status == 0

@@ -75,6 +75,7 @@ def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np
     assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("call", ["drift"], indirect=True)
 def test_a_backend_is_run_by_the_trajectory_evaluator(call: Call) -> None:
     assert "shifts between frames" in call("list", "slam_backends")
@@ -84,6 +85,7 @@ def test_a_backend_is_run_by_the_trajectory_evaluator(call: Call) -> None:
     assert 0.0 < _samples(table, "ate_rmse_m")[0] < 0.2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("call", ["inline"], indirect=True)
 def test_an_executor_runs_every_cell_where_it_says(call: Call, tmp_path: Path) -> None:
     call("run", "matrix.yaml", "--quiet", "--out", "run")

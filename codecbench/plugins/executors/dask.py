@@ -25,7 +25,7 @@ from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.params import Params
 from codecbench.plugins.executors.dask_worker import perform_isolated, stop_pools
-from codecbench.plugins.executors.pool import hidden_main
+from codecbench.plugins.executors.fork_server import hidden_main
 
 log = logging.getLogger("codecbench.dask")
 

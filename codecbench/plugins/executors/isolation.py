@@ -27,6 +27,7 @@ from typing import Any, Final
 import psutil
 
 from codecbench.core.contracts.executor import Task, retirement
+from codecbench.plugins.executors.fork_server import Surroundings
 from codecbench.plugins.executors.process_state import ProcessState
 
 RETIRED: Final = 86
@@ -68,12 +69,13 @@ class _State:
 _state = _State()
 
 
-def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -> None:
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings) -> None:
     """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
 
     Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
     """
     os.setpgid(0, 0)
+    surroundings.enter()
     _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
     if "CODECBENCH_CACHE" in os.environ:
@@ -81,7 +83,7 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -
     os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
-    _die_with(parent)
+    _die_with_parent()
     prepare()
     _state.baseline_mb = private_mb(os.getpid())
     content = json.dumps({"pid": os.getpid(), "baseline_mb": _state.baseline_mb})
@@ -138,14 +140,17 @@ def _redirect_output(path: Path) -> None:
     os.close(nothing)
 
 
-def _die_with(parent: int) -> None:
-    """End this process and its group when the parent ends, even while C code holds the interpreter."""
+def _die_with_parent() -> None:
+    """End this process and its group when the program ends that wanted it, even while C code holds the interpreter.
+
+    The server that forked it ends with that program, and the system kills this process with the server.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
     process = multiprocessing.parent_process()
     if process is not None:
+        if not process.is_alive():
+            os._exit(1)
         threading.Thread(target=_follow, args=(process,), name="parent watch", daemon=True).start()
 
 

@@ -12,15 +12,12 @@ import os
 import queue
 import shutil
 import signal
-import sys
 import threading
 import time
-import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +25,7 @@ import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from codecbench.core.contracts.executor import Finished, Status, Task
+from codecbench.plugins.executors.fork_server import ForkServer, Surroundings
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 
@@ -41,30 +39,6 @@ _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
 _PARKED: Final = 3
 """So many idle workers are kept for when a task of their company comes, beyond those that can be busy at once."""
-
-_main_lock = threading.Lock()
-
-
-@contextmanager
-def hidden_main() -> Iterator[None]:
-    """Processes spawned meanwhile do not import the program's main script again: tasks never live there."""
-    with _main_lock:
-        main = sys.modules["__main__"]
-        sys.modules["__main__"] = types.ModuleType("__main__")
-        try:
-            yield
-        finally:
-            sys.modules["__main__"] = main
-
-
-class _WorkerProcess(SpawnProcess):
-    def start(self) -> None:
-        with hidden_main():
-            super().start()
-
-
-class _WorkerContext(SpawnContext):
-    Process = _WorkerProcess
 
 
 @dataclass
@@ -92,6 +66,7 @@ class WorkerPool:
 
     def __init__(self, workers: int, prepare: Callable[[], None], folder: str | None = None) -> None:
         self._prepare, self._workers = prepare, workers
+        self._server = ForkServer(prepare.__module__)
         self._folder = WorkerFolder(folder)
         self._slots = [_Slot(self._folder.files(n)) for n in range(workers)]
         self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
@@ -159,8 +134,8 @@ class WorkerPool:
             slot.pool = ProcessPool(
                 max_workers=1,
                 initializer=enter_worker,
-                initargs=(slot.files, self._prepare, os.getpid()),
-                context=_WorkerContext(),
+                initargs=(slot.files, self._prepare, Surroundings.now()),
+                context=self._server,
             )
         future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
         slot.future = future

@@ -154,6 +154,7 @@ def test_a_codec_that_gains_a_parameter_keeps_its_cells_and_one_with_another_def
     assert place.run() == (2, 2)
 
 
+@pytest.mark.thorough
 def test_a_metric_that_an_evaluator_gains_is_missing_until_it_is_asked_for(place: Place) -> None:
     place.run()
     place.edit('"largest difference"),)', '"largest difference"), Metric("mean", "1", "lower", "mean difference"))')
@@ -173,6 +174,7 @@ def test_a_metric_that_an_evaluator_gains_is_missing_until_it_is_asked_for(place
     assert place.run() == (2, 2)
 
 
+@pytest.mark.thorough
 def test_cells_are_computed_again_by_name(place: Place) -> None:
     place.run()
     coded = {path: path.stat().st_mtime_ns for path in (place.folder / "runs/changing/coded").glob("*.bits")}

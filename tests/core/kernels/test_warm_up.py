@@ -126,6 +126,7 @@ def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     assert "0 kernels to compile, 0 failed" in place.call("warm-up", "counting.yaml")
 
 
+@pytest.mark.thorough
 def test_a_run_compiles_ahead_and_says_so(place: Place) -> None:
     place.call("run", "counting.yaml")
     assert "halving.kernels.halve.counting" in place.kept
@@ -135,6 +136,7 @@ def test_a_run_compiles_ahead_and_says_so(place: Place) -> None:
     assert not list((place.cache / "kernels").glob("*.lock"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "content",
     [

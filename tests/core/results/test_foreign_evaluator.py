@@ -121,6 +121,7 @@ def test_its_figures_are_drawn(place: Path, printed: str) -> None:
     assert {"drawn-rate-edges_kept.svg", "drawn-edges-jpeg.svg", "drawn-edges-posterize.svg"} <= names
 
 
+@pytest.mark.thorough
 def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, printed: str) -> None:
     """Labels, units and roles travel with the run; only drawings and comparisons need the plugin."""
     short = [
@@ -131,6 +132,7 @@ def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, 
     assert "| edges kept | edges hold |" in short[0].read_text()
 
 
+@pytest.mark.thorough
 def test_without_a_rate_a_limit_is_refused_with_the_reason(place: Path) -> None:
     call(place, "run", "alone.yaml", "--out", "runs/alone", "--quiet")
     html, data = page_of(place, "runs/alone")

@@ -109,6 +109,7 @@ def test_a_run_is_read_from_answers_files_and_log() -> None:
     assert run.maps == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_frames_are_paced() -> None:
     started = time.monotonic()
@@ -122,12 +123,14 @@ def test_a_crash_is_an_error_that_says_where() -> None:
         OrbSlam3.create().run(frames([5, 5, 200, 5]), CAMERA, seed=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_an_exit_is_an_error_with_its_status() -> None:
     with pytest.raises(SlamError, match="ended with exit status 3, frame 6"):
         OrbSlam3.create().run(frames([5, 204, 5]), CAMERA, seed=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_a_hang_is_an_error_and_the_child_is_gone() -> None:
     started = time.monotonic()
@@ -148,6 +151,7 @@ def test_a_missing_package_is_unsupported() -> None:
         OrbSlam3.create()
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_frames_of_another_size_are_refused_with_a_reason() -> None:
     given = list(frames([5, 5, 5]))
@@ -158,6 +162,7 @@ def test_frames_of_another_size_are_refused_with_a_reason() -> None:
     assert len(run.trajectory) == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_input_that_cannot_be_used_is_refused() -> None:
     with pytest.raises(SlamError, match="got 1 frame"):

@@ -116,6 +116,7 @@ def test_every_decoder_fault_names_its_frame(bench: Bench) -> None:
             assert record.status == "ok"
 
 
+@pytest.mark.thorough
 def test_every_evaluator_fault_fails_the_cell(bench: Bench) -> None:
     evaluators = f"{grid('wandering', EVALUATOR_FAULTS)}, {grid('whole', WHOLE_FAULTS)}"
     plan = bench.plan(matrix("{use: faulty, params: {step: 2}}", evaluators, LIMITS))
@@ -136,6 +137,7 @@ def test_failed_cells_are_tried_again_and_good_ones_kept(bench: Bench) -> None:
     assert (again.computed, again.kept, again.statuses) == (1, 1, {"failed": 1, "ok": 1})
 
 
+@pytest.mark.thorough
 def test_a_changed_sequence_is_computed_anew(bench: Bench) -> None:
     text = matrix("faulty", "wandering")
     plan = bench.plan(text)
@@ -157,6 +159,7 @@ def damage(path: Path, how: str) -> None:
     path.write_bytes(content[: len(content) // 2] if how == "truncate" else content)
 
 
+@pytest.mark.thorough
 def test_damaged_records_are_found_reported_and_computed_again(bench: Bench) -> None:
     plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
     bench.run(plan)
@@ -188,6 +191,7 @@ def read_everything(store: Store, cell_id: str) -> None:
         store.read_file(record, name)
 
 
+@pytest.mark.thorough
 def test_damaged_bitstreams_are_encoded_again(bench: Bench) -> None:
     codecs = grid("faulty", ["none", "fork", "noise", "leave_alone"])
     plan = bench.plan(matrix(codecs, "wandering"))
@@ -205,6 +209,7 @@ def test_damaged_bitstreams_are_encoded_again(bench: Bench) -> None:
     assert contents(bench.store(), more) == contents(bench.store("undisturbed"), more)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", ["flip", "truncate", "remove"])
 def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) -> None:
     plan = bench.plan(matrix(grid("faulty", ["none", "fork"]), "wandering, whole"))
@@ -283,6 +288,7 @@ def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
         assert contents(bench.store("disk/run"), plan) == contents(bench.store("undisturbed"), plan)
 
 
+@pytest.mark.thorough
 def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: Bench) -> None:
     cells = "abcdefghijklmnopqrstuvwx"
     plan = bench.plan(matrix(grid("faulty", cells), "slow"))

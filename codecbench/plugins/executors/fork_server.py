@@ -1,0 +1,97 @@
+"""The process that workers are forked from: it has loaded once what each of them would load again.
+
+Loading numpy, numba, scipy and the rest costs a process about two seconds of processor time; a fork of one that has
+them begins in a few milliseconds, which counts where workers die, serve one company each, or live for one task.
+The server runs nobody's code but these libraries': it only forks.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import sys
+import threading
+import types
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from typing import Final
+
+_LOADED: Final = ("cv2", "numba", "pyarrow.parquet", "scipy.optimize", "codecbench.plugins.executors.isolation")
+"""What nearly every worker imports. None of these starts a thread when it is imported, so that forking is safe."""
+
+_main_lock = threading.Lock()
+
+
+@contextmanager
+def hidden_main() -> Iterator[None]:
+    """Processes started meanwhile do not import the program's main script again: tasks never live there."""
+    with _main_lock:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _Process(ForkServerProcess):
+    def start(self) -> None:
+        with hidden_main():
+            super().start()
+
+
+class ForkServer(ForkServerContext):
+    """A multiprocessing context whose processes are forked from a server that has loaded `_LOADED` and `modules`."""
+
+    Process = _Process
+
+    def __init__(self, *modules: str) -> None:
+        super().__init__()
+        self.set_forkserver_preload([*_LOADED, *modules])
+        with hidden_main(), _safe_path():
+            multiprocessing.forkserver.ensure_running()
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a process inherits from the one that wants it, but not from the server that forks it."""
+
+    variables: Mapping[str, str]
+    umask: int
+
+    @staticmethod
+    def now() -> Surroundings:
+        """Those of this process. Not for two threads at once: the umask can only be read by setting it."""
+        mask = os.umask(0o077)
+        os.umask(mask)
+        return Surroundings(dict(os.environ), mask)
+
+    def enter(self) -> None:
+        """Make them those of this process, and let the server end with the process that started it.
+
+        A forked process holds a copy of the descriptor by which the server knows that it is still wanted.
+        """
+        os.environ.clear()
+        os.environ.update(self.variables)
+        os.umask(self.umask)
+        server = multiprocessing.forkserver._forkserver  # type: ignore[attr-defined]
+        with suppress(AttributeError, TypeError, OSError):
+            os.close(server._forkserver_alive_fd)
+            server._forkserver_alive_fd = None
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """The server does not import modules from the folder in which the program was started."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before

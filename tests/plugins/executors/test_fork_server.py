@@ -1,0 +1,98 @@
+"""The server that workers are forked from: what they inherit from their program, and that all end with it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from codecbench.core.contracts.executor import Task
+from codecbench.plugins.executors.local import LocalExecutor
+
+
+def prepare() -> None:
+    return None
+
+
+def value(function: Callable[[object], Any], argument: object = None) -> Any:
+    """What a function returns in a worker of a new executor."""
+    executor = LocalExecutor()
+    executor.start(1, prepare)
+    try:
+        executor.submit(Task("only", function, argument))
+        while (finished := executor.next_finished(1.0)) is None:
+            pass
+        assert finished.status == "ok", finished
+        return finished.value
+    finally:
+        executor.stop()
+
+
+def variable(_: object) -> str | None:
+    return os.environ.get("CODECBENCH_TEST_VARIABLE")
+
+
+def umask(_: object) -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def where_numba_came_from(_: object) -> str:
+    return str(sys.modules["numba"].__file__)
+
+
+def write_pid_and_hang(path: object) -> None:
+    Path(str(path)).write_text(str(os.getpid()))
+    ctypes.PyDLL(None).sleep(60)  # PyDLL keeps the interpreter locked
+
+
+def test_each_worker_has_the_variables_and_the_umask_of_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text, mask in (("first", 0o022), ("second", 0o077)):
+        monkeypatch.setenv("CODECBENCH_TEST_VARIABLE", text)
+        before = os.umask(mask)
+        try:
+            assert (value(variable), value(umask)) == (text, mask)
+        finally:
+            os.umask(before)
+
+
+def test_modules_of_the_folder_where_the_program_starts_are_not_loaded(tmp_path: Path) -> None:
+    (tmp_path / "numba.py").write_text("raise SystemExit('this is not numba')\n")
+    program = (
+        f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}]\n"
+        "from test_fork_server import value, where_numba_came_from; print(value(where_numba_came_from))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.strip().endswith("numba/__init__.py"), done.stderr
+
+
+def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path: Path) -> None:
+    note = tmp_path / "pid"
+    program = (
+        f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}]\n"
+        "from test_fork_server import LocalExecutor, Task, prepare, write_pid_and_hang\n"
+        "executor = LocalExecutor(); executor.start(1, prepare)\n"
+        f"executor.submit(Task('a', write_pid_and_hang, {str(note)!r}))\n"
+        "while True: executor.next_finished(1.0)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program]) as other:
+        while not (note.exists() and note.read_text()):
+            assert other.poll() is None
+            time.sleep(0.05)
+        started = psutil.Process(other.pid).children(recursive=True)
+        assert int(note.read_text()) in {process.pid for process in started}
+        other.kill()
+    gone, left = psutil.wait_procs(started, timeout=20)
+    assert not left
+    assert gone
