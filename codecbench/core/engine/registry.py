@@ -11,6 +11,7 @@ import difflib
 import functools
 import importlib
 import importlib.util
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -24,12 +25,23 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
+from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.hosting.host import (
+    HOSTED_VARIABLE,
+    PluginFault,
+    PluginHost,
+    PluginLoss,
+    PluginTimeout,
+    limit_s,
+)
 from codecbench.core.engine.loading import load_class
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
+_LONGEST_NAME = 100
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _OURS = "codecbench"
+_MOST_PLUGINS = 1000
+"""Of one kind from one hook."""
 _SCOUTED = "codecbench.core.engine.serving:scouted"
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
@@ -189,23 +201,22 @@ class Registry:
             answers = {origin: {"text": str(error)} for origin in hosted}
         finally:
             scout.end()
-        for origin, answer in answers.items():
-            if "value" not in answer:
-                reason = f"its entry points cannot be read: {' '.join(answer['text'].split())}"
-                self.problems.append(Problem(origin, hooks.GROUP, reason, nameless=True))
-                continue
-            self.problems += [Problem(**problem) for problem in answer["value"]["problems"]]
-            for values in answer["value"]["plugins"]:
-                spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-                plugin = Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"])
-                self._take(plugin, values["entry_point"])
+        for origin in hosted:
+            try:
+                plugins, problems = _taken(origin, answers.get(origin, {}))
+            except PluginFault as fault:
+                reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
+                plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
+            self.problems += problems
+            for plugin, entry_point in plugins:
+                self._take(plugin, entry_point)
 
     def _admit(self, point: EntryPoint) -> None:
         origin = origin_of(point)
         try:
             module = importlib.import_module(point.module)
         except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
-            reason = f"{point.module} does not import: {type(error).__name__}: {error}"
+            reason = f"{point.module} does not import: {told(error)}"
             self._report(origin, point, reason, nameless=True)
             return
         manager = pluggy.PluginManager(hooks.GROUP)
@@ -228,20 +239,23 @@ class Registry:
         try:
             answers = hook()
         except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
-            self._report(origin, point, f"codecbench_{kind}s failed: {type(error).__name__}: {error}", nameless=True)
+            self._report(origin, point, f"codecbench_{kind}s failed: {told(error)}", nameless=True)
             return True
-        for specs in answers:
-            for spec in specs if isinstance(specs, list | tuple) else [specs]:
+        for answer in answers:
+            specs = answer if isinstance(answer, list | tuple) else [answer]
+            if len(specs) > _MOST_PLUGINS:
+                reason = f"codecbench_{kind}s offers {len(specs):,} plugins; at most {_MOST_PLUGINS:,} are taken"
+                self._report(origin, point, reason, nameless=True)
+                continue
+            for spec in specs:
                 self._admit_spec(kind, spec, origin, point)
         return bool(hook.get_hookimpls())
 
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
             self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
-        elif not _NAME.fullmatch(spec.name):
-            self._report(origin, point, f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*")
-        elif not _TARGET.fullmatch(spec.target):
-            self._report(origin, point, f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class")
+        elif (wrong := _wrong(kind, spec)) is not None:
+            self._report(origin, point, wrong)
         else:
             self._take(Plugin(kind, spec, origin), point.name)
 
@@ -263,7 +277,8 @@ class Registry:
 def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
-    return Registry(points.pop(_OURS, ()), hosted=sorted(points))
+    ours = points.pop(_OURS, ())
+    return Registry(ours, hosted=[] if HOSTED_VARIABLE in os.environ else sorted(points))
 
 
 @functools.cache
@@ -295,6 +310,28 @@ def offered(registry: Registry) -> dict[str, Any]:
     }
 
 
+def _taken(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
+    """What `offered` told of a distribution: its plugins with their entry points, and its problems.
+
+    Raises PluginFault where it told nothing, or something that it never tells: the distribution's code ran there, too.
+    """
+    if "value" not in answer:
+        raise PluginFault(str(answer.get("text", "it answered nonsense")))
+    try:
+        value, plugins = answer["value"], []
+        problems = [Problem(origin, **{name: str(problem[name]) for name in ("entry_point", "reason")},
+                            nameless=bool(problem["nameless"])) for problem in value["problems"]]  # fmt: skip
+        for values in value["plugins"]:
+            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+            missing = None if values["missing"] is None else str(values["missing"])
+            if values["kind"] not in KINDS or _wrong(values["kind"], spec) is not None:
+                raise ValueError(spec)
+            plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise PluginFault("it answered nonsense") from None
+    return plugins, problems
+
+
 def origins() -> list[str]:
     """All distributions that have entry points of codecbench, with their versions. Imports none."""
     return sorted({origin_of(point) for point in entry_points(group=hooks.GROUP)})
@@ -312,6 +349,20 @@ def points_by_origin() -> dict[str, list[EntryPoint]]:
         own = point.dist is not None and point.dist.name == _OURS
         found.setdefault(_OURS if own else origin_of(point), []).append(point)
     return found
+
+
+def _wrong(kind: Kind, spec: PluginSpec) -> str | None:
+    """What of a specification nobody could use, or None."""
+    if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
+        return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
+    if not (isinstance(spec.target, str) and _TARGET.fullmatch(spec.target)):
+        return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
+    for field in ("summary", "extra"):
+        if not isinstance(getattr(spec, field), str):
+            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it is text"
+    if not isinstance(spec.requires, list | tuple) or not all(isinstance(name, str) for name in spec.requires):
+        return f"{kind} {spec.name}: requires is {spec.requires!r}; it is a tuple of names of modules"
+    return None
 
 
 def _hook_names(module: ModuleType) -> set[str]:

@@ -15,6 +15,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from codecbench.core.engine.foreign_errors import ended
+
 _POLL_S: Final = 0.05
 _MOST_DESCRIPTORS: Final = 1024
 
@@ -88,4 +90,6 @@ def _ended(child: _Child, limit_s: float) -> dict[str, Any]:
             return answer
     if child.status is None:
         return {"error": "", "text": f"no answer within {limit_s:g} s"}
-    return {"error": "", "text": f"it ended its process with status {child.status}"}
+    if child.content:
+        return {"error": "", "text": "it answered nonsense"}
+    return {"error": "", "text": ended(child.status)}

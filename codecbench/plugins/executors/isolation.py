@@ -48,6 +48,7 @@ SINGLE_THREADED: Final = dict.fromkeys(
 """Set before a worker starts, because these libraries read them when they load."""
 
 _PR_SET_PDEATHSIG: Final = 1
+_PR_SET_CHILD_SUBREAPER: Final = 36
 
 
 @dataclass(frozen=True)
@@ -101,13 +102,15 @@ def perform(task: Task) -> Any:
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
-    cores, state = os.sched_getaffinity(0), ProcessState.now()
+    cores, state, process = os.sched_getaffinity(0), ProcessState.now(), os.getpid()
     try:
         if task.exclusive:
             os.sched_setaffinity(0, {max(cores)})
         _limit_memory(task.memory_mb)
         return task.function(task.argument)
     finally:
+        if os.getpid() != process:
+            os._exit(0)  # the task forked and came back twice
         with suppress(ValueError):  # the task lowered the limit for good; restoring then fails too
             resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         os.sched_setaffinity(0, cores)
@@ -139,9 +142,14 @@ def _redirect_output(path: Path) -> None:
 
 
 def _die_with(parent: int) -> None:
-    """End this process and its group when the parent ends, even while C code holds the interpreter."""
+    """End this process and its group when the parent ends, even while C code holds the interpreter.
+
+    Orphans of its descendants become its children, so that a task cannot leave a process by leaving its group.
+    """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library = ctypes.CDLL(None)
+        library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library.prctl(_PR_SET_CHILD_SUBREAPER, 1)
     if os.getppid() != parent:
         os._exit(1)
     process = multiprocessing.parent_process()

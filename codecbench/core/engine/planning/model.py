@@ -34,6 +34,11 @@ class PluginSetting:
         return hash((self.kind, self.name, self.version, self.label))
 
     @property
+    def full_name(self) -> str:
+        """The plugin with its distribution, as reasons name it."""
+        return f"{self.kind.replace('_', ' ')} {self.name} of {self.distribution or 'codecbench'}"
+
+    @property
     def title(self) -> str:
         """What tables call the setting of an evaluator: its name, and its label where it has several settings."""
         return f"{self.name}({self.label})" if self.label else self.name
@@ -71,7 +76,12 @@ class CodingJob:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec)
+        return _company(self.strangers)
+
+    @property
+    def strangers(self) -> tuple[PluginSetting, ...]:
+        """The plugins of other distributions whose code runs."""
+        return _strangers(self.sequence.dataset, self.codec)
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,12 @@ class Cell:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
+        return _company(self.strangers)
+
+    @property
+    def strangers(self) -> tuple[PluginSetting, ...]:
+        """The plugins of other distributions whose code runs."""
+        return _strangers(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -200,5 +215,9 @@ def _shown(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
 
 
-def _company(*settings: PluginSetting) -> tuple[str, ...]:
-    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))
+def _strangers(*settings: PluginSetting) -> tuple[PluginSetting, ...]:
+    return tuple(setting for setting in settings if setting.distribution)
+
+
+def _company(strangers: tuple[PluginSetting, ...]) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in strangers}))
