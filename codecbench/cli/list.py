@@ -19,6 +19,8 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
+    from codecbench.core.engine.foreign_text import clean_line
+
     registry = installed()
     wanted = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)
     plugins = {kind: registry.plugins(kind) for kind in wanted}
@@ -29,11 +31,11 @@ def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
         click.secho(f"{kind.replace('_', ' ')}s", bold=True)
         width = max((len(plugin.spec.name) for plugin in found), default=0)
         for plugin in found:
-            click.echo(f"  {plugin.spec.name:<{width}}  {plugin.spec.summary}{_remark(plugin)}")
+            click.echo(f"  {plugin.spec.name:<{width}}  {clean_line(plugin.spec.summary)}{_remark(plugin)}")
         if not found:
             click.echo("  none")
     for problem in registry.problems:
-        click.secho(f"problem: {problem}", fg="yellow", err=True)
+        click.secho(f"problem: {clean_line(str(problem))}", fg="yellow", err=True)
 
 
 def _remark(plugin: Plugin) -> str:

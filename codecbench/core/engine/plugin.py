@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from dataclasses import dataclass
+from typing import Any, Final
 
-from codecbench.core.contracts.hooks import Kind, PluginSpec
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 
 OURS = "codecbench"
 """The distribution whose plugins ship with the program."""
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_LONGEST_NAME: Final = 100
+_TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
@@ -65,3 +72,39 @@ class Problem:
 def spoken(kind: Kind) -> str:
     """A kind of plugin as messages name it: `slam_backend` is "slam backend"."""
     return kind.replace("_", " ")
+
+
+def unusable(kind: Kind, spec: PluginSpec) -> str | None:
+    """What of a specification nobody could use, or None."""
+    if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
+        return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
+    if not (isinstance(spec.target, str) and _TARGET.fullmatch(spec.target)):
+        return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
+    for field in ("summary", "extra"):
+        if not isinstance(getattr(spec, field), str):
+            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it is text"
+    if not isinstance(spec.requires, list | tuple) or not all(isinstance(name, str) for name in spec.requires):
+        return f"{kind} {spec.name}: requires is {spec.requires!r}; it is a tuple of names of modules"
+    return None
+
+
+def plugins_from_answer(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
+    """What `offered` told of a distribution: its plugins with their entry points, and its problems.
+
+    Raises PluginError where it told nothing, or something that it never tells: the distribution's code ran there, too.
+    """
+    if "value" not in answer:
+        raise PluginError(str(answer.get("text", "it answered nonsense")))
+    try:
+        value, plugins = answer["value"], []
+        problems = [Problem(origin, **{name: str(problem[name]) for name in ("entry_point", "reason")},
+                            nameless=bool(problem["nameless"])) for problem in value["problems"]]  # fmt: skip
+        for values in value["plugins"]:
+            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+            missing = None if values["missing"] is None else str(values["missing"])
+            if values["kind"] not in KINDS or unusable(values["kind"], spec) is not None:
+                raise ValueError(spec)
+            plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise PluginError("it answered nonsense") from None
+    return plugins, problems

@@ -10,12 +10,11 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
-import re
-import sys
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from types import ModuleType
 from typing import Any
 
@@ -24,13 +23,22 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.host import PluginFault, PluginHost, PluginLoss, PluginTimeout, limit_s
+from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
+from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.hosting.host import (
+    HOSTED_VARIABLE,
+    PluginFault,
+    PluginHost,
+    PluginLoss,
+    PluginTimeout,
+    limit_s,
+)
 from codecbench.core.engine.loading import load_class
-from codecbench.core.engine.plugin import OURS, Plugin, Problem, spoken
+from codecbench.core.engine.plugin import OURS, Plugin, Problem, plugins_from_answer, spoken, unusable
 from codecbench.core.engine.scouting import is_single_threaded
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_MOST_PLUGINS = 1000
+"""Of one kind from one hook."""
 _SCOUTED = ("codecbench.core.engine.serving", "scouted")
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
@@ -53,7 +61,7 @@ class Registry:
         scout = None if is_single_threaded() else PluginHost(())
         if hosted and scout is not None:
             scout.start()  # it gets ready while our own plugins are imported
-        for point in sorted(points, key=_own_first):
+        for point in sorted(points, key=own_first):
             self._admit(point)
         if hosted:
             self._admit_hosted(scout, hosted)
@@ -147,23 +155,22 @@ class Registry:
         finally:
             if scout is not None:
                 scout.end()
-        for origin, answer in answers.items():
-            if "value" not in answer:
-                reason = f"its entry points cannot be read: {' '.join(answer['text'].split())}"
-                self.problems.append(Problem(origin, hooks.GROUP, reason, nameless=True))
-                continue
-            self.problems += [Problem(**problem) for problem in answer["value"]["problems"]]
-            for values in answer["value"]["plugins"]:
-                spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-                plugin = Plugin(values["kind"], spec, origin, hosted=True, absent=values["missing"])
-                self._take(plugin, values["entry_point"])
+        for origin in hosted:
+            try:
+                plugins, problems = plugins_from_answer(origin, answers.get(origin, {}))
+            except PluginError as fault:
+                reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
+                plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
+            self.problems += problems
+            for plugin, entry_point in plugins:
+                self._take(plugin, entry_point)
 
     def _admit(self, point: EntryPoint) -> None:
         origin = origin_of(point)
         try:
             module = importlib.import_module(point.module)
         except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
-            reason = f"{point.module} does not import: {type(error).__name__}: {error}"
+            reason = f"{point.module} does not import: {told(error)}"
             self._report(origin, point, reason, nameless=True)
             return
         manager = pluggy.PluginManager(hooks.GROUP)
@@ -186,20 +193,23 @@ class Registry:
         try:
             answers = hook()
         except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
-            self._report(origin, point, f"codecbench_{kind}s failed: {type(error).__name__}: {error}", nameless=True)
+            self._report(origin, point, f"codecbench_{kind}s failed: {told(error)}", nameless=True)
             return True
-        for specs in answers:
-            for spec in specs if isinstance(specs, list | tuple) else [specs]:
+        for answer in answers:
+            specs = answer if isinstance(answer, list | tuple) else [answer]
+            if len(specs) > _MOST_PLUGINS:
+                reason = f"codecbench_{kind}s offers {len(specs):,} plugins; at most {_MOST_PLUGINS:,} are taken"
+                self._report(origin, point, reason, nameless=True)
+                continue
+            for spec in specs:
                 self._admit_spec(kind, spec, origin, point)
         return bool(hook.get_hookimpls())
 
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
             self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
-        elif not _NAME.fullmatch(spec.name):
-            self._report(origin, point, f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*")
-        elif not _TARGET.fullmatch(spec.target):
-            self._report(origin, point, f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class")
+        elif (wrong := unusable(kind, spec)) is not None:
+            self._report(origin, point, wrong)
         else:
             self._take(Plugin(kind, spec, origin), point.name)
 
@@ -221,7 +231,8 @@ class Registry:
 def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
-    return Registry(points.pop(OURS, ()), hosted=sorted(points))
+    ours = points.pop(OURS, ())
+    return Registry(ours, hosted=[] if HOSTED_VARIABLE in os.environ else sorted(points))
 
 
 @functools.cache
@@ -259,40 +270,9 @@ def offered(registry: Registry) -> dict[str, Any]:
     }
 
 
-def origins() -> list[str]:
-    """All distributions that have entry points of codecbench, with their versions. Imports none."""
-    return sorted({origin_of(point) for point in entry_points(group=hooks.GROUP)})
-
-
-def origin_of(point: EntryPoint) -> str:
-    """The distribution of an entry point with its version; where it has none, what it names."""
-    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
-
-
-def points_by_origin() -> dict[str, list[EntryPoint]]:
-    """The entry points of what is installed: codecbench's own, and those of others by distribution."""
-    found: dict[str, list[EntryPoint]] = {}
-    for point in _points(tuple(sys.path)):
-        own = point.dist is not None and point.dist.name == OURS
-        found.setdefault(OURS if own else origin_of(point), []).append(point)
-    return found
-
-
-@functools.cache
-def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """All entry points on this path, looked for once: it means reading a file of every distribution."""
-    return tuple(entry_points(group=hooks.GROUP))
-
-
 def _hook_names(module: ModuleType) -> set[str]:
     return {
         name
         for name, value in vars(module).items()
         if name.startswith(f"{hooks.GROUP}_") and hasattr(value, f"{hooks.GROUP}_impl")
     }
-
-
-def _own_first(point: EntryPoint) -> tuple[bool, str, str]:
-    """Codecbench's own plugins come first, so that nobody can take one of their names."""
-    distribution = point.dist.name if point.dist else ""
-    return (distribution != OURS, distribution, point.name)

@@ -17,7 +17,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from codecbench.core.engine.hosting.host import cache_variable
+from codecbench.core.engine.foreign_errors import ended
+from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, cache_variable
 
 _POLL_S: Final = 0.05
 _MOST_DESCRIPTORS: Final = 1024
@@ -100,7 +101,7 @@ def _settle(folder: str) -> None:
     for descriptor in range(3):
         os.dup2(nothing, descriptor)
     sys.path[:] = [os.path.abspath(path) for path in sys.path]
-    os.environ.update(cache_variable(), TMPDIR=folder)
+    os.environ.update(cache_variable(), **{"TMPDIR": folder, HOSTED_VARIABLE: "1"})
     tempfile.tempdir = None
     os.chdir(folder)
 
@@ -119,4 +120,6 @@ def _ended(child: _Child, limit_s: float) -> dict[str, Any]:
             return answer
     if child.status is None:
         return {"error": "", "text": f"no answer within {limit_s:g} s"}
-    return {"error": "", "text": f"it ended its process with status {child.status}"}
+    if child.content:
+        return {"error": "", "text": "it answered nonsense"}
+    return {"error": "", "text": ended(child.status)}

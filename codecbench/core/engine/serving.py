@@ -15,7 +15,9 @@ from functools import partial
 from typing import Any, Final
 
 from codecbench.core.contracts import errors
-from codecbench.core.engine.registry import Registry, offered, points_by_origin, registry_of
+from codecbench.core.engine.entry_points import points_by_origin
+from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.registry import Registry, offered, registry_of
 from codecbench.core.engine.scouting import answers_of_children
 
 _MARGIN_S: Final = 5
@@ -32,7 +34,7 @@ def serve(requests: int, answers: int, company: list[str], folder: str) -> None:
         for line in stream:
             request = json.loads(line)
             signal.alarm(request["limit_s"] + _MARGIN_S)
-            content = _answer(partial(_called, request, company))
+            content = _answer(partial(_called, request, company), request["number"])
             signal.alarm(0)
             _write(answers, content)
     shutil.rmtree(folder, ignore_errors=True)
@@ -56,14 +58,22 @@ def _called(request: dict[str, Any], company: list[str]) -> Any:
     return function(registry_of(tuple(company), ours=request["ours"]), *request["arguments"])
 
 
-def _answer(call: Callable[[], Any]) -> bytes:
-    """The value or what went wrong, as a line of JSON."""
+def _answer(call: Callable[[], Any], number: int = 0) -> bytes:
+    """The value or what went wrong, as a line of JSON. number: of the request."""
+    process = os.getpid()
     try:
-        return json.dumps({"value": call()}).encode() + b"\n"
+        return _line({"number": number, "value": call()})
     except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
         known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
-        text = str(error) if known else f"{type(error).__name__}: {error}"
-        return json.dumps({"error": known, "text": text[:4000]}).encode() + b"\n"
+        text = str(error) if known else told(error)
+        return _line({"number": number, "error": known, "text": text[:4000]})
+    finally:
+        if os.getpid() != process:
+            os._exit(0)  # the call came back twice, and one answer is enough
+
+
+def _line(answer: dict[str, Any]) -> bytes:
+    return json.dumps(answer).encode() + b"\n"
 
 
 def _write(descriptor: int, content: bytes) -> None:

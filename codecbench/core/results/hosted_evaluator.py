@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -14,11 +14,20 @@ from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, Line, View
+from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.description import describe
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
-from codecbench.core.engine.storage.samples import json_from_measurement, measurement_from_json
+from codecbench.core.engine.storage.samples import (
+    MeasurementCheck,
+    MeasurementError,
+    json_from_measurement,
+    measurement_from_json,
+)
+
+_MOST_POINTS: Final = 1_000_000
+"""Of one drawing."""
 
 ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
@@ -53,8 +62,11 @@ class HostedEvaluator:
         answer = self._ask(drawn, _plain(outcome))
         if answer is None:
             return None
-        lines = (Line(name, stroke, np.array(points, float).reshape(-1, 2)) for name, stroke, points in answer["lines"])
-        return Drawing(tuple(lines), answer["caption"], answer["holds"])
+        lines = (
+            Line(clean_line(name), stroke, np.array(points, float).reshape(-1, 2))
+            for name, stroke, points in answer["lines"]
+        )
+        return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"])
 
     def _ask(self, function: Any, *outcomes: Any) -> Any:
         asked: tuple[Kind, str] = "evaluator", self._setting.name
@@ -66,14 +78,11 @@ def compared(
 ) -> list[list[Any]]:
     """What an evaluator yields of a cell beside the baseline's, as JSON types."""
     evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
-    found = list(evaluator.compare(_outcome(outcome), [_outcome(other) for other in baseline]))
-    known = {metric.name for metric in evaluator.metrics}
-    for measurement in found:
-        if not isinstance(measurement, Measurement) or measurement.metric not in known:
-            raise PluginError(f"compare yielded {measurement!r}; it yields Measurements of {', '.join(sorted(known))}")
-        if math.isnan(measurement.value) and not measurement.reason:
-            raise PluginError(f"compare yielded NaN without a reason for {measurement.metric}")
-    return [json_from_measurement(measurement) for measurement in found]
+    yielded = evaluator.compare(_outcome(outcome), [_outcome(other) for other in baseline])
+    try:
+        return [json_from_measurement(found) for found in MeasurementCheck(evaluator, 0).checked(yielded)]
+    except MeasurementError as error:
+        raise PluginError(f"compare: {error}") from error
 
 
 def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any]) -> dict[str, Any] | None:
@@ -82,8 +91,16 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
     drawing = evaluator.drawing(_outcome(outcome))
     if drawing is None:
         return None
+    if (points := sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
+        raise PluginError(f"its drawing has {points:,} points; at most {_MOST_POINTS:,} are drawn")
+    if not all(np.isfinite(line.points).all() for line in drawing.lines):
+        raise PluginError("its drawing has points that are not finite")
     lines = [(line.name, line.stroke, line.points.tolist()) for line in drawing.lines]
-    return {"lines": lines, "caption": str(drawing.caption), "holds": drawing.holds}
+    return {
+        "lines": lines,
+        "caption": str(drawing.caption),
+        "holds": None if drawing.holds is None else bool(drawing.holds),
+    }
 
 
 def _plain(outcome: Outcome) -> dict[str, Any]:

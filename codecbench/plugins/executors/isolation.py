@@ -49,6 +49,7 @@ SINGLE_THREADED: Final = dict.fromkeys(
 """Set before a worker starts, because these libraries read them when they load."""
 
 _PR_SET_PDEATHSIG: Final = 1
+_PR_SET_CHILD_SUBREAPER: Final = 36
 
 
 @dataclass(frozen=True)
@@ -103,13 +104,15 @@ def perform(task: Task) -> Any:
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
-    cores, state = os.sched_getaffinity(0), ProcessState.now()
+    cores, state, process = os.sched_getaffinity(0), ProcessState.now(), os.getpid()
     try:
         if task.exclusive:
             os.sched_setaffinity(0, {max(cores)})
         _limit_memory(task.memory_mb)
         return task.function(task.argument)
     finally:
+        if os.getpid() != process:
+            os._exit(0)  # the task forked and came back twice
         with suppress(ValueError):  # the task lowered the limit for good; restoring then fails too
             resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         os.sched_setaffinity(0, cores)
@@ -143,10 +146,13 @@ def _redirect_output(path: Path) -> None:
 def _die_with_parent() -> None:
     """End this process and its group when the program ends that wanted it, even while C code holds the interpreter.
 
-    The server that forked it ends with that program, and the system kills this process with the server.
+    The server that forked it ends with that program, and the system kills this process with the server. Orphans of its
+    descendants become its children, so that a task cannot leave a process by leaving its group.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library = ctypes.CDLL(None)
+        library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        library.prctl(_PR_SET_CHILD_SUBREAPER, 1)
     process = multiprocessing.parent_process()
     if process is not None:
         if not process.is_alive():

@@ -149,7 +149,7 @@ class WorkerPool:
         if error is None:
             return self._end(slot, "ok", value=future.result())
         if isinstance(error, ProcessExpired):
-            if error.exitcode == RETIRED:
+            if error.exitcode == RETIRED and slot.launches < _LAUNCHES:
                 self._discard(slot)
                 self._launch(slot)
                 return None
@@ -253,7 +253,8 @@ def _tree_mb(pid: int) -> float:
 
 def _death(exitcode: int) -> str:
     if exitcode < 0:
-        name = signal.Signals(-exitcode).name
+        names = {int(number): number.name for number in signal.Signals}
+        name = names.get(-exitcode, f"signal {-exitcode}")
         hint = "; the system kills processes so when memory runs out" if name == "SIGKILL" else ""
         return f"its worker died of {name}{hint}"
     return f"its worker exited with status {exitcode} in the middle of it"

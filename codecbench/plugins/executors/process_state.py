@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import locale
 import os
 import resource
 import signal
+import sys
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 _LIMITS: Final = tuple(
     number for name, number in sorted(vars(resource).items()) if name.startswith("RLIMIT_") and number != -1
@@ -21,7 +25,8 @@ _SMALLEST_NORMAL: Final = 2.2250738585072014e-308
 
 @dataclass(frozen=True)
 class ProcessState:
-    """Limits, signal handlers, environment, folder, umask, locale, warning filters and floating-point mode."""
+    """Limits, signal handlers, environment, folder, umask, locale, warning filters, the interpreter's settings, where
+    standard input and output go, and floating-point mode."""
 
     limits: dict[int, tuple[int, int]]
     handlers: dict[int, Any] = field(repr=False)
@@ -30,6 +35,8 @@ class ProcessState:
     umask: int
     locale: str
     filters: tuple[Any, ...] = field(repr=False)
+    interpreter: tuple[Any, ...] = field(repr=False)
+    streams: tuple[Any, ...]
     float_mode: tuple[Any, ...]
 
     @classmethod
@@ -43,11 +50,14 @@ class ProcessState:
             umask=_umask(),
             locale=locale.setlocale(locale.LC_ALL),
             filters=tuple(warnings.filters),
+            interpreter=(sys.getrecursionlimit(), sys.gettrace(), sys.getprofile(), gc.isenabled(), np.geterr()),
+            streams=tuple(map(_stream, range(3))),
             float_mode=_float_mode(),
         )
 
     def restore(self) -> bool:
         """Make this process as it was; False where that cannot be done, so that the process had better end."""
+        _restore_interpreter(*self.interpreter)
         changed = ProcessState.now()
         with suppress(OSError, ValueError, TypeError, locale.Error):
             for limit, pair in self.limits.items():
@@ -67,6 +77,25 @@ class ProcessState:
             warnings.filters[:] = self.filters  # type: ignore[index]
             return ProcessState.now() == self
         return False
+
+
+def _restore_interpreter(depth: int, trace: Any, profile: Any, collects: bool, numpy_errors: Any) -> None:
+    """Settings of Python and NumPy; timers, of which there are none, cannot send their signal to a later task."""
+    sys.settrace(trace)
+    sys.setprofile(profile)
+    sys.setrecursionlimit(depth)
+    (gc.enable if collects else gc.disable)()
+    np.seterr(**numpy_errors)
+    for timer in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL, signal.ITIMER_PROF):
+        signal.setitimer(timer, 0.0)
+
+
+def _stream(descriptor: int) -> tuple[int, int] | None:
+    """Which file is behind a descriptor; None where it is closed. A descriptor freed is the next file's."""
+    with suppress(OSError):
+        status = os.fstat(descriptor)
+        return status.st_dev, status.st_ino
+    return None
 
 
 def _folder() -> Path:

@@ -24,9 +24,13 @@ from typing import Any, Final
 
 from codecbench.core.contracts import errors
 from codecbench.core.contracts.errors import PluginError
+from codecbench.core.engine.foreign_errors import ended
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
 """The environment variable that says how long a plugin may take to be imported, constructed or asked."""
+
+HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
+"""Set in hosts, so that a plugin which calls codecbench when it is imported is not imported again and again."""
 
 _LIMIT_S: Final = 60.0
 _MOST_BYTES: Final = 64 << 20
@@ -68,6 +72,7 @@ class PluginHost:
         self._end: Callable[[], Any] = lambda: None
         self._requests = self._answers = -1
         self._lock = threading.Lock()
+        self._number = 0
 
     def start(self) -> None:
         """Start the process without waiting for it."""
@@ -84,7 +89,7 @@ class PluginHost:
             stderr=subprocess.DEVNULL,
             pass_fds=(taken, given),
             cwd=folder,
-            env={**os.environ, **cache_variable(), "TMPDIR": folder},
+            env={**os.environ, **cache_variable(), "TMPDIR": folder, HOSTED_VARIABLE: "1"},
             start_new_session=True,
         )
         os.close(taken)
@@ -108,6 +113,8 @@ class PluginHost:
             "limit_s": math.ceil(times * limit_s()),
         }
         with self._lock:
+            self._number += 1
+            request["number"] = self._number
             try:
                 self.start()
                 answer = self._exchange(json.dumps(request, default=str).encode() + b"\n", times * limit_s())
@@ -116,7 +123,7 @@ class PluginHost:
                 raise
         if "value" in answer:
             return answer["value"]
-        known = getattr(errors, answer.get("error") or "", None)
+        known = getattr(errors, str(answer.get("error") or ""), None)
         if known is None or known is PluginError:
             raise PluginFault(str(answer.get("text", "it answered nonsense")))
         raise known(str(answer["text"]))
@@ -141,7 +148,7 @@ class PluginHost:
                 raise PluginFault(f"answered with more than {_MOST_BYTES >> 20} MB")
         with suppress(ValueError):
             answer = json.loads(content)
-            if isinstance(answer, dict):
+            if isinstance(answer, dict) and answer.get("number") == self._number:
                 return answer
         raise PluginFault("it answered nonsense")
 
@@ -170,9 +177,7 @@ def _death(process: subprocess.Popen[bytes]) -> str:
         status = process.wait(1.0)
     except subprocess.TimeoutExpired:
         return "it closed the connection of its process"
-    if status < 0:
-        return f"it ended its process by {signal.Signals(-status).name}"
-    return f"it ended its process with status {status}"
+    return ended(status)
 
 
 def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: str) -> None:

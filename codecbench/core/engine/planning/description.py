@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import numpy as np
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
-from codecbench.core.engine.identity import without_defaults
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.engine.foreign_text import clean_line, clean_value
+from codecbench.core.engine.hosting.host import PluginFault
+from codecbench.core.engine.identity import canonical_json, without_defaults
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.registry import Registry
 
 _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor")
 _MOST_REPEATS: Final = 100_000
+_LONGEST_NAME: Final = 100
 
 
 class InvalidParams(Exception):
@@ -61,7 +67,13 @@ def describe(
     answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
     if "invalid" in answer:
         raise InvalidParams(answer["invalid"], answer["fields"])
-    return Description(**answer)
+    try:
+        canonical_json(answer)
+    except ValueError as error:
+        raise PluginFault(
+            f"{registry.find(kind, name).title}: it says of itself what has no spelling: {error}"
+        ) from None
+    return Description(**{**answer, "declared": clean_value(answer.get("declared", {}))})
 
 
 def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None) -> dict[str, Any]:
@@ -87,11 +99,14 @@ def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any],
         return {**found, **_evaluator(instance, params)}
     found |= _identities(params, [params.identity()])
     if kind == "codec":
-        found |= {"declared": codec_declared(instance), "channels": [int(n) for n in instance.capabilities.channels]}
+        found |= {"declared": codec_declared(instance), "channels": _channels(instance)}
     return found
 
 
 def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
+    for metric in evaluator.metrics:
+        if clean_line(metric.name) != metric.name or len(metric.name) > _LONGEST_NAME:
+            raise PluginError(f"metric {metric.name[:40]!r}... has a name that is not short and plain text")
     if not 1 <= evaluator.repeats <= _MOST_REPEATS:
         raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it is 1 to {_MOST_REPEATS}")
     return {
@@ -110,28 +125,61 @@ def _identities(params: Params, told: list[dict[str, Any]]) -> dict[str, Any]:
     return {"identities": [without_defaults(identity, params) for identity in told], "inert": inert}
 
 
+def _channels(codec: Any) -> list[int]:
+    channels = [int(count) for count in codec.capabilities.channels]
+    if not channels or not {1, 3}.issuperset(channels):
+        raise PluginError(f"{type(codec).__name__}.capabilities.channels is {channels}; it holds 1, 3 or both")
+    return channels
+
+
 def _version(cls: Any) -> str:
-    if not isinstance(cls.version, str):
-        raise PluginError(f"{cls.__name__}.version is {cls.version!r}; it is a string")
-    return cls.version
+    version = cls.version
+    if not isinstance(version, str):
+        raise PluginError(f"{cls.__name__}.version is {version!r}; it is a string")
+    if clean_line(version) != version:
+        raise PluginError(f"{cls.__name__}.version is {version[:40]!r}...; it is short and plain text")
+    return version
 
 
 def _plain(detail: Any) -> dict[str, Any]:
-    """One of pydantic's errors, without the exception that it may hold."""
-    return {name: detail.get(name) for name in ("type", "loc", "msg", "input")}
+    """One of pydantic's errors as JSON types, without the exception that it may hold."""
+    got = detail.get("input")
+    try:
+        json.dumps(got, allow_nan=False)
+    except (TypeError, ValueError):
+        got = repr(got)
+    return {"input": got, **{name: detail.get(name) for name in ("type", "loc", "msg")}}
 
 
 def sequence_described(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
     """What a plan keeps of a dataset's sequence, which is opened. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
+    if not isinstance(sequence, Sequence):
+        raise PluginError(f"open returned {type(sequence).__name__}; it returns a Sequence")
     found = {"name": sequence.name, "fingerprint": sequence.fingerprint}
     for attribute, value in found.items():
         if not isinstance(value, str) or not value:
             raise PluginError(f"{type(sequence).__name__}.{attribute} is {value!r}; it is a string")
+    _check_frames(sequence)
     return {
         **found,
+        "name": clean_line(sequence.name),
         "frames": len(sequence),
         "channels": int(sequence.channels),
         "has_camera": sequence.camera is not None,
         "has_ground_truth": sequence.ground_truth is not None,
     }
+
+
+def _check_frames(sequence: Sequence) -> None:
+    """Raise PluginError for a sequence whose frames cannot be read in order."""
+    title, frames = type(sequence).__name__, len(sequence)
+    if frames == 0:
+        raise PluginError(f"{title} has no frames")
+    if sequence.channels not in (1, 3):
+        raise PluginError(f"{title}.channels is {sequence.channels!r}; it is 1 or 3")
+    stamps_s = np.asarray(sequence.timestamps_s, np.float64)
+    if stamps_s.shape != (frames,):
+        raise PluginError(f"{title}.timestamps_s has shape {stamps_s.shape}; there are {frames} frames")
+    if not (np.isfinite(stamps_s).all() and (np.diff(stamps_s) > 0).all()):
+        raise PluginError(f"{title}.timestamps_s are not finite and strictly increasing")

@@ -159,6 +159,8 @@ class _Reader:
             plugin = self.registry.find(kind, name)
             told = describe(self.registry, kind, name, values, str(self.folder))
         except InvalidParams as invalid:
+            if plugin is not None and plugin.hosted and (fault := _own_fault(invalid, values)):
+                return replace(unusable, missing=f"{plugin.title}: {fault}", faulty=True)
             for detail in invalid.details:
                 self.note(where, point, detail, invalid.fields)
             return None
@@ -166,7 +168,8 @@ class _Reader:
             return replace(unusable, missing=str(error))
         except CodecbenchError as error:
             if plugin is not None and plugin.hosted:
-                return replace(unusable, missing=str(error), faulty=True)
+                named = plugin.title in str(error)
+                return replace(unusable, missing=str(error) if named else f"{plugin.title}: {error}", faulty=True)
             self.problems.add((*where, "use"), str(error))
             return None
         setting = PluginSetting(
@@ -213,6 +216,15 @@ class _Reader:
             self.problems.add(("run", "executor"), executor[0].missing)
             return None
         return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting)
+
+
+def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
+    """What a plugin does not take though nobody gave it: a default of its own."""
+    for detail in invalid.details:
+        place = detail["loc"][0] if detail["loc"] else None
+        if detail["type"] != "missing" and place not in values and (place is not None or not values):
+            return f"parameter {place}: {_message(detail)}" if place else _message(detail)
+    return None
 
 
 def _message(detail: Any) -> str:

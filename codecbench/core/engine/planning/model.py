@@ -34,6 +34,11 @@ class PluginSetting:
         return hash((self.kind, self.name, self.version, self.label))
 
     @property
+    def full_name(self) -> str:
+        """The plugin with its distribution, as reasons name it."""
+        return f"{self.kind.replace('_', ' ')} {self.name} of {self.distribution or 'codecbench'}"
+
+    @property
     def title(self) -> str:
         """What tables call the setting of an evaluator: its name, and its label where it has several settings."""
         return f"{self.name}({self.label})" if self.label else self.name
@@ -76,7 +81,12 @@ class CodingJob:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(*self.plugins)
+        return _company(self.strangers)
+
+    @property
+    def strangers(self) -> tuple[PluginSetting, ...]:
+        """The plugins of other distributions whose code runs."""
+        return _strangers(self.plugins)
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,12 @@ class Cell:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(*self.plugins)
+        return _company(self.strangers)
+
+    @property
+    def strangers(self) -> tuple[PluginSetting, ...]:
+        """The plugins of other distributions whose code runs."""
+        return _strangers(self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -215,5 +230,9 @@ def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
     return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}
 
 
-def _company(*settings: PluginSetting) -> tuple[str, ...]:
-    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))
+def _strangers(settings: tuple[PluginSetting, ...]) -> tuple[PluginSetting, ...]:
+    return tuple(setting for setting in settings if setting.distribution)
+
+
+def _company(strangers: tuple[PluginSetting, ...]) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in strangers}))

@@ -104,7 +104,28 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
             continue
         entries[name] = replace(sequence, name=name)
     problems.raise_any()
-    return list(entries.values())
+    return _without_impostors(list(entries.values()))
+
+
+def _without_impostors(entries: list[SequenceEntry]) -> list[SequenceEntry]:
+    """The entries, of which those of another distribution that pass for the frames of somebody else are shut."""
+    owners: dict[str, SequenceEntry] = {}
+    for entry in sorted(entries, key=lambda entry: bool(entry.dataset.distribution)):
+        owners.setdefault(entry.fingerprint, entry)
+    return [
+        entry
+        if owners[entry.fingerprint].dataset.distribution == entry.dataset.distribution
+        else _shut(
+            entry.dataset, f"{entry.dataset.full_name}: its fingerprint is that of {owners[entry.fingerprint].name}"
+        )
+        for entry in entries
+    ]
+
+
+def _shut(dataset: PluginSetting, reason: str) -> SequenceEntry:
+    """A sequence that its plugin's fault keeps shut."""
+    fingerprint = digest(["never opened", dataset.name, dataset.params])
+    return SequenceEntry(dataset.name, dataset, fingerprint, 0, 1, False, False, reason)
 
 
 def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
@@ -120,8 +141,7 @@ def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
             missing = str(fault)
     elif not entry.faulty:
         raise Unsupported(missing)
-    fingerprint = digest(["never opened", setting.name, setting.params])
-    return SequenceEntry(setting.name, setting, fingerprint, 0, 1, False, False, missing)
+    return _shut(setting, missing)
 
 
 def _codec_side(entry: Entry) -> _Side:

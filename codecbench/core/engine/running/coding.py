@@ -6,8 +6,9 @@ Codecs are stateless, so frames are coded one by one. A codec with memory betwee
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,16 +27,27 @@ class CodingError(CodecbenchError):
 
 @dataclass
 class WorkPosition:
-    """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`."""
+    """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`.
+
+    titles: of the plugins of other distributions, by the stage at which their code runs.
+    """
 
     stage: str = ""
     frame: int | None = None
+    titles: Mapping[str, str] = field(default_factory=dict)
+    process: int = field(default_factory=os.getpid)
 
     def at(self, stage: str, frame: int | None = None) -> None:
         self.stage, self.frame = stage, frame
 
+    def came_back(self) -> None:
+        """End this process where a codec forked and came back in it too: it would write what the first one writes."""
+        if os.getpid() != self.process:
+            os._exit(0)
+
     def __str__(self) -> str:
-        return self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
+        place = self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
+        return f"{self.titles[self.stage]}: {place}" if self.stage in self.titles else place
 
 
 def encode_sequence(codec: Codec[Any], sequence: Sequence, position: WorkPosition) -> Iterator[bytes]:
@@ -45,11 +57,13 @@ def encode_sequence(codec: Codec[Any], sequence: Sequence, position: WorkPositio
         image = sequence.read(index).image
         position.at("encode", index)
         bitstream = codec.encode(image)
+        position.came_back()
         if not isinstance(bitstream, bytes):
             raise CodingError(f"encode returned {type(bitstream).__name__}; a bitstream is bytes")
-        if not bitstream:
+        content = memoryview(bitstream).tobytes()  # whatever a subclass of bytes says of itself
+        if not content:
             raise CodingError("encode returned no bytes")
-        yield bitstream
+        yield content
 
 
 class CodedFrames:
@@ -80,12 +94,15 @@ class CodedFrames:
         Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
         the frame's shape, and whatever the codec raises.
         """
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
         outer = self._position.stage
         self._position.at("read", index)
         original = self.sequence.read(index)
         bitstream = self._bitstreams.read(index)
         self._position.at("decode", index)
         decoded = checked_decoding(self.codec.decode(bitstream), original.image)
+        self._position.came_back()
         self._position.at(outer, index)
         return CodedFrame(original, bitstream, decoded)
 
@@ -94,11 +111,12 @@ class CodedFrames:
 
 
 def checked_decoding(decoded: object, original: Image) -> Image:
-    """`decoded` as a contiguous image, after checking type, dtype and shape against the frame's."""
+    """`decoded` as a contiguous image that can be written, after checking type, dtype and shape against the frame's."""
     if not isinstance(decoded, np.ndarray):
         raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")
-    if decoded.dtype != np.uint8:
-        raise CodingError(f"decode returned dtype {decoded.dtype}; a decoded frame is uint8")
-    if decoded.shape != original.shape:
-        raise CodingError(f"decode returned shape {decoded.shape}; the frame has {original.shape}")
-    return np.ascontiguousarray(decoded)
+    image = np.ascontiguousarray(decoded)  # first, because what only claims to be an array may become another
+    if image.dtype != np.uint8:
+        raise CodingError(f"decode returned dtype {image.dtype}; a decoded frame is uint8")
+    if image.shape != original.shape:
+        raise CodingError(f"decode returned shape {image.shape}; the frame has {original.shape}")
+    return image if image.flags.writeable else image.copy()  # kernels are compiled anew for arrays of another kind

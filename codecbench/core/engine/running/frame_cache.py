@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import check_image
 from codecbench.core.contracts.sequence import Frame, Sequence
 
 MOST_BYTES = 512 << 20
@@ -12,6 +14,14 @@ MOST_BYTES = 512 << 20
 def cache_limit_bytes(memory_mb: int) -> int:
     """What frames may take of a worker's memory cap: a quarter, so that codecs and evaluators have the rest."""
     return min(MOST_BYTES, (memory_mb << 20) // 4)
+
+
+def checked_frame(frame: object, channels: int) -> Frame:
+    """`frame` after checking that it is one, with an image of so many channels."""
+    if not isinstance(frame, Frame):
+        raise DatasetError(f"read returned {type(frame).__name__}; it returns a Frame")
+    check_image(frame.image, (channels,))
+    return frame
 
 
 class FrameCache:
@@ -31,7 +41,7 @@ class FrameCache:
         frames = self._frames.setdefault(sequence.fingerprint, {})
         frame = frames.get(index)
         if frame is None:
-            frame = sequence.read(index)
+            frame = checked_frame(sequence.read(index), sequence.channels)
             if not self._make_room(frame.image.nbytes, sequence.fingerprint):
                 return frame
             frames[index] = frame

@@ -191,7 +191,7 @@ class _Run:
         if isinstance(finished.value, Record) and not finished.value.worker["checked"]:
             self._distrust(finished.value.worker, work.company)
         outcome: Record | BitstreamDamage = finished.value or Record(
-            work.id, finished.status, clean_line(finished.reason), clean_text(finished.traceback)
+            work.id, finished.status, clean_line(_blamed(work, finished.reason)), clean_text(finished.traceback)
         )
         if isinstance(work, CodingJob):
             assert isinstance(outcome, Record)
@@ -279,3 +279,11 @@ class _Run:
                 record=record,
             )
         )
+
+
+def _blamed(work: Work, reason: str) -> str:
+    """Why a worker did not live to tell, with the plugins of other distributions whose code ran there."""
+    if not work.strangers:
+        return reason
+    doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
+    return f"{' or '.join(plugin.full_name for plugin in work.strangers)} while {doing}: {reason}"

@@ -30,6 +30,7 @@ from codecbench.core.contracts.evaluator import (
 )
 from codecbench.core.contracts.executor import Status, retirement
 from codecbench.core.engine.aggregate import summarise
+from codecbench.core.engine.foreign_errors import told
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
@@ -38,7 +39,14 @@ from codecbench.core.engine.running.sentinel import Tampering
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
-from codecbench.core.engine.storage.record import RECORD_FILE, SAMPLES_FILE, Record, cell_description
+from codecbench.core.engine.storage.record import (
+    RECORD_FILE,
+    SAMPLES_FILE,
+    Record,
+    bytes_from_record,
+    cell_description,
+    record_from_bytes,
+)
 from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError, parquet_from_samples
 
 BITSTREAMS: Final = "bitstreams"
@@ -76,7 +84,8 @@ def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
 def perform(order: Order) -> Record | BitstreamDamage:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
     begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, position, checked = order.work, _workbench(), WorkPosition(), True
+    work, bench, checked = order.work, _workbench(), True
+    position = WorkPosition(titles=_titles(work))
     code: dict[str, str] = {}
     _start_afresh(work.id)
     try:
@@ -85,6 +94,7 @@ def perform(order: Order) -> Record | BitstreamDamage:
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
         position.at("check")
         bench.check(work.company)
+        record = _as_kept(record)
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
@@ -105,14 +115,35 @@ def perform(order: Order) -> Record | BitstreamDamage:
 
 def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record:
     status: Status = "unsupported" if isinstance(error, Unsupported) else "failed"
-    trace = clean_text("".join(traceback.format_exception(error)))
+    try:
+        trace = clean_text("".join(traceback.format_exception(error)))
+    except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
+        trace = f"no traceback: {told(second)}"
     return Record(work.id, status, _reason(error, position), trace)
 
 
 def _reason(error: BaseException, position: WorkPosition) -> str:
     """One line: where the work had got to, and what happened there."""
-    text = str(error) if isinstance(error, CodecbenchError) else f"{type(error).__name__}: {error}"
+    text = told(error)
+    if isinstance(error, CodecbenchError):
+        text = text.removeprefix(f"{type(error).__name__}: ")
     return clean_line(" ".join((f"{position}: {text}" if str(position) else text).split()))
+
+
+def _titles(work: Work) -> dict[str, str]:
+    """The plugins of other distributions by the stage at which their code runs."""
+    settings = {"open": work.sequence.dataset, "read": work.sequence.dataset}
+    settings |= dict.fromkeys(("construct codec", "encode", "decode", "libraries"), work.codec)
+    if isinstance(work, Cell):
+        used = next((setting for setting in work.evaluator.uses if setting.distribution), work.evaluator)
+        judge = work.evaluator if work.evaluator.distribution else used
+        settings |= dict.fromkeys(("construct evaluator", "evaluate", "artifacts"), judge)
+    return {stage: setting.full_name for stage, setting in settings.items() if setting.distribution}
+
+
+def _as_kept(record: Record) -> Record:
+    """The record as it will be read again, so that nothing leaves the worker which only looks like text and numbers."""
+    return replace(record_from_bytes(bytes_from_record(record)), contents=record.contents)
 
 
 def _start_afresh(identity: str) -> None:
@@ -135,6 +166,7 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
     position.at("open")
     bench = _workbench()
     sequence = bench.sequence(job.sequence, order.cache_bytes)
+    position.at("construct codec")
     codec: Codec[Any] = bench.create(job.codec)
     bitstreams = encode_sequence(codec, sequence, position)
     if isinstance(order.bitstreams, Path):
@@ -150,7 +182,9 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
     position.at("open")
     bench = _workbench()
     sequence = bench.sequence(cell.sequence, order.cache_bytes)
+    position.at("construct codec")
     codec: Codec[Any] = bench.create(cell.codec)
+    position.at("construct evaluator")
     evaluator: Evaluator[Any] = bench.create(cell.evaluator)
     check = MeasurementCheck(evaluator, len(sequence))
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
@@ -166,6 +200,8 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
             found = list(_of_coded(evaluator, coded, context, check, position))
         position.at("artifacts")
         contents = _artifacts(Path(folder))
+    position.at("libraries")
+    libraries = _libraries(codec)
     samples = [measurement for measurement in found if measurement.frame is not None]
     if samples:
         contents[SAMPLES_FILE] = parquet_from_samples(samples)
@@ -175,7 +211,7 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
         measurements=tuple(measurement for measurement in found if measurement.frame is None),
         summaries=summarise(samples, evaluator.metrics),
         metrics=tuple(metric.name for metric in evaluator.metrics),
-        libraries=codec.libraries(),
+        libraries=libraries,
         contents=contents,
     )
 
@@ -197,10 +233,19 @@ def _of_coded(
         raise PluginError(f"{type(evaluator).__name__} is not a {kinds}; subclass one of them")
 
 
+def _libraries(codec: Codec[Any]) -> dict[str, str]:
+    found = codec.libraries()
+    if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
+        raise PluginError(f"libraries returned {clean_line(repr(found))}; it returns names with their versions")
+    return {clean_line(name): clean_line(version) for name, version in found.items()}
+
+
 def _artifacts(folder: Path) -> dict[str, bytes]:
     files = {}
     for path in sorted(folder.iterdir()):
         if not path.is_file() or path.name in (RECORD_FILE, SAMPLES_FILE) or path.name.startswith("."):
             raise MeasurementError(f"artifact {path.name!r} is a folder or takes a name that the engine uses")
+        if path.is_symlink() or not path.name.isprintable():
+            raise MeasurementError(f"artifact {path.name!r} is a link or has a name that cannot be printed")
         files[path.name] = path.read_bytes()
     return files

@@ -127,8 +127,12 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
 def _check(run: SlamRun, frames: int, backend: str) -> None:
     """Raise SlamError where a backend's answer cannot be of these frames."""
+    if not isinstance(run, SlamRun):
+        raise SlamError(f"slam backend {backend} returned {type(run).__name__}; it returns a SlamRun")
     if len(run.frames) != frames:
         raise SlamError(f"slam backend {backend} answered for {len(run.frames)} frames of {frames}")
+    if run.points_world.ndim != 2 or run.points_world.shape[1] != 3 or not np.isfinite(run.points_world).all():
+        raise SlamError(f"slam backend {backend}: points_world has shape {run.points_world.shape} or is not finite")
     for name, trajectory in (("trajectory", run.trajectory), ("trajectory_before_loops", run.trajectory_before_loops)):
         if trajectory.world_from_camera.shape != (len(trajectory), 4, 4):
             shape = trajectory.world_from_camera.shape
@@ -137,7 +141,7 @@ def _check(run: SlamRun, frames: int, backend: str) -> None:
             raise SlamError(f"slam backend {backend}: {name} has poses that are not finite")
         if len(trajectory) > frames:
             raise SlamError(f"slam backend {backend}: {name} has {len(trajectory)} poses for {frames} frames")
-        if np.any(np.diff(trajectory.timestamps_s) <= 0):
+        if not np.all(np.diff(trajectory.timestamps_s, prepend=-np.inf) > 0):
             raise SlamError(f"slam backend {backend}: timestamps of {name} do not increase")
 
 

@@ -1,23 +1,33 @@
-"""Plugins that misbehave wherever codecbench runs code of others."""
+"""Plugins that misbehave wherever codecbench runs code of others; `cases` says what each may cost."""
 
 from codecbench import PluginSpec, hookimpl
+from codecbench_zoo.cases import cases
 
 
-def _specs(module: str, *classes: str) -> list[PluginSpec]:
-    return [PluginSpec(name.lower(), f"codecbench_zoo.{module}:{name}", f"misbehaves: {name}") for name in classes]
+def _specs(kind: str) -> list[PluginSpec]:
+    return [PluginSpec(case.name, case.target, case.summary) for case in cases(kind)]
 
 
 @hookimpl
 def codecbench_codecs() -> list[PluginSpec]:
-    codecs = ("Exits", "Leaves", "Raises", "Hangs", "Vague", "Odd", "Cleans", "Patches", "Shadows", "Rounds", "Printed")
-    return [*_specs("codecs", *codecs), *_specs("gone", "Gone"), *_specs("exiting", "Exiting")]
+    return _specs("codec")
 
 
 @hookimpl
 def codecbench_datasets() -> list[PluginSpec]:
-    return _specs("datasets", "Broken", "Abandoned", "Nameless")
+    return _specs("dataset")
 
 
 @hookimpl
 def codecbench_evaluators() -> list[PluginSpec]:
-    return _specs("evaluators", "Comparing", "Quitting", "Uncertain")
+    return _specs("evaluator")
+
+
+@hookimpl
+def codecbench_slam_backends() -> list[PluginSpec]:
+    return _specs("slam_backend")
+
+
+@hookimpl
+def codecbench_executors() -> list[PluginSpec]:
+    return _specs("executor")

@@ -1,0 +1,41 @@
+"""Entry points of what is installed, by distribution. Nothing is imported."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from importlib.metadata import EntryPoint, entry_points
+
+from codecbench.core.contracts import hooks
+from codecbench.core.engine.plugin import OURS
+
+
+def origins() -> list[str]:
+    """All distributions that have entry points of codecbench, with their versions. Imports none."""
+    return sorted({origin_of(point) for point in entry_points(group=hooks.GROUP)})
+
+
+def origin_of(point: EntryPoint) -> str:
+    """The distribution of an entry point with its version; where it has none, what it names."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+
+
+def points_by_origin() -> dict[str, list[EntryPoint]]:
+    """The entry points of what is installed: codecbench's own, and those of others by distribution."""
+    found: dict[str, list[EntryPoint]] = {}
+    for point in _points(tuple(sys.path)):
+        own = point.dist is not None and point.dist.name == OURS
+        found.setdefault(OURS if own else origin_of(point), []).append(point)
+    return found
+
+
+@functools.cache
+def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """All entry points on this path, looked for once: it means reading a file of every distribution."""
+    return tuple(entry_points(group=hooks.GROUP))
+
+
+def own_first(point: EntryPoint) -> tuple[bool, str, str]:
+    """Codecbench's own plugins come first, so that nobody can take one of their names."""
+    distribution = point.dist.name if point.dist else ""
+    return (distribution != OURS, distribution, point.name)

@@ -1,0 +1,302 @@
+"""Which plugins there are in the zoo, and what each may cost. This module imports none of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+UNSUPPORTED, FAILED, CRASHED, TIMED_OUT, OK = "unsupported", "failed", "crashed", "timed_out", "ok"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plugin that misbehaves.
+
+    status: of the rows that it takes part in. words: what their reason holds besides the name of the plugin.
+    """
+
+    kind: str
+    name: str
+    target: str
+    status: str
+    words: str = ""
+
+    @property
+    def summary(self) -> str:
+        return f"misbehaves in {self.target.partition(':')[0].rpartition('.')[2]}"
+
+    @property
+    def title(self) -> str:
+        """The plugin and its distribution, as reasons name them."""
+        return f"{self.kind.replace('_', ' ')} {self.name} of codecbench-zoo 1.0"
+
+
+_FIRST = "encode, frame 0: "
+_DECODED = "decode, frame 0: "
+_MEASURED = "evaluate, frame 0: "
+
+_Rows = dict[str, tuple[str, str]]
+
+CODECS: dict[str, _Rows] = {
+    "constructing": {
+        "Exits": (UNSUPPORTED, "SystemExit: 0"),
+        "Leaves": (UNSUPPORTED, "it ended its process with status 0"),
+        "Raises": (UNSUPPORTED, "KeyboardInterrupt: as if somebody had pressed it"),
+        "Dies": (UNSUPPORTED, "it ended its process by SIGKILL"),
+        "Hangs": (UNSUPPORTED, "no answer within "),
+        "Mumbles": (UNSUPPORTED, "Untold"),
+        "Screams": (UNSUPPORTED, "ValueError: \\x1b[31maaaa"),
+        "Twins": (OK, ""),
+        "Babbles": (UNSUPPORTED, "it answered nonsense"),
+        "Slams": (UNSUPPORTED, "it "),
+        "Printed": (OK, ""),
+        "Vague": (UNSUPPORTED, "codecbench_zoo.constructing:Vague has no class attribute 'capabilities'"),
+        "Unfinished": (UNSUPPORTED, "codecbench_zoo.constructing:Unfinished does not define decode"),
+        "Stranger": (UNSUPPORTED, "codecbench_zoo.constructing:Stranger is not a subclass of codecbench.Codec"),
+        "Renamed": (UNSUPPORTED, "codecbench_zoo.constructing:Renamed calls itself 'jpeg'"),
+        "Absent": (UNSUPPORTED, "codecbench_zoo.constructing has no Absent"),
+        "Odd": (UNSUPPORTED, "Odd.version is 2.5; it is a string"),
+        "Boastful": (UNSUPPORTED, "AttributeError: 'str' object has no attribute 'channels'"),
+        "Colourless": (UNSUPPORTED, "Colourless.capabilities.channels is []"),
+        "Formless": (UNSUPPORTED, "AttributeError"),
+        "BadDefault": (UNSUPPORTED, "parameter quality: Input should be a finite number"),
+        "Tabular": (UNSUPPORTED, "PydanticSerializationError"),
+        "Unidentified": (UNSUPPORTED, "it says of itself what has no spelling: "),
+        "Moody": (OK, ""),
+        "Bloated": (UNSUPPORTED, "Bloated.version"),
+    },
+    "gone": {"Gone": (UNSUPPORTED, "codecbench_zoo.gone does not import: ModuleNotFoundError")},
+    "refuses": {"Refuses": (UNSUPPORTED, "codecbench_zoo.refuses does not import: RuntimeError: not today")},
+    "exiting": {"Exiting": (UNSUPPORTED, "SystemExit: 0")},
+    "encoding": {
+        "Segfaults": (CRASHED, "while encoding: its worker died of SIGSEGV"),
+        "KillsItself": (CRASHED, "while encoding: its worker died of SIGKILL"),
+        "Terminates": (CRASHED, "while encoding: its worker exited with status 15"),
+        "Aborts": (CRASHED, "while encoding: its worker died of SIGABRT"),
+        "Stops": (TIMED_OUT, "while encoding: no result within "),
+        "Sleeps": (TIMED_OUT, "while encoding: no result within "),
+        "LeavesWell": (CRASHED, "while encoding: its worker exited with status 0"),
+        "LeavesLikeOurs": (CRASHED, "while encoding: its worker exited with status 86"),
+        "ExitsLate": (FAILED, _FIRST + "SystemExit: 0"),
+        "Interrupts": (FAILED, _FIRST + "KeyboardInterrupt"),
+        "StopsTheGenerator": (FAILED, _FIRST + "GeneratorExit: no more"),
+        "StopsIteration": (FAILED, _FIRST + "RuntimeError: generator raised StopIteration"),
+        "RaisesOfItsOwn": (FAILED, _FIRST + "_Private: of its own kind"),
+        "RaisesUntold": (FAILED, _FIRST + "_Silent"),
+        "RaisesMuch": (FAILED, _FIRST + "ValueError: \\x1b[31m\\x00aaaa"),
+        "RaisesInCircles": (FAILED, _FIRST + "ValueError: first"),
+        "Declines": (UNSUPPORTED, _FIRST + "not on a Sunday"),
+        "Recurses": (FAILED, _FIRST + "RecursionError"),
+        "Hogs": (FAILED, _FIRST + "MemoryError"),
+        "HogsInChildren": (CRASHED, "while encoding: used "),
+        "ReturnsNone": (FAILED, _FIRST + "encode returned NoneType; a bitstream is bytes"),
+        "ReturnsText": (FAILED, _FIRST + "encode returned str; a bitstream is bytes"),
+        "ReturnsView": (FAILED, _FIRST + "encode returned memoryview; a bitstream is bytes"),
+        "ReturnsBytearray": (FAILED, _FIRST + "encode returned bytearray; a bitstream is bytes"),
+        "ReturnsNothing": (FAILED, _FIRST + "encode returned no bytes"),
+        "ReturnsLight": (OK, ""),
+        "Forks": (OK, ""),
+        "ClosesEverything": (CRASHED, "while encoding: "),
+        "AnswersForUs": (TIMED_OUT, "while encoding: no result within "),
+        "FillsThePipe": (OK, ""),
+    },
+    "decoding": {
+        "DecodesNone": (FAILED, _DECODED + "decode returned NoneType"),
+        "DecodesLists": (FAILED, _DECODED + "decode returned list"),
+        "DecodesFloats": (FAILED, _DECODED + "decode returned dtype float32"),
+        "DecodesObjects": (FAILED, _DECODED + "decode returned dtype object"),
+        "DecodesTurned": (FAILED, _DECODED + "decode returned shape (128, 96); the frame has (96, 128)"),
+        "DecodesColour": (FAILED, _DECODED + "decode returned shape (96, 128, 3)"),
+        "DecodesNothing": (FAILED, _DECODED + "decode returned shape (0, 128)"),
+        "DecodesPretenders": (FAILED, _DECODED + "decode returned "),
+        "DecodesShy": (OK, ""),
+        "DecodesBackwards": (OK, ""),
+        "DecodeSegfaults": (CRASHED, "while evaluating: its worker died of SIGSEGV"),
+        "DecodeKills": (CRASHED, "while evaluating: its worker died of SIGKILL"),
+        "DecodeSleeps": (TIMED_OUT, "while evaluating: no result within "),
+        "DecodeExits": (FAILED, _DECODED + "SystemExit: enough"),
+        "DecodeRefuses": (FAILED, _DECODED + "I do not know these bytes"),
+        "DecodeBlames": (FAILED, _DECODED + "it was like this when I came"),
+        "Remembers": (OK, ""),
+        "Rolls": (OK, ""),
+        "RemovesItsFolder": (FAILED, "FileNotFoundError"),
+        "LibrariesOfObjects": (FAILED, "libraries"),
+        "LibrariesOfCode": (OK, ""),
+        "LibrariesFail": (FAILED, "libraries: RuntimeError: who knows"),
+    },
+    "lingering": {
+        "Rounds": (FAILED, "code of codecbench-zoo 1.0 changed what evaluator"),
+        "Cleans": (OK, ""),
+        "Scribbles": (OK, ""),
+        "RaisesNumpysErrors": (OK, ""),
+        "WarnsOfEverything": (OK, ""),
+        "LowersTheStack": (OK, ""),
+        "SetsTimers": (OK, ""),
+        "CatchesSignals": (OK, ""),
+        "LowersLimits": (OK, ""),
+        "ClosesOutput": (OK, ""),
+        "SpeaksTurkish": (OK, ""),
+        "Seeds": (OK, ""),
+        "Traces": (OK, ""),
+        "LeavesThreads": (OK, ""),
+        "LeavesChildren": (OK, ""),
+        "LeavesAHook": (OK, ""),
+        "Innocent": (OK, ""),
+    },
+    "patching": {
+        "Patches": (FAILED, "code of codecbench-zoo 1.0 replaced numpy.mean"),
+        "Shadows": (FAILED, "code of codecbench-zoo 1.0 replaced cv2.GaussianBlur"),
+        "PatchesJson": (FAILED, "code of codecbench-zoo 1.0 replaced "),
+        "PatchesUs": (FAILED, "code of codecbench-zoo 1.0 replaced "),
+        "PatchesOpen": (FAILED, "code of codecbench-zoo 1.0 replaced "),
+    },
+}
+DATASETS: dict[str, _Rows] = {
+    "opening": {
+        "Broken": (UNSUPPORTED, "KeyError: 'not there'"),
+        "Abandoned": (UNSUPPORTED, "it ended its process with status 3"),
+        "Departs": (UNSUPPORTED, "SystemExit: 0"),
+        "OpensForEver": (UNSUPPORTED, "no answer within "),
+        "OpensNothing": (UNSUPPORTED, "open returned NoneType"),
+        "Nameless": (UNSUPPORTED, "AttributeError"),
+        "OddName": (UNSUPPORTED, "name is 7; it is a string"),
+        "LongName": (OK, ""),
+        "Frameless": (UNSUPPORTED, "has no frames"),
+        "Untimely": (UNSUPPORTED, "timestamps_s"),
+        "Backwards": (UNSUPPORTED, "timestamps_s"),
+        "TwoDimensional": (UNSUPPORTED, "timestamps_s"),
+        "FourChannels": (UNSUPPORTED, "channels is 4"),
+        "Boundless": (UNSUPPORTED, "timestamps_s"),
+        "Negative": (UNSUPPORTED, "ValueError: __len__() should return >= 0"),
+        "Impostor": (UNSUPPORTED, "its fingerprint is that of drawn"),
+    },
+    "reading": {
+        "ReadsNone": (FAILED, "read, frame 0: read returned NoneType"),
+        "ReadsFloats": (FAILED, "read, frame 0: an image has dtype uint8, got float64"),
+        "ReadsEmpty": (FAILED, "read, frame 0: image of shape (0, 64) has no pixels"),
+        "ReadsLists": (FAILED, "read, frame 0: an image is a numpy array, got list"),
+        "ReadsColour": (FAILED, "read, frame 0: image has 3 channel(s); allowed here: 1"),
+        "ReadsFails": (FAILED, "read, frame 2: frames.bin, byte 17: torn"),
+        "ReadsLeaves": (CRASHED, "its worker exited with status 0"),
+        "ReadsForEver": (TIMED_OUT, "no result within "),
+        "Grows": (OK, ""),
+        "ChangesItsMind": (FAILED, "open: changes_its_mind has changed since the plan was made"),
+        "LongTruth": (OK, ""),
+    },
+}
+EVALUATORS: dict[str, _Rows] = {
+    "declaring": {
+        "Uncertain": (UNSUPPORTED, "RuntimeError: it depends"),
+        "Countless": (UNSUPPORTED, "Countless.repeats is 1000000000"),
+        "Halves": (UNSUPPORTED, "Halves.repeats is 2.5"),
+        "QuitsWhenAsked": (UNSUPPORTED, "SystemExit: 0"),
+        "UsesWhatIsNot": (UNSUPPORTED, "no codec is called 'not_there'"),
+        "UsesItself": (OK, ""),
+        "NeedsNothingKnown": (UNSUPPORTED, "TypeError"),
+        "Timeless": (UNSUPPORTED, "it says of itself what has no spelling: "),
+        "Shapeless": (UNSUPPORTED, "evaluate"),
+        "Loud": (UNSUPPORTED, "metric"),
+        "Mimics": (OK, ""),
+        "Ages": (UNSUPPORTED, "no answer within "),
+    },
+    "misdeclared.unmeasured": {"Unmeasured": (UNSUPPORTED, "codecbench_zoo.misdeclared.unmeasured does not import")},
+    "misdeclared.doubled": {"Doubled": (UNSUPPORTED, "Doubled: metrics declares gain twice")},
+    "misdeclared.unitless": {"Unitless": (UNSUPPORTED, "missing 3 required positional arguments: 'unit'")},
+    "misdeclared.upwards": {"Upwards": (UNSUPPORTED, "metric 'gain': better is 'up'; it is one of higher")},
+    "misdeclared.heroic": {"Heroic": (UNSUPPORTED, "metric 'gain': role is 'hero'; it is one of rate")},
+    "misdeclared.unseen": {"Unseen": (UNSUPPORTED, "Unseen: view 'Speed' names 'speed'; declared are")},
+    "measuring": {
+        "MeasuresNan": (FAILED, _MEASURED + "gain: NaN without a reason"),
+        "MeasuresInfinity": (OK, ""),
+        "MeasuresComplex": (FAILED, _MEASURED + "gain: a value is a number, got complex"),
+        "MeasuresText": (FAILED, _MEASURED + "gain: a value is a number, got str"),
+        "MeasuresTruth": (FAILED, _MEASURED + "gain: a value is a number, got bool"),
+        "MeasuresFractions": (FAILED, _MEASURED + "gain: a value is a number, got Fraction"),
+        "MeasuresArrays": (FAILED, _MEASURED + "gain: a value is a number, got ndarray"),
+        "MeasuresGoogols": (FAILED, _MEASURED + "OverflowError"),
+        "MeasuresTheUndeclared": (FAILED, _MEASURED + "metric 'speed' is not declared"),
+        "MeasuresNothing": (OK, ""),
+        "MeasuresNone": (FAILED, _MEASURED + "TypeError: 'NoneType' object is not iterable"),
+        "MeasuresNumbers": (FAILED, _MEASURED + "yielded float; evaluators yield Measurement"),
+        "MeasuresOtherFrames": (FAILED, _MEASURED + "gain: measured on frame 0 but yielded for frame 99"),
+        "MeasuresStages": (FAILED, _MEASURED + "gain: stage and reason are text, got int"),
+        "MeasuresForEver": (FAILED, "evaluate: gain: more than 5,000 measurements"),
+        "MeasuresWithCode": (OK, ""),
+        "MeasuresNever": (TIMED_OUT, "while evaluating: no result within "),
+        "MeasuresAndLeaves": (CRASHED, "while evaluating: its worker exited with status 0"),
+        "MeasuresAndExits": (FAILED, _MEASURED + "SystemExit: 0"),
+        "MeasuresAndDies": (CRASHED, "while evaluating: its worker died of SIGSEGV"),
+        "MeasuresAndFails": (FAILED, _MEASURED + "ZeroDivisionError: of nothing"),
+        "Overwrites": (OK, ""),
+        "MeasuresMillions": (FAILED, "evaluate: gain: more than 5,000 measurements"),
+        "MeasuresManyStages": (FAILED, "evaluate: gain: more than 1,000 stages"),
+        "ExplainsMuch": (OK, ""),
+        "AsksForFrames": (FAILED, "evaluate: IndexError: frame -1 is not one of 0..2"),
+        "UsesTheUndeclared": (FAILED, "evaluate: codec 'jpeg' is used but not declared"),
+        "LeavesFolders": (FAILED, "artifacts: artifact 'map' is a folder"),
+        "LeavesARecord": (FAILED, "artifacts: artifact 'record.json' is a folder or takes a name"),
+        "LeavesALink": (FAILED, "artifacts: artifact 'passwords' is "),
+        "LeavesAPipe": (FAILED, "artifacts: artifact 'pipe' is "),
+        "LeavesOddNames": (FAILED, "artifacts: artifact '\\x1b[2J\\n' "),
+        "RemovesArtifacts": (FAILED, "artifacts: FileNotFoundError"),
+    },
+    "comparing": {
+        "Comparing": (OK, ""),
+        "Quitting": (OK, ""),
+        "ComparesNone": (OK, ""),
+        "ComparesNan": (OK, ""),
+        "ComparesTheUndeclared": (OK, ""),
+        "ComparesText": (OK, ""),
+        "ComparesMillions": (OK, ""),
+        "ComparesWell": (OK, ""),
+        "DrawsText": (OK, ""),
+        "DrawsNowhere": (OK, ""),
+        "DrawsMillions": (OK, ""),
+        "DrawsForEver": (OK, ""),
+    },
+}
+SLAM_BACKENDS: dict[str, _Rows] = {
+    "backends": {
+        "TracksNone": (FAILED, "evaluate, frame 2: slam backend tracks_none returned NoneType"),
+        "TracksNan": (FAILED, "trajectory has poses that are not finite"),
+        "TracksFlat": (FAILED, "trajectory has poses (3, 3) for 3 stamps"),
+        "TracksMore": (FAILED, "tracks_more answered for 4 frames of 3"),
+        "TracksLess": (FAILED, "tracks_less answered for 2 frames of 3"),
+        "TracksBackwards": (FAILED, "timestamps of trajectory do not increase"),
+        "TracksUntimely": (FAILED, "timestamps of trajectory do not increase"),
+        "TracksLists": (FAILED, "evaluate, frame 2: AttributeError"),
+        "TracksEndlessPoints": (FAILED, "points_world has shape (5, 2)"),
+        "TracksForEver": (TIMED_OUT, "while evaluating: no result within "),
+        "TracksAndExits": (FAILED, "SystemExit: 0"),
+        "TracksAndDies": (CRASHED, "while evaluating: its worker died of SIGSEGV"),
+        "LeavesTheTrack": (UNSUPPORTED, "it ended its process with status 0"),
+        "Unbuilt": (FAILED, "evaluate: "),
+        "TracksWell": (OK, ""),
+    },
+}
+EXECUTORS: dict[str, _Rows] = {
+    "executors": {"Unexecuted": (UNSUPPORTED, "codecbench_zoo.executors:Unexecuted is not a subclass")},
+}
+_BY_KIND = {
+    "codec": CODECS,
+    "dataset": DATASETS,
+    "evaluator": EVALUATORS,
+    "slam_backend": SLAM_BACKENDS,
+    "executor": EXECUTORS,
+}
+
+
+@cache
+def cases(kind: str) -> tuple[Case, ...]:
+    """All plugins of a kind, in the order in which a matrix names them."""
+    return tuple(
+        Case(kind, snake(name), f"codecbench_zoo.{module}:{name}", status, words)
+        for module, rows in _BY_KIND[kind].items()
+        for name, (status, words) in rows.items()
+    )
+
+
+def snake(name: str) -> str:
+    """`returns_none` of `ReturnsNone`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

@@ -1,0 +1,1 @@
+"""Evaluators whose modules do not import, because of what they declare."""
