@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
-from typing import Final
+from typing import Any, Final
 
 _LOADED: Final = ("cv2", "numba", "pyarrow.parquet", "scipy.optimize", "codecbench.plugins.executors.isolation")
 """What nearly every worker imports. None of these starts a thread when it is imported, so that forking is safe."""
@@ -77,7 +77,9 @@ class Surroundings:
         os.environ.clear()
         os.environ.update(self.variables)
         os.umask(self.umask)
-        server = multiprocessing.forkserver._forkserver  # type: ignore[attr-defined]
+        server: Any = getattr(
+            multiprocessing.forkserver, "_forkserver", None
+        )  # there is no public way to the descriptor
         with suppress(AttributeError, TypeError, OSError):
             os.close(server._forkserver_alive_fd)
             server._forkserver_alive_fd = None
