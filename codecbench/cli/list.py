@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from codecbench.core.contracts.hooks import KINDS, Kind
-from codecbench.core.engine.registry import Plugin, Registry, installed
+from codecbench.core.engine.plugin import Plugin
+from codecbench.core.engine.registry import Registry, installed
 
 _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
+    from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.estimate import estimate
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.planning.plan import make_plan
     from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.running.code_changes import code_notices
     from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
 
@@ -36,7 +38,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     missing = [cell for cell in made.cells if cell.id not in done and cell.unsupported is None]
     wanted = {cell.job_id for cell in missing if cell.job_id is not None}
     coded = {job.id for job in made.jobs if store.coded_path(job.id).exists()}
-    to_code = [job for job in made.jobs if job.id in wanted - coded]
+    to_code = [job for job in made.jobs if job.id in wanted and job.id not in coded]
     click.echo(f"{made.name}: {len(made.sequences)} sequences, run folder {folder}")
     _list_sequences(made)
     click.echo(f"coding jobs: {len(made.jobs)}, of which {len(coded)} are coded and {len(to_code)} are to do")
@@ -45,6 +47,9 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
         click.echo(f"  unsupported ({count}): {reason}")
     for reason, count in Counter(outdated.values()).items():
         click.echo(f"  done before, to do again ({count}): {reason}")
+    with_result = {id_: entries[id_] for id_ in done}
+    for notice in code_notices(made, with_result, store, installed()):
+        click.echo(f"  {clean_line(notice)}")
     if cells:
         _list_all(made, done, coded)
     guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})

@@ -97,6 +97,8 @@ class _Display:
         self._bar.update(self._task, description=progress.compiling or "cells", completed=done, total=total, note=note)
         from codecbench.core.engine.foreign_text import clean_line
 
+        if progress.notice:
+            click.secho(clean_line(progress.notice), fg="yellow", err=True)
         record, cell = progress.record, progress.cell
         if record is None or cell is None or record.status in ("ok", "unsupported"):
             return

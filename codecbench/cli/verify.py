@@ -5,21 +5,22 @@ from __future__ import annotations
 import json
 import platform
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-from pydantic import ValidationError
 
 from codecbench.cli.exit_status import ExitStatus
-from codecbench.core.conformance.corpus import CodecClass, EntryResult, check_corpus, write_corpus
+from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
 from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
 from codecbench.core.conformance.settings import setting_from_text, setting_label
 from codecbench.core.conformance.suite import CHECKS, Check, CheckResult
-from codecbench.core.contracts.errors import PluginError, Unsupported
-from codecbench.core.contracts.params import Params
-from codecbench.core.engine.registry import Plugin, installed
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.engine.plugin import Plugin
+from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
@@ -61,16 +62,19 @@ def verify(
     if check_in is not None and settings:
         raise click.UsageError("--check-corpus takes its settings from the corpus")
     report = _Report(to_stderr=str(json_path) == "-")
-    if check_in is not None:
-        for result in check_corpus(check_in, _load, codecs):
-            report.of_entry(result)
-    elif write_to is not None:
-        report.of_corpus(write_to, _cases(codecs, settings, report))
-    else:
-        checks = [check for check in CHECKS if not only or check.name in only]
-        with Examiner(timeout) as examiner:
-            for plugin in _plugins(codecs):
-                _examine(plugin, examiner, checks, settings, report, named=bool(codecs))
+    checks = [check for check in CHECKS if not only or check.name in only]
+    with Examiner(timeout) as examiner:
+        if check_in is not None:
+            for entry in read_manifest(check_in):
+                if not codecs or entry.codec in codecs:
+                    report.of_entry(examiner.entry_result(check_in, entry))
+        else:
+            subjects = _subjects(codecs, settings, examiner, report)
+            if write_to is not None:
+                report.of_corpus(write_to, [subject for _, subject in subjects], examiner)
+            else:
+                for plugin, subject in subjects:
+                    report.of_subject(plugin, subject, checks, examiner)
     report.finish(json_path)
     is_well = report.counts["passed"] and not report.counts["failed"]
     context.exit(ExitStatus.SUCCESS if is_well else ExitStatus.FOUND)
@@ -82,42 +86,19 @@ def _plugins(codecs: tuple[str, ...]) -> list[Plugin]:
     return [registry.find("codec", name) for name in codecs] or registry.plugins("codec")
 
 
-def _examine(
-    plugin: Plugin, examiner: Examiner, checks: list[Check], settings: tuple[str, ...], report: _Report, named: bool
-) -> None:
-    """Run the checks on every setting of a codec; one that is not available fails where it was named."""
-    subjects = examiner.subjects(plugin.spec.name, [setting_from_text(text) for text in settings])
-    if isinstance(subjects, Unexamined):
-        if subjects.kind == "valid" and settings:
-            raise click.UsageError(f"--settings of {plugin.spec.name}: {subjects.reason}")
-        is_absent = subjects.kind == "available" and not named
-        report.unchecked(plugin.spec.name, "skipped" if is_absent else "failed", subjects.reason)
-        return
-    for subject in subjects:
-        report.of_subject(plugin, subject, checks, examiner)
-
-
-def _load(name: str) -> CodecClass:
-    codec_class: CodecClass = installed().load("codec", name)
-    return codec_class
-
-
-def _cases(codecs: tuple[str, ...], settings: tuple[str, ...], report: _Report) -> list[tuple[CodecClass, Params]]:
-    """The settings to write a corpus of; codecs that cannot be used are reported."""
-    cases: list[tuple[CodecClass, Params]] = []
+def _subjects(
+    codecs: tuple[str, ...], settings: tuple[str, ...], examiner: Examiner, report: _Report
+) -> Iterator[tuple[Plugin, Subject]]:
+    """Every codec at every setting; one that is not available is reported, and fails where it was named."""
     for plugin in _plugins(codecs):
-        name = plugin.spec.name
-        try:
-            codec_class = _load(name)
-            wanted = [setting_from_text(text) for text in settings] or codec_class.examples
-            cases += [(codec_class, codec_class.params_type.model_validate(setting)) for setting in wanted]
-        except Unsupported as missing:
-            report.unchecked(name, "failed" if codecs else "skipped", str(missing))
-        except (PluginError, ValidationError) as error:
-            if settings and isinstance(error, ValidationError):
-                raise click.UsageError(f"--settings of {name}: {error}") from None
-            report.unchecked(name, "failed", str(error))
-    return cases
+        found = examiner.subjects(plugin.spec.name, [setting_from_text(text) for text in settings])
+        if not isinstance(found, Unexamined):
+            yield from ((plugin, subject) for subject in found)
+        elif found.kind == "valid" and settings:
+            raise click.UsageError(f"--settings of {plugin.spec.name}: {found.reason}")
+        else:
+            is_absent = found.kind == "available" and not codecs
+            report.unchecked(plugin.spec.name, "skipped" if is_absent else "failed", found.reason)
 
 
 class _Report:
@@ -164,18 +145,19 @@ class _Report:
             if result.status == "failed":
                 self._say(f"        {result.layout}: {result.reason}")
 
-    def of_corpus(self, folder: Path, cases: list[tuple[CodecClass, Params]]) -> None:
+    def of_corpus(self, folder: Path, subjects: list[Subject], examiner: Examiner) -> None:
         """Write a corpus of the settings; a codec that fails in it ends that, and is reported."""
         from codecbench import __version__
 
         try:
-            entries = write_corpus(folder, cases, f"codecbench {__version__}")
+            makers = [partial(examiner.coded_pictures, subject) for subject in subjects]
+            entries = write_bitstreams(folder, makers, f"codecbench {__version__}")
         except PluginError as error:
             self._mark("failed", str(error))
             return
         self._content["corpus"] += [asdict(entry) for entry in entries]
         self.counts["passed"] += len(entries)
-        self._say(f"{folder}: {len(entries)} bitstreams of {len(cases)} settings")
+        self._say(f"{folder}: {len(entries)} bitstreams of {len(subjects)} settings")
 
     def of_entry(self, result: EntryResult) -> None:
         """Report a bitstream of a corpus; one that passed without remark is only counted."""

@@ -51,7 +51,6 @@ class Told(SlamBackend[NoParams]):
     name = "told"
     version = "1"
     params_type = NoParams
-    deterministic = True
     architectures = frozenset({"cta", "atc"})
 
     def __init__(self, answer: Trajectory, before: Trajectory | None = None, loops: tuple[LoopEvent, ...] = ()) -> None:

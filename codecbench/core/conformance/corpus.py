@@ -15,6 +15,7 @@ import json
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,6 +71,10 @@ class EntryResult:
     note: str = ""
 
 
+Maker = Callable[[Sequence[Entry]], list[tuple[Entry, bytes]]]
+"""Makes bitstreams with their entries, given the entries that the corpus has already; raises PluginError."""
+
+
 def pixels_sha256(pixels: Image) -> str:
     """The hash of an image: of its shape and its samples row by row."""
     shape = "x".join(map(str, pixels.shape))
@@ -82,19 +87,19 @@ def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], wr
     A picture that a setting does not support is left out. Codecs work in another process. Raises StoreError where the
     folder holds anything, and PluginError where a codec fails; then there is no manifest.
     """
+    return write_bitstreams(folder, [partial(coded_pictures, *setting) for setting in settings], written_by)
+
+
+def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> list[Entry]:
+    """Write what makers of bitstreams give, one after another, and the manifest; raises like `write_corpus`."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
     folder.mkdir(parents=True, exist_ok=True)
     entries: list[Entry] = []
-    for codec_class, params in settings:
-        codec = codec_class(params)
-        for seed, size in enumerate(_SIZES):
-            for channels in codec.capabilities.channels:
-                number = sum(entry.codec == codec.name for entry in entries)
-                file, shape = f"{codec.name}/{number:03}.bin", (*size, channels)
-                reply = _ask(codec, "encode", integer_image(seed, *shape))
-                if reply.status != "unsupported":
-                    entries.append(_written(folder, file, codec, seed, shape, reply))
+    for make in makers:
+        for entry, bitstream in make(entries):
+            write_file(folder / entry.file, bitstream)
+            entries.append(entry)
     manifest = {
         "format": _FORMAT,
         "written_by": written_by,
@@ -105,20 +110,34 @@ def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], wr
     return entries
 
 
+def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
+    """The bitstreams of the pictures at a setting. earlier: entries that the corpus has already.
+
+    Raises PluginError where the codec fails.
+    """
+    codec = codec_class(params)
+    first = sum(entry.codec == codec.name for entry in earlier)
+    found: list[tuple[Entry, bytes]] = []
+    for seed, size in enumerate(_SIZES):
+        for channels in codec.capabilities.channels:
+            shape = (*size, channels)
+            reply = _ask(codec, "encode", integer_image(seed, *shape))
+            if reply.status != "unsupported":
+                found.append(_coded(f"{codec.name}/{first + len(found):03}.bin", codec, seed, shape, reply))
+    return found
+
+
 def _ask(codec: Codec[Any], verb: Verb, argument: Any) -> Reply:
     """Have a codec of this setting work in another process."""
     return sandbox(verb).ask(type(codec), codec.params, verb, argument, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
 
 
-def _written(
-    folder: Path, file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply
-) -> Entry:
+def _coded(file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply) -> tuple[Entry, bytes]:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
         raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
-    bitstream = encoded.value
-    write_file(folder / file, bitstream)
-    return Entry(
+    bitstream: bytes = encoded.value
+    entry = Entry(
         file=file,
         codec=codec.name,
         version=codec.version,
@@ -130,6 +149,7 @@ def _written(
         bitstream_sha256=hashlib.sha256(bitstream).hexdigest(),
         pixels_sha256=pixels_sha256(decoded.value),
     )
+    return entry, bitstream
 
 
 def read_manifest(folder: Path) -> list[Entry]:
@@ -150,20 +170,22 @@ def check_corpus(folder: Path, load: Callable[[str], CodecClass], codecs: Sequen
     load: the class of a codec by name, which raises Unsupported or PluginError where there is none.
     """
     for entry in read_manifest(folder):
-        if codecs and entry.codec not in codecs:
-            continue
-        try:
-            codec, outdated = _codec_of(entry, load(entry.codec))
-        except (Unsupported, PluginError) as error:
-            yield EntryResult(entry, "skipped", str(error))
-            continue
-        failure = _decoding_failure(folder / entry.file, entry, codec)
-        if failure is not None:
-            yield EntryResult(entry, "failed", failure)
-        elif outdated:
-            yield EntryResult(entry, "passed", note="its parameters are not valid any more; only decoded")
-        else:
-            yield _encoded_again(entry, codec)
+        if not codecs or entry.codec in codecs:
+            yield check_entry(folder, entry, load)
+
+
+def check_entry(folder: Path, entry: Entry, load: Callable[[str], CodecClass]) -> EntryResult:
+    """How one entry fares; see `check_corpus`."""
+    try:
+        codec, outdated = _codec_of(entry, load(entry.codec))
+    except (Unsupported, PluginError) as error:
+        return EntryResult(entry, "skipped", str(error))
+    failure = _decoding_failure(folder / entry.file, entry, codec)
+    if failure is not None:
+        return EntryResult(entry, "failed", failure)
+    if outdated:
+        return EntryResult(entry, "passed", note="its parameters are not valid any more; only decoded")
+    return _encoded_again(entry, codec)
 
 
 def _codec_of(entry: Entry, codec_class: CodecClass) -> tuple[Codec[Any], bool]:

@@ -5,13 +5,15 @@ What comes back is data: a codec that exits, hangs, kills or interrupts its proc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from pydantic import ValidationError
 
+from codecbench.core.conformance.corpus import CodecClass, Entry, EntryResult, check_entry, coded_pictures
 from codecbench.core.conformance.sandbox import Reply, Sandbox
 from codecbench.core.conformance.suite import CHECKS, Check, CheckResult, run_check
 from codecbench.core.contracts.errors import PluginError, Unsupported
@@ -65,10 +67,7 @@ class Examiner:
 
     def subjects(self, codec: str, settings: list[dict[str, Any]]) -> list[Subject] | Unexamined:
         """The codec at these settings, or at its examples. Raises PluginError for a name that is not installed."""
-        distribution = installed().find("codec", codec).distribution
-        if distribution != self._distribution:
-            self._sandbox.stop()
-            self._distribution = distribution
+        self._turn_to(codec)
         self._hung = ""
         reply = self._ask(_subjects, codec, settings)
         found: list[Subject] | Unexamined = reply.value
@@ -86,6 +85,35 @@ class Examiner:
             failure = CheckResult(check, channels, "failed", f"{reply.status}: {reply.reason}")
             yield reply.value if reply.status == "done" else failure
 
+    def coded_pictures(self, subject: Subject, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
+        """See `corpus.coded_pictures`. Raises PluginError, also where the codec takes its process with it."""
+        self._turn_to(subject.codec)
+        reply = self._ask(_coded_pictures, subject, list(earlier))
+        if reply.status != "done" or isinstance(reply.value, str):
+            fault = f"{subject.codec}: {reply.status}: {reply.reason}"
+            raise PluginError(reply.value if reply.status == "done" else fault)
+        found: list[tuple[Entry, bytes]] = reply.value
+        return found
+
+    def entry_result(self, folder: Path, entry: Entry) -> EntryResult:
+        """See `corpus.check_entry`; codecbench's own codecs are constructed in this process."""
+        try:
+            if not installed().find("codec", entry.codec).hosted:
+                return check_entry(folder, entry, _load)
+        except PluginError as error:
+            return EntryResult(entry, "skipped", str(error))
+        self._turn_to(entry.codec)
+        reply = self._ask(_entry_result, str(folder.absolute()), entry)
+        failure = EntryResult(entry, "failed", f"{reply.status}: {reply.reason}")
+        return reply.value if reply.status == "done" else failure
+
+    def _turn_to(self, codec: str) -> None:
+        """A fresh process where the codec is of another distribution than the one before."""
+        distribution = installed().find("codec", codec).distribution
+        if distribution != self._distribution:
+            self._sandbox.stop()
+            self._distribution = distribution
+
     def _ask(self, function: Any, *arguments: Any) -> Reply:
         return self._sandbox.call(function, *arguments, timeout_s=self._timeout_s, memory_mb=_MEMORY_MB)
 
@@ -100,6 +128,23 @@ def _subjects(codec: str, settings: list[dict[str, Any]]) -> list[Subject] | Une
         return Unexamined("broken", str(error))
     except ValidationError as error:
         return Unexamined("valid", str(error))
+
+
+def _load(codec: str) -> CodecClass:
+    codec_class: CodecClass = installed().load("codec", codec)
+    return codec_class
+
+
+def _coded_pictures(subject: Subject, earlier: list[Entry]) -> list[tuple[Entry, bytes]] | str:
+    codec_class = _load(subject.codec)
+    try:
+        return coded_pictures(codec_class, codec_class.params_type.model_validate(subject.setting), earlier)
+    except PluginError as error:
+        return str(error)
+
+
+def _entry_result(folder: str, entry: Entry) -> EntryResult:
+    return check_entry(Path(folder), entry, _load)
 
 
 def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:

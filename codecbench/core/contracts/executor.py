@@ -48,6 +48,18 @@ class Finished:
     traceback: str = ""
 
 
+@dataclass
+class Retirement:
+    """Whether this process, a worker, is to get no further task; see `retirement`."""
+
+    asked: bool = False
+
+
+retirement: Final = Retirement()
+"""A task sets `asked` where it finds its process changed in a way that it cannot undo; the executor gives later tasks
+to another process. Where it does not, those tasks fail: each looks for itself."""
+
+
 class Executor(ABC, Generic[P]):
     """Runs tasks. The engine submits those whose inputs are ready and takes back whatever has finished.
 

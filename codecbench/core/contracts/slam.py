@@ -69,7 +69,6 @@ class SlamBackend(ABC, Generic[P]):
     name: ClassVar[str]
     version: ClassVar[str]
     params_type: ClassVar[type[Params]]
-    deterministic: ClassVar[bool]
     architectures: ClassVar[frozenset[Literal["cta", "atc"]]]
     kernels: ClassVar[tuple[str, ...]] = ()
 
@@ -91,7 +90,7 @@ class SlamBackend(ABC, Generic[P]):
         seed: int,
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
-        """Track all frames in order.
+        """Track all frames in order. `seed` is where all randomness comes from that can be seeded.
 
         `keyframe_image` makes it analyze-then-compress: given a frame index it returns the decoded image
         that mapping and loop closing see when that frame becomes a keyframe. Losing track is a state with a

@@ -10,12 +10,11 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
-import importlib.util
 import os
-import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any
@@ -35,67 +34,14 @@ from codecbench.core.engine.hosting.host import (
     limit_s,
 )
 from codecbench.core.engine.loading import load_class
+from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, plugins_told, spoken
+from codecbench.core.engine.scouting import is_single_threaded
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_LONGEST_NAME = 100
-_TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_OURS = "codecbench"
 _MOST_PLUGINS = 1000
 """Of one kind from one hook."""
-_SCOUTED = "codecbench.core.engine.serving:scouted"
+_SCOUTED = ("codecbench.core.engine.serving", "scouted")
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
-
-
-@dataclass(frozen=True)
-class Plugin:
-    """What a distribution offers: the specification of a plugin, and where it came from.
-
-    hosted: it is imported in a host process. absent: what it needs and is not installed, as its host found.
-    """
-
-    kind: Kind
-    spec: PluginSpec
-    distribution: str
-    hosted: bool = False
-    absent: str | None = None
-
-    @property
-    def company(self) -> str:
-        """Its distribution with its version; empty for codecbench's own plugins."""
-        return "" if self.distribution.startswith(f"{_OURS} ") else self.distribution
-
-    @property
-    def title(self) -> str:
-        """The plugin and its distribution, as messages name them."""
-        return f"{_words(self.kind)} {self.spec.name} of {self.distribution}"
-
-    @property
-    def missing(self) -> str | None:
-        """Why this plugin cannot be used here and the command that mends it, or None. Imports nothing of its own."""
-        if self.hosted:
-            return self.absent
-        absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
-        if not absent:
-            return None
-        command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
-        return f"{self.kind} {self.spec.name} needs {', '.join(absent)}, which is not installed; run: {command}"
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A distribution's plugin that could not be taken, and why.
-
-    nameless: nobody knows what it would have been called, because its module never said.
-    """
-
-    distribution: str
-    entry_point: str
-    reason: str
-    nameless: bool = False
-
-    def __str__(self) -> str:
-        return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
 
 
 class Registry:
@@ -108,11 +54,12 @@ class Registry:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
+        self._classes: dict[tuple[Kind, str], Any] = {}
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
         self._hosts: dict[tuple[str, ...], PluginHost] = {}
-        scout = PluginHost(())
-        if hosted:
+        scout = None if is_single_threaded() else PluginHost(())
+        if hosted and scout is not None:
             scout.start()  # it gets ready while our own plugins are imported
         for point in sorted(points, key=_own_first):
             self._admit(point)
@@ -127,7 +74,7 @@ class Registry:
         """The plugin of that name. Raises PluginError with the nearest names where there is none."""
         plugin = self._plugins.get((kind, name))
         if plugin is None:
-            raise PluginError(f"no {_words(kind)} is called {name!r}; {self.suggestion(kind, name)}")
+            raise PluginError(f"no {spoken(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
     def maybe_broken(self, kind: Kind, name: str) -> str | None:
@@ -136,7 +83,7 @@ class Registry:
         names = [plugin.spec.name for plugin in self.plugins(kind)]
         if not nameless or difflib.get_close_matches(name, names, n=1):
             return None
-        return f"no {_words(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+        return f"no {spoken(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
 
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
@@ -154,7 +101,9 @@ class Registry:
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
             raise Unsupported(missing)
-        return load_class(kind, plugin.spec, plugin.title)
+        if (kind, name) not in self._classes:
+            self._classes[kind, name] = load_class(kind, plugin.spec, plugin.title)
+        return self._classes[kind, name]
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
         """An instance with these parameters, which are validated (pydantic.ValidationError)."""
@@ -193,18 +142,23 @@ class Registry:
                 self._given_up[titles] = message
             raise PluginFault(" ".join(message.split())) from fault
 
-    def _admit_hosted(self, scout: PluginHost, hosted: Sequence[str]) -> None:
-        """Take what distributions offer as children of the scout tell it."""
+    def _admit_hosted(self, scout: PluginHost | None, hosted: Sequence[str]) -> None:
+        """Take what distributions offer as children tell it, of the scout or, where that is safe, of this process."""
         try:
-            answers = scout.ask(_SCOUTED, (hosted, limit_s()), ours=False, times=2)
+            if scout is None:
+                function = getattr(importlib.import_module(_SCOUTED[0]), _SCOUTED[1])  # it imports this module
+                answers = function(self, hosted, limit_s())
+            else:
+                answers = scout.ask(":".join(_SCOUTED), (hosted, limit_s()), ours=False, times=2)
         except CodecbenchError as error:
             answers = {origin: {"text": str(error)} for origin in hosted}
         finally:
-            scout.end()
+            if scout is not None:
+                scout.end()
         for origin in hosted:
             try:
-                plugins, problems = _taken(origin, answers.get(origin, {}))
-            except PluginFault as fault:
+                plugins, problems = plugins_told(origin, answers.get(origin, {}))
+            except PluginError as fault:
                 reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
                 plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
             self.problems += problems
@@ -254,7 +208,7 @@ class Registry:
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
             self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
-        elif (wrong := _wrong(kind, spec)) is not None:
+        elif (wrong := fault_of(kind, spec)) is not None:
             self._report(origin, point, wrong)
         else:
             self._take(Plugin(kind, spec, origin), point.name)
@@ -277,7 +231,7 @@ class Registry:
 def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
-    ours = points.pop(_OURS, ())
+    ours = points.pop(OURS, ())
     return Registry(ours, hosted=[] if HOSTED_VARIABLE in os.environ else sorted(points))
 
 
@@ -289,8 +243,14 @@ def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
     are left out.
     """
     points = points_by_origin()
-    wanted = (*((_OURS,) if ours else ()), *company)
+    wanted = (*((OURS,) if ours else ()), *company)
     return Registry(point for origin in wanted for point in points.get(origin, ()))
+
+
+def loads(registry: Registry, kind: Kind, name: str) -> bool:
+    """That a plugin's module imports and keeps the contract, found out where it is asked. Raises like `load`."""
+    registry.load(kind, name)
+    return True
 
 
 def offered(registry: Registry) -> dict[str, Any]:
@@ -310,28 +270,6 @@ def offered(registry: Registry) -> dict[str, Any]:
     }
 
 
-def _taken(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
-    """What `offered` told of a distribution: its plugins with their entry points, and its problems.
-
-    Raises PluginFault where it told nothing, or something that it never tells: the distribution's code ran there, too.
-    """
-    if "value" not in answer:
-        raise PluginFault(str(answer.get("text", "it answered nonsense")))
-    try:
-        value, plugins = answer["value"], []
-        problems = [Problem(origin, **{name: str(problem[name]) for name in ("entry_point", "reason")},
-                            nameless=bool(problem["nameless"])) for problem in value["problems"]]  # fmt: skip
-        for values in value["plugins"]:
-            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-            missing = None if values["missing"] is None else str(values["missing"])
-            if values["kind"] not in KINDS or _wrong(values["kind"], spec) is not None:
-                raise ValueError(spec)
-            plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        raise PluginFault("it answered nonsense") from None
-    return plugins, problems
-
-
 def origins() -> list[str]:
     """All distributions that have entry points of codecbench, with their versions. Imports none."""
     return sorted({origin_of(point) for point in entry_points(group=hooks.GROUP)})
@@ -345,24 +283,16 @@ def origin_of(point: EntryPoint) -> str:
 def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
-    for point in entry_points(group=hooks.GROUP):
-        own = point.dist is not None and point.dist.name == _OURS
-        found.setdefault(_OURS if own else origin_of(point), []).append(point)
+    for point in _points(tuple(sys.path)):
+        own = point.dist is not None and point.dist.name == OURS
+        found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
 
 
-def _wrong(kind: Kind, spec: PluginSpec) -> str | None:
-    """What of a specification nobody could use, or None."""
-    if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
-        return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
-    if not (isinstance(spec.target, str) and _TARGET.fullmatch(spec.target)):
-        return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
-    for field in ("summary", "extra"):
-        if not isinstance(getattr(spec, field), str):
-            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it is text"
-    if not isinstance(spec.requires, list | tuple) or not all(isinstance(name, str) for name in spec.requires):
-        return f"{kind} {spec.name}: requires is {spec.requires!r}; it is a tuple of names of modules"
-    return None
+@functools.cache
+def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """All entry points on this path, looked for once: it means reading a file of every distribution."""
+    return tuple(entry_points(group=hooks.GROUP))
 
 
 def _hook_names(module: ModuleType) -> set[str]:
@@ -376,8 +306,4 @@ def _hook_names(module: ModuleType) -> set[str]:
 def _own_first(point: EntryPoint) -> tuple[bool, str, str]:
     """Codecbench's own plugins come first, so that nobody can take one of their names."""
     distribution = point.dist.name if point.dist else ""
-    return (distribution != "codecbench", distribution, point.name)
-
-
-def _words(kind: Kind) -> str:
-    return kind.replace("_", " ")
+    return (distribution != OURS, distribution, point.name)

@@ -1,6 +1,6 @@
-"""Questions to several companies at once: a host forks a child for each, so that none can harm another's answer.
+"""Questions to several companies at once: a child is forked for each, so that none can harm another's answer.
 
-The host has imported nothing of theirs and has one thread, so forking is safe, and it costs no second interpreter.
+Whoever forks has imported nothing of theirs and has one thread, so forking is safe; it costs no second interpreter.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ import json
 import os
 import select
 import signal
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,6 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from codecbench.core.engine.foreign_errors import ended
+from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, cache_variable
 
 _POLL_S: Final = 0.05
 _MOST_DESCRIPTORS: Final = 1024
@@ -43,11 +46,27 @@ class _Child:
 def answers_of_children(questions: dict[str, Callable[[], bytes]], limit_s: float) -> dict[str, dict[str, Any]]:
     """Each question's answer, a line of JSON, made in a child of its own; `error` and `text` where there is none.
 
-    All children run at once, for at most `limit_s`, and none is left.
+    All children run at once, for at most `limit_s`, in a folder of their own, and none is left.
     """
-    children = {name: _forked(question) for name, question in questions.items()}
-    deadline = time.monotonic() + limit_s
-    waiting = list(children.values())
+    with tempfile.TemporaryDirectory(prefix="codecbench-host-", ignore_cleanup_errors=True) as folder:
+        children = {name: _forked(question, folder) for name, question in questions.items()}
+        try:
+            _wait(list(children.values()), time.monotonic() + limit_s)
+        finally:
+            answers = {name: _ended(child, limit_s) for name, child in children.items()}
+    return answers
+
+
+def is_single_threaded() -> bool:
+    """Whether this process has one thread, those of libraries counted; False where the system does not tell."""
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:
+        return False
+
+
+def _wait(waiting: list[_Child], deadline: float) -> None:
+    """Read what children write until all have answered or ended, or it is too late."""
     while waiting and time.monotonic() < deadline:
         for child in waiting:
             child.reap()
@@ -57,23 +76,34 @@ def answers_of_children(questions: dict[str, Callable[[], bytes]], limit_s: floa
             child.content += part
             child.done = child.answered or (child.status is not None and not part)
         waiting = [child for child in waiting if not child.done]
-    return {name: _ended(child, limit_s) for name, child in children.items()}
 
 
-def _forked(question: Callable[[], bytes]) -> _Child:
+def _forked(question: Callable[[], bytes], folder: str) -> _Child:
     reading, writing = os.pipe()
     pid = os.fork()
     if pid:
         os.close(writing)
         return _Child(pid, reading)
     with suppress(BaseException):
-        os.setpgid(0, 0)
+        os.setsid()
         os.closerange(3, writing)
         os.closerange(writing + 1, _MOST_DESCRIPTORS)
+        _settle(folder)
         content = question()
         while content:
             content = content[os.write(writing, content) :]
     os._exit(0)
+
+
+def _settle(folder: str) -> None:
+    """Leave the folder and the terminal of whoever runs codecbench."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in range(3):
+        os.dup2(nothing, descriptor)
+    sys.path[:] = [os.path.abspath(path) for path in sys.path]
+    os.environ.update(cache_variable(), TMPDIR=folder, **{HOSTED_VARIABLE: "1"})
+    tempfile.tempdir = None
+    os.chdir(folder)
 
 
 def _ended(child: _Child, limit_s: float) -> dict[str, Any]:

@@ -118,6 +118,7 @@ def _result(
         outcome.artifacts,
         record.duration_s,
         partial(_drawing, evaluator if record.status == "ok" else None, outcome),
+        record.code,
     )
 
 

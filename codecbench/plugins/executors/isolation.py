@@ -26,7 +26,7 @@ from typing import Any, Final
 
 import psutil
 
-from codecbench.core.contracts.executor import Task
+from codecbench.core.contracts.executor import Task, retirement
 from codecbench.plugins.executors.process_state import ProcessState
 
 RETIRED: Final = 86
@@ -116,7 +116,7 @@ def perform(task: Task) -> Any:
         os.sched_setaffinity(0, cores)
         faulthandler.cancel_dump_traceback_later()
         _end_children()
-        _state.retiring = not state.restore()
+        _state.retiring = not state.restore() or retirement.asked
         if task.memory_mb is not None:
             _state.retiring |= private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
 

@@ -7,14 +7,12 @@ here, on the monotonic clock, and a worker that exceeds either is killed with al
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import queue
 import shutil
 import signal
 import sys
-import tempfile
 import threading
 import time
 import types
@@ -24,13 +22,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, Final
 
 import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
+from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 _POLL_S: Final = 0.1
 _START_S: Final = 180.0
@@ -40,8 +39,6 @@ _GRACE_S: Final = 0.5
 _LAUNCHES: Final = 3
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
-_ROOM_BYTES: Final = 1 << 16
-_FOLDER_PREFIX: Final = "codecbench-workers-"
 _PARKED: Final = 3
 """So many idle workers are kept for when a task of their company comes, beyond those that can be busy at once."""
 
@@ -95,10 +92,8 @@ class WorkerPool:
 
     def __init__(self, workers: int, prepare: Callable[[], None], folder: str | None = None) -> None:
         self._prepare, self._workers = prepare, workers
-        parent = folder or tempfile.gettempdir()
-        _sweep(parent)
-        self._folder, self._lock = _locked_folder(parent)
-        self._slots = [_Slot(_files(self._folder, n)) for n in range(workers)]
+        self._folder = WorkerFolder(folder)
+        self._slots = [_Slot(self._folder.files(n)) for n in range(workers)]
         self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
 
     @property
@@ -133,8 +128,7 @@ class WorkerPool:
         for slot in self._slots:
             slot.task = slot.future = None
             self._discard(slot)
-        shutil.rmtree(self._folder, ignore_errors=True)
-        self._lock.close()
+        self._folder.remove()
 
     def kill(self) -> None:
         """Kill what the workers are doing; each task that this hits ends as crashed. For use from another thread."""
@@ -148,7 +142,7 @@ class WorkerPool:
         known = next((slot for slot in free if slot.pool is not None and slot.company == company), None)
         slot = known or next((slot for slot in free if slot.pool is None), None)
         if slot is None and len(self._slots) < self._workers + _PARKED:
-            slot = _Slot(_files(self._folder, len(self._slots)))
+            slot = _Slot(self._folder.files(len(self._slots)))
             self._slots.append(slot)
         if slot is None:
             slot = min(free, key=lambda slot: slot.launched)
@@ -260,50 +254,6 @@ class WorkerPool:
         shutil.rmtree(slot.files.scratch, ignore_errors=True)
         # Joining can wait forever for the rest of a message from a worker that died while sending it.
         threading.Thread(target=pool.join, name="pool end", daemon=True).start()
-
-
-def _files(folder: Path, number: int) -> WorkerFiles:
-    return WorkerFiles(folder / f"{number}.json", folder / f"{number}.out", folder / f"{number}.tmp")
-
-
-def _locked_folder(parent: str) -> tuple[Path, TextIO]:
-    """A new folder for a pool's files, and the file whose lock says that the pool lives."""
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=_FOLDER_PREFIX, dir=parent))
-        with suppress(FileNotFoundError):  # another pool swept it before it was locked
-            lock = open(folder / "lock", "w", encoding="ascii")  # noqa: SIM115 - held as long as the pool
-            _require_room(lock)
-            if _locked(lock) and (folder / "lock").exists():
-                return folder, lock
-            lock.close()
-
-
-def _require_room(file: TextIO) -> None:
-    """Raise OSError on a full disk, where every worker would end before it began."""
-    try:
-        file.write("\0" * _ROOM_BYTES)
-        file.flush()
-        file.truncate(0)
-    except OSError as error:
-        file.close()
-        shutil.rmtree(Path(file.name).parent, ignore_errors=True)
-        error.filename = str(Path(file.name).parent.parent)
-        raise
-
-
-def _sweep(parent: str) -> None:
-    """Remove the folders of pools whose process was killed: nobody holds their locks."""
-    for path in Path(parent).glob(f"{_FOLDER_PREFIX}*/lock"):
-        with suppress(OSError), open(path, "r+", encoding="ascii") as lock:
-            if _locked(lock):
-                shutil.rmtree(path.parent, ignore_errors=True)
-
-
-def _locked(lock: TextIO) -> bool:
-    with suppress(BlockingIOError):
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False
 
 
 def _kill_tree(pid: int) -> None:

@@ -45,7 +45,6 @@ class Orb(SlamBackend[OrbParams]):
     name = "orb"
     version = "1"
     params_type = OrbParams
-    deterministic = True
     architectures = frozenset({"cta", "atc"})
     kernels = ("codecbench.slam",)
 

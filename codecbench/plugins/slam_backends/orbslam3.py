@@ -59,7 +59,6 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
     name = "orbslam3"
     version = "1"
     params_type = OrbSlam3Params
-    deterministic = False
     architectures = frozenset({"cta"})
 
     def __init__(self, params: OrbSlam3Params) -> None:

@@ -37,20 +37,6 @@ class Replacements(NamedTuple):
     visible: Any
 
 
-class Views(NamedTuple):
-    """The keyframes, one a row: `poses` (K, 4, 4) camera_from_world, `centers` (K, 3) in the world; by feature `pixels`
-    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4) and map `points` (K, F), -1 for none; `counts` (K,) of
-    features."""
-
-    poses: Any
-    centers: Any
-    pixels: Any
-    octaves: Any
-    descriptors: Any
-    points: Any
-    counts: Any
-
-
 @compiled
 def add_links(points: Any, keyframes: Any, features: Any, first_link: int, heads: Any, counts: Any, links: Any) -> None:
     """Record that keyframes[i] sees points[i] at features[i], in links first_link + i."""

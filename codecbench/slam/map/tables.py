@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.geometry.rotations import Array
-from codecbench.slam.map.kernels import Views
 
 Indices = NDArray[np.int64]
 NONE = -1
@@ -64,6 +63,20 @@ class PointTable:
         self.visible[added] = self.found[added] = 1
         self.born[added], self.references[added] = born, reference
         return added
+
+
+class Views(NamedTuple):
+    """The keyframes, one a row: `poses` (K, 4, 4) camera_from_world, `centers` (K, 3) in the world; by feature `pixels`
+    (K, F, 2), `octaves` (K, F), `descriptors` (K, F, 4) and map `points` (K, F), -1 for none; `counts` (K,) of
+    features."""
+
+    poses: Any
+    centers: Any
+    pixels: Any
+    octaves: Any
+    descriptors: Any
+    points: Any
+    counts: Any
 
 
 class KeyframeTable:

@@ -14,8 +14,10 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.matching import claim
-from codecbench.slam.geometry.two_view import fundamental_between, triangulate_pair
-from codecbench.slam.map.kernels import Views, median_depth
+from codecbench.slam.geometry.two_view import fundamental_between
+from codecbench.slam.geometry.two_view_points import triangulate_pair
+from codecbench.slam.map.kernels import median_depth
+from codecbench.slam.map.tables import Views
 from codecbench.slam.optimisation.bundle_kernels import reprojection
 
 

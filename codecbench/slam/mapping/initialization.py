@@ -16,6 +16,7 @@ from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
 from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
+from codecbench.slam.geometry.two_view_points import TwoViewPoints
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.decoded_keyframes import match_decoded, use_decoded
@@ -151,7 +152,7 @@ def _choose_motion(
     """
     results = []
     for motion in motions:
-        views = geometry.TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
+        views = TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
         agree = (views.depths_a > 0.0) & (views.depths_b > 0.0)
         agree &= (views.errors_a < thresholds.CHI2_95_2DOF) & (views.errors_b < thresholds.CHI2_95_2DOF)
         results.append((int(agree.sum()), motion, views, agree))

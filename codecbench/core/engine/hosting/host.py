@@ -89,7 +89,7 @@ class PluginHost:
             stderr=subprocess.DEVNULL,
             pass_fds=(taken, given),
             cwd=folder,
-            env={**os.environ, **_cache_folder(), "TMPDIR": folder, HOSTED_VARIABLE: "1"},
+            env={**os.environ, **cache_variable(), "TMPDIR": folder, HOSTED_VARIABLE: "1"},
             start_new_session=True,
         )
         os.close(taken)
@@ -166,8 +166,8 @@ class PluginHost:
                 raise PluginTimeout(f"no answer within {limit_s:g} s")
 
 
-def _cache_folder() -> dict[str, str]:
-    """Where compiled kernels are kept, said so that it means the same in another folder."""
+def cache_variable() -> dict[str, str]:
+    """The environment variable of where compiled kernels are kept, so that it means the same in another folder."""
     named = os.environ.get("CODECBENCH_CACHE")
     return {} if named is None else {"CODECBENCH_CACHE": os.path.abspath(os.path.expanduser(named))}
 

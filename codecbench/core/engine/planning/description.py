@@ -20,7 +20,7 @@ from codecbench.core.engine.identity import canonical_json, without_defaults
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.registry import Registry
 
-_CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend")
+_CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor")
 _MOST_REPEATS: Final = 100_000
 _LONGEST_NAME: Final = 100
 

@@ -74,14 +74,14 @@ class CodingJob:
     codec: PluginSetting
 
     @property
-    def company(self) -> tuple[str, ...]:
-        """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.strangers)
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec
 
     @property
-    def strangers(self) -> tuple[PluginSetting, ...]:
-        """The plugins of other distributions whose code runs."""
-        return _strangers(self.sequence.dataset, self.codec)
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(*self.plugins)
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,14 @@ class Cell:
     unsupported: str | None = None
 
     @property
-    def company(self) -> tuple[str, ...]:
-        """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.strangers)
+    def plugins(self) -> tuple[PluginSetting, ...]:
+        """Those whose code runs."""
+        return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
 
     @property
-    def strangers(self) -> tuple[PluginSetting, ...]:
-        """The plugins of other distributions whose code runs."""
-        return _strangers(self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses)
+    def company(self) -> tuple[str, ...]:
+        """The distributions, besides codecbench's, whose code runs."""
+        return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -164,7 +164,7 @@ class Plan:
             "matrix_text": self.matrix_text,
             "run": asdict(self.run),
             "sequences": [asdict(entry) for entry in self.sequences],
-            "settings": [asdict(setting) for setting in settings],
+            "settings": [_json_from_setting(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
             "declared": self.declared,
@@ -215,9 +215,10 @@ def _shown(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
 
 
-def _strangers(*settings: PluginSetting) -> tuple[PluginSetting, ...]:
-    return tuple(setting for setting in settings if setting.distribution)
+def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
+    """The fields of a setting, without the copies that `asdict` makes of each value: plans have 100,000 of them."""
+    return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}
 
 
-def _company(strangers: tuple[PluginSetting, ...]) -> tuple[str, ...]:
-    return tuple(sorted({setting.distribution for setting in strangers}))
+def _company(*settings: PluginSetting) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))

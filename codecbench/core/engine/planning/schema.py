@@ -8,7 +8,8 @@ from typing import Any
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.matrix import RunSection
-from codecbench.core.engine.registry import Plugin, Registry
+from codecbench.core.engine.plugin import Plugin
+from codecbench.core.engine.registry import Registry
 
 
 def plugin_schema(registry: Registry, name: str) -> dict[str, Any]:

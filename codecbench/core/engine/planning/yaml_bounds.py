@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
     AliasEvent,
     CollectionEndEvent,
@@ -16,6 +17,7 @@ from ruamel.yaml.events import (
     NodeEvent,
     ScalarEvent,
 )
+from ruamel.yaml.scanner import Scanner
 
 from codecbench.core.contracts.errors import MatrixError
 
@@ -23,6 +25,7 @@ MOST_CHARACTERS: Final = 1_000_000
 _MOST_VALUES: Final = 20_000
 """With those that an alias repeats: `*name` counts as much as what it stands for."""
 _DEEPEST: Final = 64
+_TOO_DEEP: Final = f"more than {_DEEPEST} levels deep"
 _MOST_DIGITS: Final = 1_000
 
 
@@ -36,6 +39,19 @@ class _Open:
     parts: int = 0
 
 
+class _TooDeep(MarkedYAMLError):
+    """Brackets in brackets; `problem_mark` is the first of them that is too many."""
+
+
+class _ShallowScanner(Scanner):
+    """Refuses brackets as it comes to them: it reads a thousand ahead before anybody sees the first."""
+
+    def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:
+        if len(self.flow_context) >= _DEEPEST:
+            raise _TooDeep(problem=_TOO_DEEP, problem_mark=self.reader.get_mark())
+        super().fetch_flow_collection_start(TokenClass, to_push)
+
+
 def require_bounded(text: str, source: str) -> None:
     """Raise MatrixError, with line and column, for a file that is too large, too deep, or more than plain data.
 
@@ -44,8 +60,12 @@ def require_bounded(text: str, source: str) -> None:
     """
     if len(text) > MOST_CHARACTERS:
         raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, which no matrix is")
-    for event, message in _problems(text):
-        mark = event.start_mark
+    try:
+        found = next(((event.start_mark, message) for event, message in _problems(text)), None)
+    except _TooDeep as error:
+        found = error.problem_mark, _TOO_DEEP
+    if found is not None:
+        mark, message = found
         raise MatrixError(f"{source}:{mark.line + 1}:{mark.column + 1}: {message}")
 
 
@@ -53,7 +73,9 @@ def _problems(text: str) -> Iterator[tuple[Any, str]]:
     """What is wrong, with the event at which it shows."""
     sizes: dict[str, int] = {}
     path = [_Open(None, False)]
-    for event in YAML(typ="safe", pure=True).parse(text):
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Scanner = _ShallowScanner
+    for event in yaml.parse(text):
         if isinstance(event, CollectionEndEvent):
             done = path.pop()
             path[-1].values += done.values
@@ -88,7 +110,7 @@ def _problem(event: Event, path: list[_Open]) -> str | None:
     if not isinstance(event, CollectionStartEvent):
         return None
     if len(path) > _DEEPEST:
-        return f"more than {_DEEPEST} levels deep"
+        return _TOO_DEEP
     if path[-1].is_mapping and path[-1].parts % 2 == 0:
         return "a list or mapping cannot be a key"
     return None

@@ -17,7 +17,8 @@ class Progress:
 
     Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate,
     None before there is anything to base one on. compiling: how many kernels are compiled ahead so far, in words,
-    empty when they all are. cell and record: what just ended, None for a coding job.
+    empty when they all are. notice: something that its user has to know. cell and record: what just ended, None for a
+    coding job.
     """
 
     cells_total: int
@@ -29,6 +30,7 @@ class Progress:
     elapsed_s: float
     remaining_s: float | None
     compiling: str = ""
+    notice: str = ""
     cell: Cell | None = None
     record: Record | None = None
 
@@ -57,6 +59,10 @@ class Pace:
         if duration_s is not None:
             seconds, counted = self._spent[kind]
             self._spent[kind] = seconds + duration_s, counted + frames
+
+    def again(self, work: Work) -> None:
+        """A job or cell that has ended is to be done once more."""
+        self._left[_kind(work)] += work.sequence.frames
 
     def remaining_s(self) -> float | None:
         """Seconds to the end; kinds of work that have not been seen yet are taken to cost the mean."""

@@ -1,8 +1,9 @@
 """Where a run starts: which cells of a plan an earlier run in the same folder has computed, and why others not.
 
 A record with status `ok` is kept for ever: as long as it is whole, as long as its plugins' parameters would be the
-same today, and until it is asked for again by name. Cells that failed, crashed, timed out or were unsupported are
-tried again, because a run is repeated after mending what was wrong.
+same today, and until it is asked for again by name. Where its plugins' code has changed it is kept and the run says so.
+Cells that failed, crashed, timed out or were unsupported are tried again, because a run is repeated after mending what
+was wrong.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from codecbench.core.contracts.executor import Status
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
 from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.running.code_changes import code_notices
 from codecbench.core.engine.storage.record import cell_description, settings_digest
 from codecbench.core.engine.storage.record_index import IndexEntry
 from codecbench.core.engine.storage.store import Store
@@ -33,13 +35,15 @@ class Resumption:
     """What an earlier run left of a plan, by cell id.
 
     kept: the status of cells that are not computed again. damaged: why records that are not whole are. outdated: why
-    whole ones are, though they once were `ok`. retried: how many that never were `ok` are.
+    whole ones are, though they once were `ok`. retried: how many that never were `ok` are. notices: what to say of
+    cells that are kept though code has changed.
     """
 
     kept: dict[str, Status]
     damaged: dict[str, str]
     outdated: dict[str, str]
     retried: int
+    notices: tuple[str, ...] = ()
 
 
 def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str] = ()) -> Resumption:
@@ -61,7 +65,9 @@ def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str
         if job.id in asked and store.coded_path(job.id).exists():
             store.drop_coded(job.id, asked[job.id])
     kept = kept_cells(plan, {id_: entry for id_, entry in sound.items() if id_ not in outdated})
-    return Resumption(kept, damaged, outdated, len(sound) - len(outdated) - len(kept))
+    with_result = {id_: sound[id_] for id_, status in kept.items() if status == "ok"}
+    notices = code_notices(plan, with_result, store, registry)
+    return Resumption(kept, damaged, outdated, len(sound) - len(outdated) - len(kept), tuple(notices))
 
 
 def kept_cells(plan: Plan, entries: Mapping[str, IndexEntry]) -> dict[str, Status]:

@@ -13,15 +13,19 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status, Task
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
+from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
+from codecbench.core.engine.running.distrust import beside_notice, made_beside
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.interruption import Interruption
+from codecbench.core.engine.running.mending import mend_environments
 from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
-from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker, tell_environment
+from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
@@ -39,7 +43,7 @@ class RunSummary:
 
     statuses: how many cells of the plan have which status now. computed: cells computed by this run. kept:
     cells that an earlier run had computed. encoded: coding jobs done. interrupted: the signal that ended the
-    run early, or None. damaged: what was found damaged and why, by cell.
+    run early, or None. damaged: what was found damaged and why, by cell. notices: what was said of kept cells.
     """
 
     folder: Path
@@ -49,6 +53,7 @@ class RunSummary:
     encoded: int
     interrupted: str | None = None
     damaged: dict[str, str] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
 
 def run_plan(
@@ -118,15 +123,19 @@ class _Run:
         self.not_ok = sum(status != "ok" for status in self.kept.values())
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
+        self.redone: set[str] = set()
         message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
         log.info(message, len(plan.cells), len(self.kept), len(todo), len(jobs))
 
     def perform(self, interruption: Interruption) -> None:
+        for notice in self.resumption.notices:
+            log.warning("%s", notice)
+            self._tell(notice=notice)
         for cell in self.plan.cells:
             if cell.unsupported is not None and cell.id not in self.kept:
                 self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
         if not len(self.schedule):
-            self._mend_environments()
+            mend_environments(self.store, self.executor, self.plan.run.timeout_s)
             return
         if self.executor.shares_files:  # elsewhere each machine has a cache of its own, and any worker may be on any
             self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
@@ -142,23 +151,6 @@ class _Run:
         if interruption.requested:
             log.warning("ended by %s; %d jobs and cells were left", interruption.signal_name, len(self.schedule))
 
-    def _mend_environments(self) -> None:
-        """Have a worker tell its environment again, where a file is damaged that no cell's worker will write."""
-        damaged = self.store.environments.damaged()
-        if not damaged:
-            return
-        self.executor.start(1, prepare_worker)
-        self.executor.submit(Task("environment", tell_environment, None, self.plan.run.timeout_s))
-        while (finished := self.executor.next_finished(_POLL_S)) is None or finished.task_id != "environment":
-            pass
-        if finished.value is not None:
-            name, description = finished.value
-            self.store.environments.write(name, description)
-        for name, reason in damaged.items():
-            mended = finished.value is not None and finished.value[0] == name
-            outcome = "it was written again" if mended else "no worker of this run can tell it again"
-            log.warning("environment/%s.json is damaged (%s); %s", name, reason, outcome)
-
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
         if self.damaged or self.resumption.outdated or self.resumption.retried:
@@ -166,7 +158,8 @@ class _Run:
         counts: dict[str, int] = dict(Counter(self.statuses.values()))
         log.info("%s", ", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing recorded")
         kept = len(self.kept)
-        return RunSummary(self.store.folder, counts, computed, kept, self.jobs_done, interrupted, self.damaged)
+        jobs, notices = self.jobs_done, self.resumption.notices
+        return RunSummary(self.store.folder, counts, computed, kept, jobs, interrupted, self.damaged, notices)
 
     def _hand_out(self) -> None:
         """Keep every worker busy and one task in reserve for each, so that none waits for this process."""
@@ -195,6 +188,8 @@ class _Run:
             self._tell()
             return
         work = self.under_way.pop(finished.task_id)
+        if isinstance(finished.value, Record) and not finished.value.worker["checked"]:
+            self._distrust(finished.value.worker, work.company)
         outcome: Record | BitstreamDamage = finished.value or Record(
             work.id, finished.status, clean_line(_blamed(work, finished.reason)), clean_text(finished.traceback)
         )
@@ -205,7 +200,7 @@ class _Run:
             self._encode_again(work, str(outcome))
         else:
             record = Record(work.id, "failed", str(outcome)) if isinstance(outcome, BitstreamDamage) else outcome
-            self._record(work, record)
+            self._record(work, self._with_encoder(work, record))
             self.schedule.ended(work)
 
     def _coded(self, job: CodingJob, record: Record) -> None:
@@ -214,9 +209,12 @@ class _Run:
         if record.status == "ok":
             if BITSTREAMS in record.contents:
                 self.store.write_coded(job.id, record.contents[BITSTREAMS])
+            self.store.note_encoder(job.id, record.code.get(code_label("codec", job.codec.name), ""))
             self.schedule.ended(job)
             self._tell()
             return
+        if self.store.coded_path(job.id).exists():  # written before its worker was found changed
+            self.store.drop_coded(job.id, record.reason)
         for cell in self.schedule.failed(job):
             self._record(cell, Record(cell.id, record.status, f"coding failed: {record.reason}", record.traceback))
 
@@ -226,8 +224,25 @@ class _Run:
         self.recoded[cell.id] += 1
         self.store.drop_coded(cell.job_id, damage)
         self.damaged[cell.id] = damage
-        self.jobs_total += 1
-        self.schedule.encode_again(cell)
+        self.jobs_total += self.schedule.encode_again(cell)
+
+    def _distrust(self, worker: dict[str, Any], company: tuple[str, ...]) -> None:
+        """A worker was found changed by the code that it ran: compute again what was made beside that code."""
+        done = [cell for cell in self.plan.cells if self.statuses.get(cell.id) == "ok" and cell.id not in self.redone]
+        again = list(made_beside(company, worker, done, self.store))
+        for cell, encode in again:
+            self.redone.add(cell.id)
+            self.store.drop_record(cell.id)
+            self.kept.pop(cell.id, None)
+            del self.statuses[cell.id]
+            self.pace.again(cell)
+            if self.schedule.compute_again(cell, encode):
+                self.jobs_total += 1
+                self.pace.again(self.schedule.jobs[cell.job_id or ""])
+        if again:
+            notice = beside_notice(len(again), company)
+            log.warning("%s", notice)
+            self._tell(notice=notice)
 
     def _record(self, cell: Cell, record: Record) -> None:
         """Keep what became of a cell; a record that no worker made still says which cell it is of."""
@@ -242,7 +257,12 @@ class _Run:
             log.warning("%s | repeat %d: %s: %s [%s]", where, cell.repeat, record.status, record.reason, cell.id)
         self._tell(cell, record)
 
-    def _tell(self, cell: Cell | None = None, record: Record | None = None) -> None:
+    def _with_encoder(self, cell: Cell, record: Record) -> Record:
+        """The record with the code that encoded the bitstreams which the cell read, where it is known."""
+        encoder = self.store.encoders.read(cell.job_id) if cell.job_id is not None else ""
+        return replace(record, code=record.code | {BITSTREAMS_LABEL: encoder}) if encoder and record.code else record
+
+    def _tell(self, cell: Cell | None = None, record: Record | None = None, notice: str = "") -> None:
         self.listener(
             Progress(
                 cells_total=len(self.plan.cells),
@@ -252,6 +272,7 @@ class _Run:
                 jobs_done=self.jobs_done,
                 not_ok=self.not_ok,
                 compiling=self.warm_up.progress,
+                notice=notice,
                 elapsed_s=self.pace.elapsed_s,
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,
@@ -262,7 +283,6 @@ class _Run:
 
 def _blamed(work: Work, reason: str) -> str:
     """Why a worker did not live to tell, with the plugins of other distributions whose code ran there."""
-    if not work.strangers:
-        return reason
+    strangers = [plugin.full_name for plugin in work.plugins if plugin.distribution]
     doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
-    return f"{' or '.join(plugin.full_name for plugin in work.strangers)} while {doing}: {reason}"
+    return f"{' or '.join(strangers)} while {doing}: {reason}" if strangers else reason

@@ -33,6 +33,7 @@ class Schedule:
         self.jobs = {job.id: job for job in plan.jobs}
         self.cells = {cell.id: cell for cell in todo}
         self._coded = set(coded)
+        self._uncoded: set[str] = set()
         self._waiting: dict[str, list[Cell]] = defaultdict(list)
         self._ready: list[_Ready] = []
         self._alone: list[_Ready] = []
@@ -46,11 +47,11 @@ class Schedule:
             self._evaluators.setdefault(cell.evaluator, len(self._evaluators))
             self._companies.setdefault(cell.company, len(self._companies))
         self.needed_jobs = {cell.job_id for cell in todo if cell.job_id is not None} - self._coded
+        self._left = len(todo)
         for job_id in self.needed_jobs:
-            self._push(self.jobs[job_id])
+            self._encode(job_id)
         for cell in todo:
             self._place(cell)
-        self._left = len(self.needed_jobs) + len(todo)
 
     def __len__(self) -> int:
         """How many cells and jobs have not ended."""
@@ -73,25 +74,42 @@ class Schedule:
         self._left -= 1
         if isinstance(work, CodingJob):
             self._coded.add(work.id)
+            self._uncoded.discard(work.id)
             for cell in self._waiting.pop(work.id, []):
                 self._push(cell)
 
     def failed(self, job: CodingJob) -> list[Cell]:
         """A job ended badly: the cells that can now not be computed, which are out of the schedule."""
         self._out.discard(job.id)
+        self._uncoded.discard(job.id)
         cells = self._waiting.pop(job.id, [])
         self._left -= 1 + len(cells)
         return cells
 
-    def encode_again(self, cell: Cell) -> None:
-        """A cell that was taken found its bitstreams damaged: it waits until they are made again."""
+    def encode_again(self, cell: Cell) -> bool:
+        """A cell that was taken waits until its bitstreams are made again; whether that was not due already."""
         assert cell.job_id is not None
         self._out.discard(cell.id)
-        if cell.job_id in self._coded:
-            self._coded.discard(cell.job_id)
-            self._push(self.jobs[cell.job_id])
-            self._left += 1
         self._waiting[cell.job_id].append(cell)
+        return self._encode(cell.job_id)
+
+    def compute_again(self, cell: Cell, encode: bool) -> bool:
+        """A cell that has ended is to be computed once more; whether its bitstreams are, too, and were not due."""
+        self.cells[cell.id] = cell
+        self._left += 1
+        if encode and cell.job_id is not None:
+            return self.encode_again(cell)
+        self._push(cell)
+        return False
+
+    def _encode(self, job_id: str) -> bool:
+        if job_id in self._uncoded:
+            return False
+        self._coded.discard(job_id)
+        self._uncoded.add(job_id)
+        self._push(self.jobs[job_id])
+        self._left += 1
+        return True
 
     def _place(self, cell: Cell) -> None:
         if cell.job_id is None or cell.job_id in self._coded:

@@ -28,13 +28,14 @@ from codecbench.core.contracts.evaluator import (
     Measurement,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.executor import Status
+from codecbench.core.contracts.executor import Status, retirement
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.foreign_errors import told
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
 from codecbench.core.engine.running.schedule import Work
+from codecbench.core.engine.running.sentinel import Tampering
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
@@ -83,10 +84,12 @@ def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
 def perform(order: Order) -> Record | BitstreamDamage:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
     begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, position = order.work, _workbench(), WorkPosition(titles=_titles(order.work))
+    work, bench, position, checked = order.work, _workbench(), WorkPosition(titles=_titles(order.work)), True
+    code: dict[str, str] = {}
     _start_afresh(work.id)
     try:
         bench.join(work.company)
+        code = bench.code(work.plugins)
         record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
         position.at("check")
         bench.check(work.company)
@@ -95,13 +98,16 @@ def perform(order: Order) -> Record | BitstreamDamage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
         record = _failure(work, error, position)
+        checked = not isinstance(error, Tampering) and bench.is_sound(work.company)
+        retirement.asked = not checked
     return replace(
         record,
         environment=bench.environment,
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company)},
+        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company), "checked": checked},
+        code=code,
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
 

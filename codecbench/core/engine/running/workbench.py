@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -14,9 +15,10 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.engine.environment import describe_environment, environment_id
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
+from codecbench.core.engine.plugin_code import code_label, code_of
 from codecbench.core.engine.registry import Registry, registry_of
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
-from codecbench.core.engine.running.sentinel import Sentinel
+from codecbench.core.engine.running.sentinel import Sentinel, Tampering
 
 _OPEN_SEQUENCES: Final = 4
 
@@ -32,6 +34,7 @@ class Workbench:
         self._sentinel: Sentinel | None = None
         self._cache = FrameCache()
         self._sequences: dict[str, Sequence] = {}
+        self._code: dict[str, str] = {}
 
     def join(self, company: tuple[str, ...]) -> None:
         """Import what these distributions offer; an executor gives a worker the tasks of one company only."""
@@ -40,11 +43,30 @@ class Workbench:
         if company and self._sentinel is None:
             self._sentinel = Sentinel(self.registry)
         self.registry, self._company = registry_of(company), company
+        self._code.clear()
 
     def check(self, company: tuple[str, ...]) -> None:
         """Raise Tampering where the company's code changed what this process computes with."""
         if company and self._sentinel is not None:
             self._sentinel.check(company)
+
+    def is_sound(self, company: tuple[str, ...]) -> bool:
+        """Whether `check` finds nothing."""
+        try:
+            self.check(company)
+        except Tampering:
+            return False
+        return True
+
+    def code(self, settings: Iterable[PluginSetting]) -> dict[str, str]:
+        """The code of these plugins by label, as it was before this process first imported any of it."""
+        found = {}
+        for setting in settings:
+            label = code_label(setting.kind, setting.name)
+            if label not in self._code:
+                self._code[label] = code_of(self.registry.find(setting.kind, setting.name))
+            found[label] = self._code[label]
+        return {label: told for label, told in found.items() if told}
 
     def create(self, setting: PluginSetting) -> Any:
         """The plugin of a setting. Raises PluginError where another version of it is installed here."""

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.executor import Status
-from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.foreign_text import clean_line, clean_text, clean_value
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.storage.samples import (
@@ -41,7 +41,9 @@ class Record:
     measurements: those that belong to no frame; the others are in the Parquet file, aggregated in
     `summaries`. metrics: names of all that its evaluator declared. files: size and digest of each file beside the
     record. environment: id of the description of where it was computed, None if its worker did not live to tell.
-    libraries: the codec's foreign libraries. started_utc: ISO 8601. worker: host and process. cell: what entered
+    libraries: the codec's foreign libraries. code: distribution and fingerprint of each plugin that ran, see
+    `plugin_code`, and of the codec that wrote the bitstreams. started_utc: ISO 8601. worker: host and process, and the
+    distributions of others whose code ran there. cell: what entered
     its identity, in readable form.
 
     Only on the way from a worker to the run folder: contents, the files beside the record by name; and
@@ -58,6 +60,7 @@ class Record:
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     environment: str | None = None
     libraries: dict[str, str] = field(default_factory=dict)
+    code: dict[str, str] = field(default_factory=dict)
     started_utc: str = ""
     duration_s: float = 0.0
     worker: dict[str, Any] = field(default_factory=dict)
@@ -106,6 +109,7 @@ class _Body(_Document):
     files: dict[FileName, _File]
     environment: str | None
     libraries: dict[str, Any]
+    code: dict[str, str] = {}
     started_utc: str
     duration_s: float
     worker: dict[str, Any]
@@ -172,5 +176,6 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
         (clean_line(metric), clean_line(stage), clean_line(how)): value_from_json(value)
         for metric, stage, how, value in body["summaries"]
     }
+    known["code"] = clean_value(body.get("code", {}))
     known["reason"], known["traceback"] = clean_line(body["reason"]), clean_text(body["traceback"])
     return Record(**known)

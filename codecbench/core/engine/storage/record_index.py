@@ -18,12 +18,13 @@ from pydantic import Strict, TypeAdapter
 
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import content_digest, json_from_bytes
+from codecbench.core.engine.plugin_code import code_digest
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.plain_file import read_plain
 from codecbench.core.engine.storage.record import RECORD_FILE, FileName, Record, settings_digest
 
 _SEPARATOR: Final = " "
-_LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str], Strict(False)])
+_LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str, str], Strict(False)])
 """Fields of a line; where one is otherwise, as earlier versions wrote it, the record is read instead."""
 
 
@@ -32,6 +33,7 @@ class IndexEntry:
     """What is known of a record without opening it.
 
     digests: of `record.json` and each file beside it. settings: digest of the parameters of all its plugins.
+    code: digest of the fingerprints of their code, empty where the record does not tell them.
     """
 
     cell_id: str
@@ -40,6 +42,7 @@ class IndexEntry:
     duration_s: float
     digests: dict[str, str]
     settings: str
+    code: str
 
 
 def entry_from_record(record: Record, content: bytes) -> IndexEntry:
@@ -47,7 +50,8 @@ def entry_from_record(record: Record, content: bytes) -> IndexEntry:
     digests = {RECORD_FILE: content_digest(content)}
     digests |= {name: facts["digest"] for name, facts in record.files.items()}
     settings = settings_digest(record.cell)
-    return IndexEntry(record.cell_id, record.status, record.reason, record.duration_s, digests, settings)
+    code = code_digest(record.code)
+    return IndexEntry(record.cell_id, record.status, record.reason, record.duration_s, digests, settings, code)
 
 
 class RecordIndex:
@@ -86,7 +90,8 @@ class RecordIndex:
 
 
 def _line_from_entry(entry: IndexEntry) -> bytes:
-    fields = [entry.cell_id, entry.status, entry.reason, round(entry.duration_s, 6), entry.digests, entry.settings]
+    head = [entry.cell_id, entry.status, entry.reason, round(entry.duration_s, 6)]
+    fields = [*head, entry.digests, entry.settings, entry.code]
     text = json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
     return f"{zlib.crc32(text):08x}{_SEPARATOR}".encode() + text
 

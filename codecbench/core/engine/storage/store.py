@@ -19,17 +19,18 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Final, TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.foreign_text import clean_line, clean_text
-from codecbench.core.engine.identity import canonical_json, content_digest, digest, json_from_bytes
-from codecbench.core.engine.planning.model import Plan, plan_from_json
+from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.identity import content_digest
+from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.storage.atomic import remove_folder, sweep, write_file, write_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.encoder_notes import EncoderNotes
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
-from codecbench.core.engine.storage.origin import is_from_here, origin_here
 from codecbench.core.engine.storage.plain_file import open_plain, read_plain, refuse_links
+from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
     SAMPLES_FILE,
@@ -58,6 +59,7 @@ class Store:
         self.coded_folder = folder / "coded"
         self.log_path = folder / "run.log"
         self._index = RecordIndex(self.records_folder / "index.jsonl")
+        self.encoders = EncoderNotes(self.coded_folder)
         self.environments = EnvironmentFiles(folder / "environment")
 
     @contextmanager
@@ -95,55 +97,16 @@ class Store:
 
     def write_plan(self, plan: Plan) -> None:
         """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""
-        body = plan.as_json()
-        content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
         with self._writing():
-            write_file(self.folder / "matrix.yaml", plan.matrix_text.encode())
-            write_file(self.folder / "plan.json", canonical_json({"checksum": digest(content), **content}))
+            PlanFile(self.folder).write(plan)
 
     def read_plan(self) -> Plan:
         """The plan of the last run in this folder.
 
         Raises StoreError where it is missing or damaged, or the folder has links that lead out of it.
         """
-        path = self.folder / "plan.json"
         refuse_links(self.folder, _DEPTH)
-        try:
-            plan = plan_from_json(self._plan_document()["plan"])
-        except FileNotFoundError:
-            raise StoreError(f"{self.folder} is not a run folder: it has no plan.json") from None
-        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
-            reason = clean_line(str(error))
-            message = f"{path} is damaged ({reason}); run the matrix again, which computes only what is missing"
-            raise StoreError(message) from error
-        self._compare_matrix(plan)
-        return plan
-
-    def origin_elsewhere(self) -> str | None:
-        """Where the plan was made, for people, or None where it was here. Raises like `read_plan`."""
-        document = self._plan_document()
-        origin = document.get("origin")
-        if not isinstance(origin, dict):
-            return "a place that it does not name"
-        if is_from_here(digest(document["plan"]), origin):
-            return None
-        return clean_line(f"{origin.get('path')} on {origin.get('host')} by {origin.get('user')}")
-
-    def _plan_document(self) -> dict[str, Any]:
-        """The content of plan.json. Raises ValueError, KeyError or TypeError where its checksum is wrong."""
-        document: dict[str, Any] = json_from_bytes(read_plain(self.folder / "plan.json"))
-        content = {"plan": document["plan"], "origin": document["origin"]} if "origin" in document else document["plan"]
-        if digest(content) != document["checksum"]:
-            raise ValueError("its checksum does not match its content")
-        return document
-
-    def _compare_matrix(self, plan: Plan) -> None:
-        """Say so where the copy of the matrix is not what the plan was made of."""
-        with suppress(OSError):
-            if clean_text(read_plain(self.folder / "matrix.yaml").decode(errors="replace")) == plan.matrix_text:
-                return
-        path = self.folder / "matrix.yaml"
-        log.warning("%s is damaged or missing: it is not what the plan was made of; the next run writes it again", path)
+        return PlanFile(self.folder).read()
 
     def coded_path(self, job_id: str) -> Path:
         return self.coded_folder / f"{job_id}.bits"
@@ -166,6 +129,11 @@ class Store:
         """Keep a file of bitstreams that came from a worker which does not see this folder."""
         with self._writing():
             write_file(self.coded_path(job_id), content)
+
+    def note_encoder(self, job_id: str, code: str) -> None:
+        """Keep with which code of its codec a job's bitstreams were encoded."""
+        with self._writing():
+            self.encoders.write(job_id, code)
 
     def drop_coded(self, job_id: str, reason: str) -> None:
         """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""

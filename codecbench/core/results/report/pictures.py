@@ -22,6 +22,7 @@ from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.coding import checked_decoding
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.report.frame_views import FrameView, frame_view
 from codecbench.core.results.run_result import RunResult
@@ -109,7 +110,7 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
     try:
         if sequences_from not in (None, SAME_PLACE):
             return {name: _relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
-        elsewhere = Store(run.folder).origin_elsewhere() if sequences_from is None else None
+        elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
             message = f"the run was made in {elsewhere}, and what its plan names is not opened unasked"
             raise DatasetError(f"{message}; say --sequences-from FOLDER, or --sequences-from same")

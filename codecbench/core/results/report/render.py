@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import version
 from importlib.resources import files
@@ -59,6 +60,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         verdicts=tables,
         anchor=anchor,
         failures=_failures(run),
+        codes=_codes(run),
         environment=json.dumps(run.environments, indent=1, sort_keys=True),
         matrix=run.plan.matrix_text,
         folder=run.folder.name,
@@ -103,6 +105,14 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     several = f"{len(machines)} machines: do not compare times"
     note = "times hold for this machine alone" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
+
+
+def _codes(run: RunResult) -> list[list[str]]:
+    """A row for each plugin and code of it that made cells: plugin, distribution, fingerprint, how many cells."""
+    found = Counter(item for result in run.results if result.status == "ok" for item in result.code.items())
+    rows = [[label, *told.rpartition(" ")[::2], str(count)] for (label, told), count in sorted(found.items())]
+    several = {label for label, count in Counter(row[0] for row in rows).items() if count > 1}
+    return [[*row, "other code made the rest: do not compare them" if row[0] in several else ""] for row in rows]
 
 
 def _counted(count: int, noun: str) -> str:

@@ -37,79 +37,30 @@ filled up with zero bytes by the encoder and refused without them by the decoder
 
 from __future__ import annotations
 
-import math
 import struct
 import zlib
 from dataclasses import dataclass, field
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.image import MAX_PIXELS
-from codecbench.plugins.codecs.dct.planes import Color, plane_shapes
-from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE, PAPER, Table
-
-MAGIC = b"CBML"
-VERSION = 1
-STATIC_PROFILE = 0
-CONTEXT_PROFILE = 1
-"""Reserved: adaptive contexts in place of tables. No decoder for it yet."""
-
-MAX_LEVELS = 16
-MIN_GROUP, MAX_GROUP = 2, 16
-MIN_QF, MAX_QF = 1e-3, 1e6
-MAX_SAMPLES = MAX_PIXELS
-"""Samples of all planes with their padding."""
-MAX_SYMBOLS = 1 << 22
-"""Digits of an alphabet, and entries of a table."""
+from codecbench.plugins.codecs.multilevel.header import (
+    HEADER_SIZE,
+    MAGIC,
+    MAX_SYMBOLS,
+    VERSION,
+    Header,
+    Reader,
+    pack_header,
+    unpack_header,
+)
 
 FREE_ITEMS = 1 << 20
 ITEMS_PER_BYTE = 1 << 10
 
-COLORS: tuple[Color, ...] = get_args(Color)
-TABLES: dict[str, tuple[int, Table]] = {"paper": (0, PAPER), "standard": (1, LUMINANCE), "flat": (2, FLAT)}
-_CUSTOM_TABLE = 255
-
-_SEARCH, _COEFFICIENT, _THREE_CHANNELS = 1, 2, 4
-_HEADER = struct.Struct("<4sBBBBBBBxIIdiI")
-_CUSTOM = struct.Struct("<64H")
 _LEVEL = struct.Struct("<II")
 _WORD = struct.Struct("<I")
-
-
-@dataclass(frozen=True)
-class Header:
-    """What stands before the tables. table: (8, 8) int32. offset, radix: indices are offset..offset+radix-1."""
-
-    width: int
-    height: int
-    channels: int
-    color: Color
-    qf: float
-    table: Table = field(repr=False)
-    levels: int
-    group: int
-    search: bool
-    coefficient_scan: bool
-    offset: int
-    radix: int
-
-    @property
-    def plane_shapes(self) -> list[tuple[int, int]]:
-        """(height, width) of every plane."""
-        return plane_shapes(self.height, self.width, self.color)
-
-    @property
-    def padded_shapes(self) -> list[tuple[int, int]]:
-        """The same with the padding to multiples of 8."""
-        return [((height + 7) // 8 * 8, (width + 7) // 8 * 8) for height, width in self.plane_shapes]
-
-    @property
-    def samples(self) -> int:
-        """Samples of all planes with their padding."""
-        return sum(height * width for height, width in self.padded_shapes)
 
 
 @dataclass(frozen=True)
@@ -166,48 +117,12 @@ def filled_up(section: bytes, items: int) -> bytes:
 
 def pack(parts: Bitstream) -> bytes:
     """The bytes of a bitstream."""
-    chunks = [_pack_header(parts.header)]
+    chunks = [pack_header(parts.header)]
     for level in parts.levels:
         chunks += [_LEVEL.pack(level.entries, len(level.table)), level.keys.astype("<i8").tobytes(), level.table]
     chunks += [_WORD.pack(len(parts.payload)), parts.payload]
     body = b"".join(chunks)
     return body + _WORD.pack(zlib.crc32(body))
-
-
-def _pack_header(header: Header) -> bytes:
-    number = next((number for number, table in TABLES.values() if np.array_equal(table, header.table)), _CUSTOM_TABLE)
-    flags = _SEARCH * header.search + _COEFFICIENT * header.coefficient_scan + _THREE_CHANNELS * (header.channels == 3)
-    fixed = _HEADER.pack(
-        MAGIC,
-        VERSION,
-        STATIC_PROFILE,
-        flags,
-        COLORS.index(header.color),
-        number,
-        header.levels,
-        header.group,
-        header.width,
-        header.height,
-        header.qf,
-        header.offset,
-        header.radix,
-    )
-    return fixed + (_CUSTOM.pack(*header.table.reshape(64).tolist()) if number == _CUSTOM_TABLE else b"")
-
-
-class _Reader:
-    """Takes pieces off a bitstream; never beyond its checksum."""
-
-    def __init__(self, bitstream: bytes) -> None:
-        self.data = bitstream
-        self.position = 0
-        self.end = len(bitstream) - _WORD.size
-
-    def take(self, size: int, what: str) -> bytes:
-        if size > self.end - self.position:
-            raise BitstreamError(f"truncated: {what} of {size} bytes at byte {self.position} of {len(self.data)}")
-        self.position += size
-        return self.data[self.position - size : self.position]
 
 
 def unpack(bitstream: bytes) -> Bitstream:
@@ -220,15 +135,15 @@ def unpack(bitstream: bytes) -> Bitstream:
         raise BitstreamError(
             f"not a multi-level bitstream: starts with {data[:4].hex() or 'nothing'}, not {MAGIC.hex()}"
         )
-    if len(data) < _HEADER.size + _WORD.size:
-        raise BitstreamError(f"truncated: {len(data)} bytes, a header has {_HEADER.size}")
+    if len(data) < HEADER_SIZE + _WORD.size:
+        raise BitstreamError(f"truncated: {len(data)} bytes, a header has {HEADER_SIZE}")
     if data[4] != VERSION:
         raise BitstreamError(f"version {data[4]} is not supported, only {VERSION}")
     (expected,) = _WORD.unpack(data[-_WORD.size :])
     if (found := zlib.crc32(data[: -_WORD.size])) != expected:
         raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
-    reader = _Reader(data)
-    header = _unpack_header(reader)
+    reader = Reader(data)
+    header = unpack_header(reader)
     levels = _unpack_levels(reader, header)
     (size,) = _WORD.unpack(reader.take(_WORD.size, "payload size"))
     payload = reader.take(size, "payload")
@@ -239,57 +154,7 @@ def unpack(bitstream: bytes) -> Bitstream:
     return Bitstream(header, levels, payload)
 
 
-def _unpack_header(reader: _Reader) -> Header:
-    fields = _HEADER.unpack(reader.take(_HEADER.size, "header"))
-    _, _, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
-    for what, value, valid in (
-        ("profile", profile, profile == STATIC_PROFILE),
-        ("flags", flags, flags < 8),
-        ("colour", color, color < len(COLORS)),
-        ("table", number, number == _CUSTOM_TABLE or number < len(TABLES)),
-        ("levels", levels, 1 <= levels <= MAX_LEVELS),
-        ("group", group, MIN_GROUP <= group <= MAX_GROUP),
-        ("reserved byte", reader.data[11], reader.data[11] == 0),
-        ("width", width, width >= 1),
-        ("height", height, height >= 1),
-        ("qf", qf, math.isfinite(qf) and MIN_QF <= qf <= MAX_QF),
-        ("number of digits", radix, 1 <= radix <= MAX_SYMBOLS),
-        ("offset", offset, -radix < offset <= 0),
-    ):
-        if not valid:
-            raise BitstreamError(f"header: {what} {value} is not allowed")
-    channels = 3 if flags & _THREE_CHANNELS else 1
-    if channels == 1 and COLORS[color] != "gray":
-        raise BitstreamError(f"header: one channel with colour {COLORS[color]}")
-    header = Header(
-        width=width,
-        height=height,
-        channels=channels,
-        color=COLORS[color],
-        qf=qf,
-        table=_unpack_table(reader, number),
-        levels=levels,
-        group=group,
-        search=bool(flags & _SEARCH),
-        coefficient_scan=bool(flags & _COEFFICIENT),
-        offset=offset,
-        radix=radix,
-    )
-    if header.samples > MAX_SAMPLES:
-        raise BitstreamError(f"header: {width}x{height} pixels are more than the {MAX_SAMPLES} samples allowed")
-    return header
-
-
-def _unpack_table(reader: _Reader, number: int) -> Table:
-    if number != _CUSTOM_TABLE:
-        return next(table for known, table in TABLES.values() if known == number)
-    steps = np.array(_CUSTOM.unpack(reader.take(_CUSTOM.size, "custom table")), dtype=np.int32)
-    if steps.min() < 1:
-        raise BitstreamError("custom table: a step of 0")
-    return steps.reshape(8, 8)
-
-
-def _unpack_levels(reader: _Reader, header: Header) -> list[Level]:
+def _unpack_levels(reader: Reader, header: Header) -> list[Level]:
     levels = []
     groups = header.samples
     for number in range(1, header.levels + 1):

@@ -15,7 +15,8 @@ from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_b
 from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
 from codecbench.plugins.codecs.dct.tables import Table, steps_from_table
 from codecbench.plugins.codecs.multilevel import entropy_coding
-from codecbench.plugins.codecs.multilevel.bitstream import MAX_SAMPLES, TABLES, Bitstream, Header, pack, unpack
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpack
+from codecbench.plugins.codecs.multilevel.header import MAX_SAMPLES, TABLES, Header
 from codecbench.plugins.codecs.multilevel.keys import Keys, canonical_keys, checked, manual_keys, random_keys
 from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams

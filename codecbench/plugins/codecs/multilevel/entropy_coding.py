@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import BitstreamError, KeyCollision, ParamsError
 from codecbench.core.counting.trace import Trace
 from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN, decode_symbols, encode_symbols
-from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Header, Level, filled_up, least_size
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, filled_up, least_size
+from codecbench.plugins.codecs.multilevel.header import Header
 from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
 from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
 from codecbench.plugins.codecs.multilevel.search import (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import ImageError, KeyCollision
 from codecbench.core.counting.trace import Trace
-from codecbench.plugins.codecs.multilevel.bitstream import MAX_SYMBOLS
+from codecbench.plugins.codecs.multilevel.header import MAX_SYMBOLS
 from codecbench.plugins.codecs.multilevel.keys import Keys, is_super_increasing
 from codecbench.plugins.codecs.multilevel.minimise import (
     expand,

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from codecbench.core.contracts.params import Params
 from codecbench.plugins.codecs.dct.planes import Color
-from codecbench.plugins.codecs.multilevel.bitstream import MAX_GROUP, MAX_LEVELS, MAX_QF, MIN_GROUP, MIN_QF
+from codecbench.plugins.codecs.multilevel.header import MAX_GROUP, MAX_LEVELS, MAX_QF, MIN_GROUP, MIN_QF
 from codecbench.plugins.codecs.multilevel.keys import AutomaticKeys
 from codecbench.plugins.codecs.multilevel.scan import Scan
 from codecbench.plugins.codecs.multilevel.search import Search

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from installed_command import Done, Place
 
 from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.engine.planning.axes import points
-from codecbench.core.engine.planning.yaml_bounds import require_bounded
+from codecbench.core.engine.planning.yaml_bounds import MOST_CHARACTERS, require_bounded
 from codecbench.core.engine.planning.yaml_file import Problems, load
 
 HEAD = "version: 1\nname: x\nsequences: [{use: synthetic, params: {frames: 4}}]\nevaluators: [quality]\n"
@@ -22,7 +23,7 @@ BAD = {
         "m.yaml:9:35: more than 20,000 values up to here, counting what aliases repeat",
     ),
     "alias of what it is in": ("codecs: &all [raw, *all]\n", "m.yaml:5:20: *all stands inside what it stands for"),
-    "deep list": (f"codecs: {'[' * 5000}{']' * 5000}\n", "m.yaml:5:72: more than 64 levels deep"),
+    "deep list": (f"codecs: {'[' * 5000}{']' * 5000}\n", "m.yaml:5:73: more than 64 levels deep"),
     "deep mapping": (f"codecs: {'{a: ' * 5000}1{'}' * 5000}\n", "levels deep"),
     "unknown tag": ("codecs: [!!python/object/apply:os.system [ls]]\n", "m.yaml:5:10: tag 'tag:yaml.org,2002:python"),
     "tag of its own": ("codecs: [!codec raw]\n", "m.yaml:5:10: tag '!codec': a matrix has plain values only"),
@@ -103,3 +104,12 @@ def test_more_cells_than_can_be_planned_are_refused_with_their_number(tmp_path: 
     assert (
         "1 sequences x 1,000 codecs x 1,200 evaluators = 1,200,000 cells; at most 1,000,000 are planned" in done.stderr
     )
+
+
+@pytest.mark.parametrize(("opening", "closing"), ["[]", ("{a: ", "}"), ("- ", "")], ids=["lists", "mappings", "blocks"])
+def test_depth_is_refused_while_it_is_read(opening: str, closing: str) -> None:
+    text = opening * 200_000 + "1" + closing * 200_000
+    begun = time.process_time()
+    with pytest.raises(MatrixError, match=r"m\.yaml:1:\d+: more than 64 levels deep"):
+        require_bounded(text[:MOST_CHARACTERS], "m.yaml")
+    assert time.process_time() - begun < 0.2

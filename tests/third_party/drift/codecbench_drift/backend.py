@@ -29,7 +29,6 @@ class Drift(SlamBackend[DriftParams]):
     name = "drift"
     version = "1"
     params_type = DriftParams
-    deterministic = True
     architectures = frozenset({"cta"})
 
     def run(

@@ -1,0 +1,110 @@
+"""A plugin as the registry knows it, and what is wrong with one that it could not take."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
+
+OURS = "codecbench"
+"""The distribution whose plugins ship with the program."""
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_LONGEST_NAME: Final = 100
+_TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """What a distribution offers: the specification of a plugin, and where it came from.
+
+    hosted: it is imported in a host process. absent: what it needs and is not installed, as its host found.
+    """
+
+    kind: Kind
+    spec: PluginSpec
+    distribution: str
+    hosted: bool = False
+    absent: str | None = None
+
+    @property
+    def company(self) -> str:
+        """Its distribution with its version; empty for codecbench's own plugins."""
+        return "" if self.distribution.startswith(f"{OURS} ") else self.distribution
+
+    @property
+    def title(self) -> str:
+        """The plugin and its distribution, as messages name them."""
+        return f"{spoken(self.kind)} {self.spec.name} of {self.distribution}"
+
+    @property
+    def missing(self) -> str | None:
+        """Why this plugin cannot be used here and the command that installs it, or None. Imports nothing of its own."""
+        if self.hosted:
+            return self.absent
+        absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
+        if not absent:
+            return None
+        command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
+        return f"{self.kind} {self.spec.name} needs {', '.join(absent)}, which is not installed; run: {command}"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A distribution's plugin that could not be taken, and why.
+
+    nameless: nobody knows what it would have been called, because its module never said.
+    """
+
+    distribution: str
+    entry_point: str
+    reason: str
+    nameless: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
+
+
+def spoken(kind: Kind) -> str:
+    """A kind of plugin as messages name it: `slam_backend` is "slam backend"."""
+    return kind.replace("_", " ")
+
+
+def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
+    """What of a specification nobody could use, or None."""
+    if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
+        return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
+    if not (isinstance(spec.target, str) and _TARGET.fullmatch(spec.target)):
+        return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
+    for field in ("summary", "extra"):
+        if not isinstance(getattr(spec, field), str):
+            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it is text"
+    if not isinstance(spec.requires, list | tuple) or not all(isinstance(name, str) for name in spec.requires):
+        return f"{kind} {spec.name}: requires is {spec.requires!r}; it is a tuple of names of modules"
+    return None
+
+
+def plugins_told(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
+    """What `offered` told of a distribution: its plugins with their entry points, and its problems.
+
+    Raises PluginError where it told nothing, or something that it never tells: the distribution's code ran there, too.
+    """
+    if "value" not in answer:
+        raise PluginError(str(answer.get("text", "it answered nonsense")))
+    try:
+        value, plugins = answer["value"], []
+        problems = [Problem(origin, **{name: str(problem[name]) for name in ("entry_point", "reason")},
+                            nameless=bool(problem["nameless"])) for problem in value["problems"]]  # fmt: skip
+        for values in value["plugins"]:
+            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+            missing = None if values["missing"] is None else str(values["missing"])
+            if values["kind"] not in KINDS or fault_of(values["kind"], spec) is not None:
+                raise ValueError(spec)
+            plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise PluginError("it answered nonsense") from None
+    return plugins, problems

@@ -1,0 +1,174 @@
+"""Which code a plugin is made of, as a fingerprint: it changes with an edit, whether or not a version was raised.
+
+Of another distribution that was installed as copied files, its version and what its RECORD lists. Of one that is loaded
+from where it is written (editable, or found on the path) the files of the package that the plugin is in. Of our own,
+the modules outside the core that the plugin's imports lead to: what the core does to results is in every identity
+(`RECORD_FORMAT`), and an edit of one codec says nothing about another. Nothing is imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from importlib.machinery import PathFinder
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.engine.identity import digest
+from codecbench.core.engine.plugin import OURS, Plugin
+
+_CORE: Final = f"{OURS}.core"
+_COMPILED: Final = (".pyc", ".pyo", ".nbi", ".nbc")
+_LISTS: Final = ("kernels.json",)
+"""What is compiled ahead: it changes when something is compiled, not what."""
+_LARGE_BYTES: Final = 16 << 20
+"""Larger files, such as weights, count by size and time of writing."""
+
+
+def code_label(kind: Kind, name: str) -> str:
+    """What the code of a plugin is called in records: `codec jpeg`."""
+    return f"{kind} {name}"
+
+
+def code_of(plugin: Plugin) -> str:
+    """The plugin's distribution with its version, and the fingerprint; empty where its code is not found."""
+    fingerprint = _fingerprint(plugin)
+    return f"{plugin.distribution} {fingerprint}" if fingerprint else ""
+
+
+def code_digest(code: dict[str, str]) -> str:
+    """A digest of the fingerprints of several plugins by label, without versions; empty where there are none."""
+    return digest({label: told.rpartition(" ")[2] for label, told in code.items()}) if code else ""
+
+
+def files_since(plugin: Plugin, time_s: float) -> list[str]:
+    """Names of the plugin's files that were written after `time_s`, in seconds since 1970."""
+    found = []
+    for path in () if _released(plugin) else _files(plugin):
+        with suppress(OSError):
+            if path.stat().st_mtime > time_s:
+                found.append(path.name)
+    return sorted(found)
+
+
+def _fingerprint(plugin: Plugin) -> str:
+    installed = _released(plugin)
+    if installed is not None:
+        return digest([installed.version, sorted(_recorded(installed))])[:16]
+    content = hashlib.blake2b(digest_size=8)
+    found = False
+    for path in _files(plugin):
+        with suppress(OSError):  # it is being replaced; the next look finds it
+            state = path.stat()
+            content.update(f"{path.name} {_file_digest(path, state.st_size, state.st_mtime_ns)}\n".encode())
+            found = True
+    return content.hexdigest() if found else ""
+
+
+def _released(plugin: Plugin) -> Distribution | None:
+    """The distribution of a plugin of others whose files were copied when it was installed; None for all others."""
+    if not plugin.company:
+        return None
+    try:
+        found = distribution(plugin.distribution.partition(" ")[0])
+    except (PackageNotFoundError, ValueError):
+        return None
+    with suppress(ValueError, AttributeError):
+        if json.loads(found.read_text("direct_url.json") or "{}").get("dir_info", {}).get("editable"):
+            return None
+    return found if any(_recorded(found)) else None
+
+
+def _recorded(installed: Distribution) -> Iterator[str]:
+    """Lines of its RECORD, path and hash, of the files of its packages."""
+    for line in (installed.read_text("RECORD") or "").splitlines():
+        path = line.partition(",")[0].strip('"')
+        if ".dist-info/" not in path and not path.startswith(("..", "/")) and not path.endswith((*_COMPILED, ".pth")):
+            yield line
+
+
+def _files(plugin: Plugin) -> list[Path]:
+    """The files that the plugin's code is in, in order."""
+    module = plugin.spec.target.partition(":")[0]
+    place = _place(module)
+    if place is None:
+        return []
+    if not plugin.company:
+        return sorted(_own_files(module, Path(__file__).parents[2]))
+    return [place] if place.is_file() else sorted(_files_below(place))
+
+
+def _place(module: str) -> Path | None:
+    """The folder or file of the package that a module is in: the first below those that distributions share."""
+    parts = module.split(".")
+    with suppress(ImportError, ValueError, AttributeError):
+        spec = find_spec(parts[0])
+        for depth in range(2, len(parts) + 1):
+            if spec is None or spec.origin is not None:
+                break
+            spec = PathFinder.find_spec(".".join(parts[:depth]), list(spec.submodule_search_locations or ()))
+        if spec is not None:
+            return Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
+    return None
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for parent, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if name != "__pycache__" and not name.startswith(".")]
+        for name in names:
+            if not name.startswith(".") and not name.endswith(_COMPILED):
+                yield Path(parent, name)
+
+
+def _own_files(module: str, root: Path) -> set[Path]:
+    """The files of one of our modules, of those outside the core that it leads to, and the data beside them."""
+    waiting, found = [module], set()
+    while waiting:
+        path = _module_file(waiting.pop(), root)
+        if path is None or path in found:
+            continue
+        found.add(path)
+        state = path.stat()
+        waiting += _imports(path, state.st_size, state.st_mtime_ns)
+    data = (other for folder in {path.parent for path in found} for other in folder.iterdir())
+    return found | {path for path in data if path.is_file() and _is_data(path)}
+
+
+def _is_data(path: Path) -> bool:
+    return path.suffix not in (".py", ".typed", *_COMPILED) and path.name not in _LISTS and path.name[0] != "."
+
+
+def _module_file(module: str, root: Path) -> Path | None:
+    path = root.parent.joinpath(*module.split("."))
+    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+
+
+@functools.cache
+def _imports(path: Path, size: int, written_ns: int) -> tuple[str, ...]:
+    """What a file of ours of this size and time imports from outside the core: modules, and names that may be some."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(_outside_core(names))
+
+
+def _outside_core(names: Iterable[str]) -> Iterator[str]:
+    return (name for name in names if name.startswith(f"{OURS}.") and not f"{name}.".startswith(f"{_CORE}."))
+
+
+@functools.cache
+def _file_digest(path: Path, size: int, written_ns: int) -> str:
+    if size > _LARGE_BYTES:
+        return f"{size} {written_ns}"
+    return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()

@@ -1,0 +1,76 @@
+"""The plan of a run folder, the matrix beside it, and where they were made."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.identity import canonical_json, digest, json_from_bytes
+from codecbench.core.engine.planning.model import Plan, plan_from_json
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.origin import is_from_here, origin_here
+from codecbench.core.engine.storage.plain_file import read_plain
+
+log = logging.getLogger("codecbench.store")
+
+
+class PlanFile:
+    """`plan.json` of a run folder, with a checksum, and `matrix.yaml`, the text that the plan was made of."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._path = folder / "plan.json"
+        self._matrix_path = folder / "matrix.yaml"
+
+    def write(self, plan: Plan) -> None:
+        """Keep the plan and its matrix. Raises OSError."""
+        body = plan.as_json()
+        content = {"plan": body, "origin": origin_here(digest(body), self.folder)}
+        write_file(self._matrix_path, plan.matrix_text.encode())
+        write_file(self._path, canonical_json({"checksum": digest(content), **content}))
+
+    def read(self) -> Plan:
+        """The plan. Raises StoreError where it is missing or damaged; a damaged matrix is reported in the log."""
+        try:
+            plan = plan_from_json(self._document()["plan"])
+        except FileNotFoundError:
+            raise StoreError(f"{self.folder} is not a run folder: it has no plan.json") from None
+        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+            reason = clean_line(str(error))
+            message = f"{self._path} is damaged ({reason}); run the matrix again, which computes only what is missing"
+            raise StoreError(message) from error
+        self._compare_matrix(plan)
+        return plan
+
+    def origin_elsewhere(self) -> str | None:
+        """Where the plan was made, for people, or None where it was here.
+
+        Raises OSError, ValueError, KeyError or TypeError where it cannot be read.
+        """
+        document = self._document()
+        origin = document.get("origin")
+        if not isinstance(origin, dict):
+            return "a place that it does not name"
+        if is_from_here(digest(document["plan"]), origin):
+            return None
+        return clean_line(f"{origin.get('path')} on {origin.get('host')} by {origin.get('user')}")
+
+    def _document(self) -> dict[str, Any]:
+        """The content of plan.json. Raises ValueError, KeyError or TypeError where its checksum is wrong."""
+        document: dict[str, Any] = json_from_bytes(read_plain(self._path))
+        content = {"plan": document["plan"], "origin": document["origin"]} if "origin" in document else document["plan"]
+        if digest(content) != document["checksum"]:
+            raise ValueError("its checksum does not match its content")
+        return document
+
+    def _compare_matrix(self, plan: Plan) -> None:
+        """Log a warning where the copy of the matrix is not what the plan was made of."""
+        with suppress(OSError):
+            if clean_text(read_plain(self._matrix_path).decode(errors="replace")) == plan.matrix_text:
+                return
+        message = "%s is damaged or missing: it is not what the plan was made of; the next run writes it again"
+        log.warning(message, self._matrix_path)

@@ -1,0 +1,89 @@
+"""Kept cells whose plugins were edited are told of, by the installed command, and neither dropped nor passed over."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from distributions import install_posterize
+from installed_command import Done, Place
+
+from codecbench.core.engine.identity import digest
+from codecbench.core.engine.storage.record import bytes_from_record
+from codecbench.core.engine.storage.store import Store
+
+MATRIX = """
+version: 1
+name: m
+sequences: [{use: synthetic, params: {stop: 2}}]
+codecs: [posterize, raw]
+evaluators: [EVALUATORS]
+run: {workers: 1}
+"""
+
+pytestmark = pytest.mark.thorough
+
+
+def run(place: Place, *words: str, evaluators: str = "quality") -> Done:
+    (place.folder / "m.yaml").write_text(MATRIX.replace("EVALUATORS", evaluators))
+    done = place.call("run", "m.yaml", "--quiet", *words)
+    assert done.status == 0, done.output
+    return done
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Place:
+    """A folder with a finished run, whose plugin was then edited without another version."""
+    place = Place(tmp_path)
+    install_posterize(place.site)
+    assert "other code" not in run(place).output
+    assert "other code" not in run(place).output
+    with (place.site / "codecbench_posterize" / "codec.py").open("a") as file:
+        file.write("\nEDITED = True\n")
+    return place
+
+
+def test_an_edit_is_told_until_its_cells_are_made_again(place: Place) -> None:
+    for _ in range(2):
+        done = run(place)
+        (line,) = [line for line in done.stderr.splitlines() if "other code" in line]
+        assert line == (
+            "codec posterize: other code made 1 kept cell (codecbench-posterize 0.3.0: codec.py written since); "
+            "to make them again: codecbench run ... --recompute posterize"
+        )
+        assert "2 of them from before" in done.stdout
+    assert "1 of them from before" in run(place, "--recompute", "posterize").stdout
+    assert "other code" not in run(place).output
+
+
+def test_new_cells_on_bitstreams_of_other_code_do_not_hide_it(place: Place) -> None:
+    run(place, "--recompute", "quality")
+    assert "codec posterize: other code made 1 kept cell" in run(place).stderr
+    run(place, evaluators="quality, features")
+    assert "codec posterize: other code made 2 kept cells" in run(place, evaluators="quality, features").stderr
+
+
+def test_the_report_says_which_code_made_what(place: Place) -> None:
+    run(place, evaluators="quality, features")
+    assert place.call("report", "runs/m").status == 0
+    page = (place.folder / "runs/m/report/report.html").read_text()
+    rows = re.findall(r"<td class=\"text\">codec posterize</td>.*", page)
+    assert len(rows) == 2
+    assert all("other code made the rest" in row for row in rows)
+    assert len(re.findall(r"<td class=\"text\">codec raw</td>.*", page)) == 1
+
+
+def test_records_without_code_are_said_to_be_unknown_in_one_line(place: Place) -> None:
+    store = Store(place.folder / "runs" / "m")
+    for cell in store.read_plan().cells:
+        path = store.record_folder(cell.id) / "record.json"
+        body = json.loads(bytes_from_record(store.read_record(cell.id)))
+        del body["code"], body["checksum"]
+        path.write_text(json.dumps({"checksum": digest(body), **body}))
+    (store.records_folder / "index.jsonl").unlink()
+    done = run(place)
+    assert "2 of them from before" in done.stdout
+    (line,) = [line for line in done.stderr.splitlines() if "unknown" in line]
+    assert line.startswith("2 kept cell(s) were computed before codecbench recorded the code of plugins")

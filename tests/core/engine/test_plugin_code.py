@@ -1,0 +1,113 @@
+"""The fingerprint of a plugin's code follows its files, or what was installed, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from distributions import install_posterize
+
+from codecbench.core.contracts.hooks import PluginSpec
+from codecbench.core.engine.plugin import Plugin
+from codecbench.core.engine.plugin_code import _own_files, code_digest, code_of, files_since
+from codecbench.core.engine.registry import installed
+
+POSTERIZE = Plugin("codec", PluginSpec("posterize", "codecbench_posterize.codec:Posterize", ""),
+                   "codecbench-posterize 0.3.0", hosted=True)  # fmt: skip
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder on the path with a distribution that has no list of what was installed."""
+    install_posterize(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def append(path: Path, text: str) -> None:
+    """Write more into a file, at a time of its own."""
+    with path.open("a") as file:
+        file.write(text)
+    os.utime(path, (path.stat().st_mtime + 10,) * 2)
+
+
+def test_an_edit_changes_the_fingerprint_and_undoing_it_brings_it_back(site: Path) -> None:
+    before = code_of(POSTERIZE)
+    path = site / "codecbench_posterize" / "codec.py"
+    text = path.read_text()
+    append(path, "X = 1\n")
+    assert code_of(POSTERIZE) != before
+    path.write_text(text)
+    assert code_of(POSTERIZE) == before
+    assert before.startswith("codecbench-posterize 0.3.0 ")
+    assert "codecbench_posterize" not in sys.modules
+
+
+def test_data_in_the_package_counts_and_bytecode_does_not(site: Path) -> None:
+    before = code_of(POSTERIZE)
+    cache = site / "codecbench_posterize" / "__pycache__"
+    cache.mkdir()
+    (cache / "codec.cpython-311.pyc").write_bytes(b"compiled")
+    assert code_of(POSTERIZE) == before
+    (site / "codecbench_posterize" / "levels.txt").write_text("1 2 4")
+    assert code_of(POSTERIZE) != before
+
+
+def test_files_that_were_written_since_are_named(site: Path) -> None:
+    path = site / "codecbench_posterize" / "codec.py"
+    append(path, "X = 1\n")
+    assert files_since(POSTERIZE, path.stat().st_mtime - 1) == ["codec.py"]
+    assert files_since(POSTERIZE, path.stat().st_mtime + 1) == []
+
+
+def test_of_copied_files_the_version_and_the_list_count(site: Path) -> None:
+    record = next(site.glob("*.dist-info")) / "RECORD"
+    record.write_text("codecbench_posterize/codec.py,sha256=abc,10\ncodecbench_posterize-0.3.0.dist-info/METADATA,,\n")
+    before = code_of(POSTERIZE)
+    append(site / "codecbench_posterize" / "codec.py", "X = 1\n")
+    assert code_of(POSTERIZE) == before
+    record.write_text("codecbench_posterize/codec.py,sha256=abd,10\n")
+    after = code_of(POSTERIZE)
+    assert after != before
+    (record.parent / "direct_url.json").write_text('{"url": "file:///x", "dir_info": {"editable": true}}')
+    assert code_of(POSTERIZE) not in (before, after)
+
+
+def test_a_plugin_that_is_not_there_has_no_fingerprint() -> None:
+    assert code_of(Plugin("codec", PluginSpec("gone", "nowhere.to.be:Found", ""), "gone 1.0", hosted=True)) == ""
+
+
+def test_of_ours_only_what_the_plugin_consists_of_counts(tmp_path: Path) -> None:
+    files = {
+        "plugins/codecs/mine.py": "from codecbench.plugins.codecs.shared import tables\nimport codecbench.core.image\n",
+        "plugins/codecs/shared/__init__.py": "",
+        "plugins/codecs/shared/tables.py": "def f():\n    import codecbench.slam.points\n",
+        "plugins/codecs/shared/table.npz": "numbers",
+        "plugins/codecs/other.py": "",
+        "slam/points.py": "",
+        "slam/kernels.json": "{}",
+        "core/image.py": "",
+    }
+    for name, text in files.items():
+        path = tmp_path / "codecbench" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    found = _own_files("codecbench.plugins.codecs.mine", tmp_path / "codecbench")
+    names = {path.relative_to(tmp_path / "codecbench").as_posix() for path in found}
+    assert names == files.keys() - {"plugins/codecs/other.py", "slam/kernels.json", "core/image.py"}
+
+
+def test_our_plugins_have_fingerprints_of_their_own() -> None:
+    registry = installed()
+    jpeg, raw = (code_of(registry.find("codec", name)) for name in ("jpeg", "raw"))
+    assert jpeg.rpartition(" ")[2] != raw.rpartition(" ")[2]
+    assert jpeg.startswith("codecbench ")
+
+
+def test_the_digest_of_several_is_that_of_their_fingerprints() -> None:
+    assert code_digest({}) == ""
+    assert code_digest({"codec a": "a 1 x"}) == code_digest({"codec a": "a 2 x"})
+    assert code_digest({"codec a": "a 1 x"}) != code_digest({"codec a": "a 1 y"})
+    assert code_digest({"codec a": "a 1 x"}) != code_digest({"codec b": "a 1 x"})

@@ -1,0 +1,113 @@
+"""An evaluator that is asked elsewhere says what it would say here, and where it fails its values are missing."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plain_plugins
+import pytest
+
+from codecbench import PluginError, Unsupported
+from codecbench.core.contracts.evaluator import Measurement, Outcome
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing, Line
+from codecbench.core.engine.hosting.host import PluginFault
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.registry import Registry
+from codecbench.core.results.hosted_evaluator import HostedEvaluator
+
+SETTING = PluginSetting("evaluator", "error", "1")
+BASELINE = [Outcome(0, (Measurement("error", 2.0),), Path("baseline"))]
+OUTCOME = Outcome(1, (Measurement("error", math.inf, stage="all"),), Path("cell"))
+
+
+class Elsewhere(Registry):
+    """Asks as hosts do: arguments and answers are JSON texts on the way."""
+
+    def ask(self, function: Callable[..., Any], *arguments: Any, of: Any, times: float = 1) -> Any:
+        return json.loads(json.dumps(function(self, *json.loads(json.dumps(arguments)))))
+
+
+@pytest.fixture
+def evaluator(monkeypatch: pytest.MonkeyPatch) -> HostedEvaluator:
+    metrics = (Metric("error", "1", "lower", "error"), Metric("ratio", "1", "lower", "error over the baseline's"))
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "metrics", metrics)
+    return HostedEvaluator(Elsewhere([EntryPoint("plain", "plain_plugins", "codecbench")]), SETTING)
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, name: str, answer: Any) -> None:
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, name, answer, raising=False)
+
+
+def test_it_declares_what_the_plugin_declares(evaluator: HostedEvaluator) -> None:
+    assert evaluator.metrics == plain_plugins.ErrorEvaluator.metrics
+
+
+def test_it_compares_as_the_plugin_does(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:
+    def compare(self: Any, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        assert (outcome.repeat, outcome.measurements) == (OUTCOME.repeat, OUTCOME.measurements)
+        assert outcome.artifacts == Path("cell").absolute()
+        yield Measurement("ratio", outcome.measurements[0].value / baseline[0].measurements[0].value)
+
+    answering(monkeypatch, "compare", compare)
+    assert list(evaluator.compare(OUTCOME, BASELINE)) == [Measurement("ratio", math.inf)]
+
+
+@pytest.mark.parametrize(
+    ("yielded", "said"),
+    [
+        ([Measurement("speed", 1.0)], "it yields Measurements of error, ratio"),
+        (["fast"], "compare yielded 'fast'"),
+        ([Measurement("ratio", math.nan)], "compare yielded NaN without a reason for ratio"),
+    ],
+    ids=["undeclared", "no measurement", "no reason"],
+)
+def test_what_breaks_the_contract_is_missing_with_the_reason(
+    evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch, yielded: list[Any], said: str
+) -> None:
+    answering(monkeypatch, "compare", lambda *_: yielded)
+    (missing,) = evaluator.compare(OUTCOME, BASELINE)
+    assert (missing.metric, math.isnan(missing.value)) == ("ratio", True)
+    assert said in missing.reason
+
+
+def test_a_host_that_ends_costs_values_and_drawings(
+    evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: Any, **__: Any) -> None:
+        raise PluginFault("it ended its process with status 3")
+
+    monkeypatch.setattr(Elsewhere, "ask", gone)
+    (missing,) = evaluator.compare(OUTCOME, BASELINE)
+    assert missing.reason == "not compared: it ended its process with status 3"
+    with pytest.raises(PluginFault):
+        evaluator.drawing(OUTCOME)
+
+
+def test_a_drawing_arrives_as_it_was_drawn(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = np.array([[0.0, 1.5], [2.0, -3.25]])
+    drawn = Drawing((Line("path", "truth", points), Line("none", "after", np.empty((0, 2)))), "two points", False)
+    answering(monkeypatch, "drawing", lambda *_: drawn)
+    found = evaluator.drawing(OUTCOME)
+    assert found is not None
+    assert (found.caption, found.holds) == ("two points", False)
+    assert [(line.name, line.stroke) for line in found.lines] == [("path", "truth"), ("none", "after")]
+    assert np.array_equal(found.lines[0].points, points)
+    assert found.lines[1].points.shape == (0, 2)
+    answering(monkeypatch, "drawing", lambda *_: None)
+    assert evaluator.drawing(OUTCOME) is None
+
+
+def test_one_that_is_missing_something_is_refused(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(self: Any, params: Any) -> None:
+        raise Unsupported("needs a library")
+
+    answering(monkeypatch, "__init__", absent)
+    with pytest.raises(PluginError, match="needs a library"):
+        HostedEvaluator(evaluator._registry, SETTING)
