@@ -74,7 +74,7 @@ def spoken(kind: Kind) -> str:
     return kind.replace("_", " ")
 
 
-def unusable(kind: Kind, spec: PluginSpec) -> str | None:
+def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
     """What of a specification nobody could use, or None."""
     if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
         return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
@@ -88,7 +88,7 @@ def unusable(kind: Kind, spec: PluginSpec) -> str | None:
     return None
 
 
-def plugins_from_answer(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
+def plugins_told(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
     """What `offered` told of a distribution: its plugins with their entry points, and its problems.
 
     Raises PluginError where it told nothing, or something that it never tells: the distribution's code ran there, too.
@@ -102,7 +102,7 @@ def plugins_from_answer(origin: str, answer: dict[str, Any]) -> tuple[list[tuple
         for values in value["plugins"]:
             spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
             missing = None if values["missing"] is None else str(values["missing"])
-            if values["kind"] not in KINDS or unusable(values["kind"], spec) is not None:
+            if values["kind"] not in KINDS or fault_of(values["kind"], spec) is not None:
                 raise ValueError(spec)
             plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
     except (LookupError, TypeError, ValueError, AttributeError):

@@ -34,7 +34,7 @@ from codecbench.core.engine.hosting.host import (
     limit_s,
 )
 from codecbench.core.engine.loading import load_class
-from codecbench.core.engine.plugin import OURS, Plugin, Problem, plugins_from_answer, spoken, unusable
+from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, plugins_told, spoken
 from codecbench.core.engine.scouting import is_single_threaded
 
 _MOST_PLUGINS = 1000
@@ -157,7 +157,7 @@ class Registry:
                 scout.end()
         for origin in hosted:
             try:
-                plugins, problems = plugins_from_answer(origin, answers.get(origin, {}))
+                plugins, problems = plugins_told(origin, answers.get(origin, {}))
             except PluginError as fault:
                 reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
                 plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
@@ -208,7 +208,7 @@ class Registry:
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
             self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
-        elif (wrong := unusable(kind, spec)) is not None:
+        elif (wrong := fault_of(kind, spec)) is not None:
             self._report(origin, point, wrong)
         else:
             self._take(Plugin(kind, spec, origin), point.name)

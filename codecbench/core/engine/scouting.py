@@ -101,7 +101,7 @@ def _settle(folder: str) -> None:
     for descriptor in range(3):
         os.dup2(nothing, descriptor)
     sys.path[:] = [os.path.abspath(path) for path in sys.path]
-    os.environ.update(cache_variable(), **{"TMPDIR": folder, HOSTED_VARIABLE: "1"})
+    os.environ.update(cache_variable(), TMPDIR=folder, **{HOSTED_VARIABLE: "1"})
     tempfile.tempdir = None
     os.chdir(folder)
 

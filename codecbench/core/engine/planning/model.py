@@ -81,12 +81,7 @@ class CodingJob:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.strangers)
-
-    @property
-    def strangers(self) -> tuple[PluginSetting, ...]:
-        """The plugins of other distributions whose code runs."""
-        return _strangers(self.plugins)
+        return _company(*self.plugins)
 
 
 @dataclass(frozen=True)
@@ -115,12 +110,7 @@ class Cell:
     @property
     def company(self) -> tuple[str, ...]:
         """The distributions, besides codecbench's, whose code runs."""
-        return _company(self.strangers)
-
-    @property
-    def strangers(self) -> tuple[PluginSetting, ...]:
-        """The plugins of other distributions whose code runs."""
-        return _strangers(self.plugins)
+        return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order."""
@@ -230,9 +220,5 @@ def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
     return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}
 
 
-def _strangers(settings: tuple[PluginSetting, ...]) -> tuple[PluginSetting, ...]:
-    return tuple(setting for setting in settings if setting.distribution)
-
-
-def _company(strangers: tuple[PluginSetting, ...]) -> tuple[str, ...]:
-    return tuple(sorted({setting.distribution for setting in strangers}))
+def _company(*settings: PluginSetting) -> tuple[str, ...]:
+    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))

@@ -283,7 +283,6 @@ class _Run:
 
 def _blamed(work: Work, reason: str) -> str:
     """Why a worker did not live to tell, with the plugins of other distributions whose code ran there."""
-    if not work.strangers:
-        return reason
+    strangers = [plugin.full_name for plugin in work.plugins if plugin.distribution]
     doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
-    return f"{' or '.join(plugin.full_name for plugin in work.strangers)} while {doing}: {reason}"
+    return f"{' or '.join(strangers)} while {doing}: {reason}" if strangers else reason

@@ -84,8 +84,7 @@ def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
 def perform(order: Order) -> Record | BitstreamDamage:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
     begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, checked = order.work, _workbench(), True
-    position = WorkPosition(titles=_titles(work))
+    work, bench, position, checked = order.work, _workbench(), WorkPosition(titles=_titles(order.work)), True
     code: dict[str, str] = {}
     _start_afresh(work.id)
     try:

@@ -99,7 +99,6 @@ class TameBackend(SlamBackend[Any]):
 
     version = "1"
     params_type = NoParams
-    deterministic = True
     architectures = frozenset({"cta", "atc"})
 
     def __init_subclass__(cls) -> None:
