@@ -69,8 +69,8 @@ def readme(run: RunResult, heads: Heads) -> Iterator[str]:
     yield table(heads, lines)
     yield (
         "“Features kept” is the share of the original frame's ORB keypoints that are found again in the decoded frame, "
-        "which is what a\ntracker lives on. A dash in “counted” is an opaque library: its operations are unknown, not "
-        f"zero. {against_psnr(run)}\n"
+        "which is what a\ntracker relies on. A dash in “counted” means an opaque library: its operations are unknown, "
+        f"not zero. {against_psnr(run)}\n"
     )
     yield "![Rate against features kept, one line a codec](docs/images/rate_features.svg)"
 
