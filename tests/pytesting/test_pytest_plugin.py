@@ -199,3 +199,21 @@ def test_usage_errors_say_what_is_wrong(first_run: Repository, value: str, said:
     assert f"--codecbench {value}" in done.stderr
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_baseline_that_cannot_be_written_stays_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "baseline.json"
+    path.write_text('{"before": {}}\n')
+    baseline = Baseline(path, 7.0, "a processor")
+    baseline.complaint({"codec": "raw", "version": "1", "size_bytes": 10, "psnr_db": 40.0})
+
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", refuse)
+        with pytest.raises(OSError, match=r"No space left on device: .*baseline.json"):
+            baseline.save()
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(path.name, '{"before": {}}\n')]
+    baseline.save()
+    assert set(json.loads(path.read_text())) == {"before", "raw"}

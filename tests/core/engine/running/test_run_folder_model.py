@@ -113,7 +113,7 @@ class RunFolder(RuleBasedStateMachine):
         assert [cell.status for cell in open_run(self.store.folder).results] == ["ok"] * len(wanted)
         assert not list(self.store.folder.rglob(".*"))
 
-    @rule(operation=st.integers(1, 120))
+    @rule(operation=st.integers(1, 60))
     def be_killed(self, operation: int) -> None:
         """A run whose process is killed when it begins its operation of that number, if it comes so far."""
         heard, told = os.pipe()
