@@ -79,3 +79,14 @@ def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> N
 
 def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
+
+
+def test_what_is_kept_can_be_read_by_all_and_written_by_its_owner_alone(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert output(start(tmp_path, PLUS)) == "3 1"
+    finally:
+        os.umask(before)
+    folder = tmp_path / "cache" / "kernels"
+    assert oct(folder.stat().st_mode & 0o7777) == "0o755"
+    assert {oct(path.stat().st_mode & 0o7777) for path in folder.glob("*.bin")} == {"0o644"}
