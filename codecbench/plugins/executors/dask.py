@@ -25,7 +25,7 @@ from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.params import Params
 from codecbench.plugins.executors.dask_worker import perform_isolated, stop_pools
-from codecbench.plugins.executors.pool import hidden_main
+from codecbench.plugins.executors.spawning import hidden_main
 
 log = logging.getLogger("codecbench.dask")
 
@@ -87,6 +87,7 @@ class DaskExecutor(Executor[DaskParams]):
     name = "dask"
     version = "1"
     params_type: ClassVar[type[Params]] = DaskParams
+    confines = True
 
     def __init__(self, params: DaskParams) -> None:
         super().__init__(params)

@@ -68,22 +68,27 @@ class _State:
 _state = _State()
 
 
-def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int) -> None:
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], parent: int | None) -> None:
     """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
 
-    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
+    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`. parent: None for a
+    confined worker, whose files, output and end are seen to from outside.
     """
-    os.setpgid(0, 0)
-    _redirect_output(files.output)
+    if parent is not None:
+        os.setpgid(0, 0)
+        _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
     if "CODECBENCH_CACHE" in os.environ:
         os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
     os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
-    _die_with(parent)
+    if parent is not None:
+        _die_with(parent)
     prepare()
     _state.baseline_mb = private_mb(os.getpid())
+    if parent is None:
+        return
     content = json.dumps({"pid": os.getpid(), "baseline_mb": _state.baseline_mb})
     temporary = files.identity.with_suffix(".new")
     temporary.write_text(content)

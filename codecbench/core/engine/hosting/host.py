@@ -23,6 +23,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from codecbench.core.contracts import errors
+from codecbench.core.contracts.confinement import confining_words, status_inside, wanted
 from codecbench.core.contracts.errors import PluginError
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
@@ -74,11 +75,12 @@ class PluginHost:
         if self._process is not None:
             return
         folder = tempfile.mkdtemp(prefix="codecbench-host-")
+        confining = confining_words(folder) if wanted() else []
         taken, self._requests = os.pipe()
         self._answers, given = os.pipe()
         paths = [os.path.abspath(path) for path in sys.path]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company])],
+            [*confining, sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -170,6 +172,8 @@ def _death(process: subprocess.Popen[bytes]) -> str:
         status = process.wait(1.0)
     except subprocess.TimeoutExpired:
         return "it closed the connection of its process"
+    if wanted():
+        status = status_inside(status)
     if status < 0:
         return f"it ended its process by {signal.Signals(-status).name}"
     return f"it ended its process with status {status}"

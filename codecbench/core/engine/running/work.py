@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.confinement import confined_by
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import (
     CodecEvaluator,
@@ -92,9 +93,16 @@ def perform(order: Order) -> Record | BitstreamDamage:
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company)},
+        worker=_worker(work),
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
+
+
+def _worker(work: Work) -> dict[str, Any]:
+    """Where and in whose company the work was done, and what confined it, if anything did."""
+    tool = confined_by()
+    confined = {} if tool is None else {"confined": tool}
+    return {"host": platform.node(), "pid": os.getpid(), "company": list(work.company), **confined}
 
 
 def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record:
