@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,7 +39,7 @@ class CellResult:
     aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
     declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
     folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
-    drawing: makes the picture of what it left, where its evaluator offers one.
+    drawing: makes the picture of what it left, where its evaluator offers one. worker: of the record.
     """
 
     cell: Cell
@@ -52,6 +52,7 @@ class CellResult:
     folder: Path
     duration_s: float = 0.0
     drawing: Callable[[], Drawing | None] = lambda: None
+    worker: dict[str, Any] = field(default_factory=dict)
 
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import version
 from importlib.resources import files
@@ -60,6 +61,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         anchor=anchor,
         failures=_failures(run),
         environment=json.dumps(run.environments, indent=1, sort_keys=True),
+        companies=_companies(run),
         matrix=run.plan.matrix_text,
         folder=run.folder.name,
         version=version("codecbench"),
@@ -103,6 +105,17 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     several = f"{len(machines)} machines: do not compare times"
     note = "times hold for this machine alone" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
+
+
+def _companies(run: RunResult) -> list[str]:
+    """How many cells ran code of other distributions, which, and what confined it, in words."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for result in run.results:
+        company = result.worker.get("company")
+        if isinstance(company, list) and company:
+            tool = result.worker.get("confined")
+            counts[" and ".join(map(str, company)), f"confined by {tool}" if tool else "not confined"] += 1
+    return [f"{_counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
 
 
 def _counted(count: int, noun: str) -> str:
