@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from codecbench.core.contracts.errors import ParamsError
-from codecbench.core.results.markdown import escaped
-from codecbench.core.results.markdown import table as markdown_table
+from codecbench.core.results.markdown import foreign_table
 
 if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
@@ -46,8 +45,7 @@ def exported(frame: pd.DataFrame, format_: str) -> bytes:
         return (json.dumps(records, indent=1) + "\n").encode()
     rows = _objects(frame).to_numpy().tolist()
     if format_ == "markdown":
-        heads = [escaped(str(name)) for name in frame.columns]
-        return markdown_table(heads, [[_markdown_cell(value) for value in row] for row in rows]).encode()
+        return foreign_table([str(name) for name in frame.columns], rows).encode()
     if format_ == "latex":
         return _latex(frame).encode()
     raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
@@ -102,10 +100,6 @@ def _no_formulas(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _no_formula(value: Any) -> Any:
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
-
-
-def _markdown_cell(value: object) -> object:
-    return escaped(value) if isinstance(value, str) else value
 
 
 def _latex(frame: pd.DataFrame) -> str:
