@@ -68,7 +68,7 @@ class Store:
         """
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            refuse_links(self.folder, _DEPTH)
+            self.refuse_links()
             lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
         with lock as stream:
             if not _locked(stream):
@@ -81,6 +81,10 @@ class Store:
                 os.write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()}".encode())
                 self._tidy()
             yield
+
+    def refuse_links(self) -> None:
+        """Raise StoreError where a file or folder of the run is a link that leads out of its folder."""
+        refuse_links(self.folder, _DEPTH)
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
@@ -107,7 +111,7 @@ class Store:
         Raises StoreError where it is missing or damaged, or the folder has links that lead out of it.
         """
         path = self.folder / "plan.json"
-        refuse_links(self.folder, _DEPTH)
+        self.refuse_links()
         try:
             plan = plan_from_json(self._plan_document()["plan"])
         except FileNotFoundError:
