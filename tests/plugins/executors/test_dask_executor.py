@@ -322,6 +322,20 @@ def test_a_cluster_that_cannot_be_made_is_told(params: dict[str, Any], told: str
         pass
 
 
+def test_a_cluster_on_this_machine_listens_on_the_loopback_alone() -> None:
+    mine = psutil.Process()
+    before = {process.pid for process in mine.children(recursive=True)}
+    with started(DaskParams()):
+        ours = [mine, *(process for process in mine.children(recursive=True) if process.pid not in before)]
+        listening = {
+            connection.laddr.ip
+            for process in ours
+            for connection in process.net_connections("inet")
+            if connection.status == psutil.CONN_LISTEN
+        }
+    assert listening == {"127.0.0.1"}
+
+
 def test_contradicting_parameters_and_unreachable_clusters_are_told() -> None:
     with pytest.raises(ValidationError, match="either address, or cluster"):
         DaskParams(address="tcp://127.0.0.1:1", cluster="local")
