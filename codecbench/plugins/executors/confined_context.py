@@ -35,14 +35,14 @@ class ConfinedContext(SpawnContext):
         super().__init__()
         self._files = files
         self._pid = 0
-        self.Process: Any = self._process
+        self.Process = self._process  # type: ignore[misc, assignment]
 
     def RLock(self) -> Any:  # noqa: N802 - named by multiprocessing
         return _LockOfOneEnd()
 
     def Pipe(self, duplex: bool = True) -> Any:  # noqa: N802 - named by multiprocessing
         reader, writer = super().Pipe(duplex)
-        reader.recv = partial(self._received, reader)
+        reader.recv = partial(self._received, reader)  # type: ignore[method-assign]
         return reader, writer
 
     def _process(self, **words: Any) -> ConfinedProcess:
