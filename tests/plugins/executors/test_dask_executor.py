@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -68,18 +70,26 @@ def prepare() -> None:
     return None
 
 
+def dask_worker() -> int:
+    """The dask worker that wanted this process; its parent is the server that forked it."""
+    wanting = multiprocessing.parent_process()
+    assert wanting is not None
+    assert wanting.pid is not None
+    return wanting.pid
+
+
 def slow_pid(seconds: float) -> int:
     time.sleep(seconds)
-    return os.getppid()
+    return dask_worker()
 
 
 def slow_size(content: bytes) -> tuple[int, int]:
     time.sleep(1.5)
-    return len(content), os.getppid()
+    return len(content), dask_worker()
 
 
 def kill_worker(_: object) -> None:
-    os.kill(os.getppid(), signal.SIGKILL)
+    os.kill(dask_worker(), signal.SIGKILL)
     time.sleep(60)
 
 
@@ -177,7 +187,7 @@ def hanging(executor: DaskExecutor, path: Path) -> psutil.Process:
 def spawned(earlier: list[psutil.Process]) -> list[psutil.Process]:
     """The processes below this one that are not among the earlier ones, without Python's own resource tracker."""
     new = [one for one in psutil.Process().children(recursive=True) if one not in earlier]
-    return [one for one in new if "spawn_main" in " ".join(_command(one))]
+    return [one for one in new if re.search("spawn_main|multiprocessing.forkserver", " ".join(_command(one)))]
 
 
 def gone(*processes: psutil.Process) -> bool:
