@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import Any
 
@@ -56,8 +57,17 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="codecbench")
-def cli() -> None:
+@click.option(
+    "--confine", is_flag=True, help="Keep other distributions' plugins from the network and from writing files."
+)
+def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
+    from codecbench.core.contracts.confinement import VARIABLE, confinement, wanted
+
+    if confine:
+        os.environ[VARIABLE] = "1"
+    if wanted():
+        confinement()
 
 
 def main() -> None:

@@ -95,11 +95,11 @@ def _print(found: list[Comparison], format_: str, everything: bool) -> None:
         values = [dict(zip(_HEADS, map(json_value, _cells(row)), strict=True)) for row in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
-    from codecbench.core.results.markdown import escaped, table
+    from codecbench.core.results.markdown import foreign_table, table
 
     if rows:
-        shown = [[escaped(cell) if isinstance(cell, str) else cell for cell in _cells(row)] for row in rows]
-        click.echo(table(_HEADS, shown if format_ == "markdown" else [_cells(row) for row in rows]))
+        made = foreign_table if format_ == "markdown" else table
+        click.echo(made(_HEADS, map(_cells, rows)))
     click.echo(verdicts)
 
 

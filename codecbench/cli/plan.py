@@ -30,6 +30,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     made = make_plan(read_matrix(matrix))
     folder = out or Path("runs") / made.name
     store = Store(folder)
+    store.refuse_links()
     entries = store.entries() if folder.exists() else {}
     outdated = outdated_cells(made, entries, store, installed())
     kept = kept_cells(made, {id_: entry for id_, entry in entries.items() if id_ not in outdated})

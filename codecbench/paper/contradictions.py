@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from codecbench.core.results.markdown import escaped
 from codecbench.core.results.verdicts import bd_rates
 from codecbench.paper import facts
 from codecbench.paper.measured import Measured
@@ -46,7 +47,7 @@ def _slightly(measured: Measured) -> str:
     if any(np.isnan(value) for value in totals.values()):
         return "Not counted in this run."
     ratios = [totals["multilevel", way] / totals["jpeg_qf", way] for way in ("encode", "decode")]
-    counted = f"Counted in the kernels at QF 5 on {sequence}"
+    counted = f"Counted in the kernels at QF 5 on {escaped(sequence)}"
     return f"{counted}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding."
 
 
@@ -71,7 +72,8 @@ def _header(measured: Measured) -> str:
             sizes = [measured.size_kib(sequence, setting) for setting in (with_header, without)]
             if not np.isnan(sizes).any():
                 found.append(
-                    f"QF {qf:g} on {sequence}: {sizes[0]:.1f} KiB with the table of tuples, {sizes[1]:.1f} KiB without"
+                    f"QF {qf:g} on {escaped(sequence)}: {sizes[0]:.1f} KiB with the table of tuples, "
+                    f"{sizes[1]:.1f} KiB without"
                 )
     return "; ".join(found) + "." if found else "Search decoding was not run."
 
@@ -84,7 +86,7 @@ def _levels(measured: Measured) -> str:
             sizes = [measured.size_kib(sequence, setting) for setting in (single, double)]
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
-                found.append(f"QF {qf:g} on {sequence}: two levels change the size by {change:+.1f} %")
+                found.append(f"QF {qf:g} on {escaped(sequence)}: two levels change the size by {change:+.1f} %")
     return "; ".join(found) + "." if found else "Two levels were not run."
 
 
@@ -97,7 +99,7 @@ def _ssim(measured: Measured) -> str:
                 for codec in ("jpeg_qf", "multilevel")
             ]
             if not np.isnan(ours).any():
-                found.append(f"QF {qf:g} on {sequence}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
+                found.append(f"QF {qf:g} on {escaped(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
     return "; ".join(found) + "." if found else "Not measured in this run."
 
 
@@ -114,7 +116,7 @@ def _success(measured: Measured) -> str:
                 if np.isnan(value) or measured.value(sequence, raw, str(column)) == 0.0:
                     continue
                 loops = measured.value(sequence, setting, f"{evaluator}.loops_closed.median")
-                where = f"{sequence}{evaluator.removeprefix('trajectory')}"
+                where = f"{escaped(sequence)}{evaluator.removeprefix('trajectory')}"
                 found.append(
                     f"{where}: {100 * value:.0f} % of runs at QF {qf:g} succeed, loops closed {loops:.0f} (median)"
                 )
@@ -141,7 +143,9 @@ def _real_jpeg(measured: Measured) -> str:
     column = measured.run.columns.get("quality.psnr_gray_db.mean")
     rates = {} if column is None else bd_rates(measured.run, column)
     found = [
-        f"{curve} on {sequence}: {rate}" for (sequence, curve), rate in rates.items() if curve.startswith("multilevel")
+        f"{escaped(curve)} on {escaped(sequence)}: {rate}"
+        for (sequence, curve), rate in rates.items()
+        if curve.startswith("multilevel")
     ]
     return (
         "BD-rate against libjpeg-turbo, PSNR of gray: " + "; ".join(found) + "."

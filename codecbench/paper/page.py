@@ -10,7 +10,7 @@ import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.figures import draw_all
-from codecbench.core.results.markdown import table
+from codecbench.core.results.markdown import escaped, foreign_table
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import Limit, limits
 from codecbench.paper import facts
@@ -78,7 +78,7 @@ def _introduction(runs: list[RunResult]) -> Iterator[str]:
         for run in runs
         for entry in run.plan.sequences
     ]
-    yield table(["run", "sequence", "dataset", "frames", "", "fingerprint"], rows)
+    yield foreign_table(["run", "sequence", "dataset", "frames", "", "fingerprint"], rows)
     yield "The paper: TUM freiburg3_long_office_household, 2585 frames; its tables show frames 1132 and 2398.\n"
     for run in runs:
         yield _provenance(run)
@@ -89,7 +89,7 @@ def _provenance(run: RunResult) -> str:
     machines = sorted({str(known.get("machine", {}).get("cpu")) for known in run.environments.values()})
     done = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
-    machine = ", ".join(machines) or "an unknown machine"
+    machine = escaped(", ".join(machines)) or "an unknown machine"
     rest = f"{len(run.failed)} failed, {unsupported} unsupported"
     hours = sum(result.duration_s for result in run.results) / 3600
     return (
@@ -116,7 +116,7 @@ def _trajectories(measured: Measured) -> Iterator[str]:
     tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
     untracked = [str(name) for name, most in tracked.items() if most == 0.0]
     if untracked:
-        yield f"Too short for a first map, with every codec and with raw frames: {', '.join(untracked)}.\n"
+        yield f"Too short for a first map, with every codec and with raw frames: {escaped(', '.join(untracked))}.\n"
     for column in run.headlines("success"):
         rows = [
             [sequence, curve, *_limit(limit), _paper(curve)]
@@ -126,8 +126,10 @@ def _trajectories(measured: Measured) -> Iterator[str]:
         if not rows:
             continue
         evaluator = column.evaluator.title
-        yield f"### {run.plan.name}, {evaluator}\n"
-        yield table(["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows)
+        yield f"### {run.plan.name}, {escaped(evaluator)}\n"
+        yield foreign_table(
+            ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows
+        )
         yield from _errors(measured, evaluator)
 
 
@@ -169,7 +171,7 @@ def _errors(measured: Measured, evaluator: str) -> Iterator[str]:
         "keyframes",
         "lost",
     ]
-    yield table(heads, rows)
+    yield foreign_table(heads, rows)
     yield f"The paper gives {facts.RAW_RMSE} for raw frames, without a unit, over the whole sequence with its loop.\n"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.results.markdown import change, table
+from codecbench.core.results.markdown import change, foreign_table
 from codecbench.paper import facts
 from codecbench.paper.measured import Measured
 
@@ -43,7 +43,7 @@ def _sized(measured: Measured, codec: str, key: str, paper: pd.DataFrame, fixed:
         setting = measured.setting(codec, **{key: value}, **fixed)
         rows += [[value, *_stated(row)] for row in group.to_dict("records")]
         rows += [[value, f"ours, {name}", *_ours(measured, name, setting, mean_kib)] for name in measured.sequences]
-    return table(heads, rows)
+    return foreign_table(heads, rows)
 
 
 def _stated(row: dict[Any, Any]) -> list[Any]:
@@ -82,7 +82,7 @@ def operation_tables(measured: Measured) -> Iterator[str]:
             for row in stated.to_dict("records")
         ]
         rows += _counted(measured, setting)
-        yield table(["stage", *(name.replace("_", " ") for name in _CLASSES), "total"], rows)
+        yield foreign_table(["stage", *(name.replace("_", " ") for name in _CLASSES), "total"], rows)
 
 
 def _counted(measured: Measured, setting: PluginSetting | None) -> list[list[Any]]:

@@ -34,7 +34,12 @@ class Cluster:
 
 @contextmanager
 def cluster_elsewhere(
-    folder: Path, site: Path, workers: int = 2, scheduler_host: Host = Host(), hosts: Sequence[Host] = (Host(),)
+    folder: Path,
+    site: Path,
+    workers: int = 2,
+    scheduler_host: Host = Host(),
+    hosts: Sequence[Host] = (Host(),),
+    protocol: str = "tcp",
 ) -> Iterator[Cluster]:
     """A scheduler and single-threaded workers, each with a scratch folder of its own; workers take turns on hosts."""
     folder.mkdir()
@@ -53,6 +58,7 @@ def cluster_elsewhere(
 
         where = folder / "scheduler.json"
         options = ["--host", scheduler_host.address, "--port", "0", "--no-dashboard", "--scheduler-file", str(where)]
+        options += ["--protocol", protocol]
         scheduler = start(scheduler_host, "s", "distributed.cli.dask_scheduler", *options)
         deadline = time.monotonic() + 60
         while not where.exists():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from codecbench.core.contracts.params import Configured, P
 
@@ -24,6 +24,7 @@ class Task:
     worker's memory while it runs; None leaves it alone. exclusive: nothing else runs meanwhile, and the
     worker is pinned to one core. company: the distributions, besides codecbench's, whose code it runs; a worker
     that has run a task with one company gets no task with another, so that nobody meets what another has changed.
+    confined: only where the worker has no network and can write to no file outside a folder of its own.
     """
 
     id: str
@@ -33,6 +34,7 @@ class Task:
     memory_mb: int | None = None
     exclusive: bool = False
     company: tuple[str, ...] = ()
+    confined: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,11 @@ class Executor(Configured[P]):
     """Runs tasks. The engine submits those whose inputs are ready and takes back whatever has finished.
 
     shares_files: workers see the run folder, so that large inputs and outputs travel by path, not by value.
+    confines: it can do tasks that are to be confined; others are not given any.
     """
 
     shares_files: bool = True
+    confines: ClassVar[bool] = False
 
     @abstractmethod
     def start(self, workers: int, prepare: Callable[[], None]) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 import pluggy
 
 from codecbench.core.contracts import hooks
+from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
@@ -58,7 +59,7 @@ class Registry:
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
         self._hosts: dict[tuple[str, ...], PluginHost] = {}
-        scout = None if is_single_threaded() else PluginHost(())
+        scout = None if is_single_threaded() and not wanted() else PluginHost(())
         if hosted and scout is not None:
             scout.start()  # it gets ready while our own plugins are imported
         for point in sorted(points, key=own_first):

@@ -3,7 +3,7 @@
 numba's own cache is keyed by one file's content, so that a change of a kernel in another file, or of a
 constant, goes unnoticed by its callers; and its index can mix up two processes that fill it at once. Here
 every compiled signature is one file whose name is a digest of all that it depends on, written whole, and compiled by
-one process while others that want it wait.
+one process while others that want it wait. Loading runs it, so only what this user or root wrote is loaded (`trust`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import numba
 import numba.core.types
 from numba.core import caching, compiler, serialize, sigutils
 
-from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.core.kernels.source import SourceError
+from codecbench.core.kernels.trust import FILE_MODE, FOLDER_MODE, kernel_folder, read_trusted
 
 # numba is typed in part and differently in each version; what it does is checked by the tests of this module.
 _settings: Any = numba.config
@@ -47,7 +47,7 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
     kernel: `module:function`. build: which build of it. fingerprint: gives a digest of everything that the source
     depends on; asked once, when the first signature is wanted and all that the source names is defined. For a
     function whose code does not say all that it does (it closes over variables), nothing is kept. A folder that cannot
-    be written to costs compile time, nothing else.
+    be written to, or is not to be trusted, costs compile time, nothing else.
     """
 
     def __init__(self, kernel: str, build: Build, fingerprint: Callable[[], str]) -> None:
@@ -63,11 +63,12 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
 
     @property
     def cache_path(self) -> str:
-        return str(cache_folder() / "kernels")
+        return str(kernel_folder())
 
     def file(self, signature: Any, codegen: Any) -> Path | None:
         """Where the machine code of a signature is kept once it is compiled; None where it never is."""
-        if self._fingerprint is None:
+        folder = kernel_folder()
+        if self._fingerprint is None or folder is None:
             return None
         arguments, result = _arguments(signature)
         versions = (numba.__version__, llvmlite.__version__, platform.python_version(), platform.machine())
@@ -75,17 +76,16 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
         named = tuple(_named_tuples(arguments))  # numba writes a named tuple with the bare name of its class
         key = (self._fingerprint, arguments, result, codegen.magic_tuple(), versions, settings, *named)
         name = "".join(letter for letter in self.kernel.replace(":", ".") if letter.isalnum() or letter in "._-")
-        return Path(self.cache_path) / f"{name}.{self.build}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
+        return folder / f"{name}.{self.build}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled signature, or None where it is not there, damaged or made by other versions."""
+        """The compiled signature, or None where it is not there, damaged or not to be trusted."""
         target_context.refresh()
         file = self.file(sig, target_context.codegen())
         if file is None:
             return None
-        try:
-            content = file.read_bytes()
-        except OSError:
+        content = read_trusted(file)
+        if content is None:
             return None
         digest, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
         if hashlib.sha256(payload).digest() != digest:
@@ -160,7 +160,7 @@ def _locked(file: Path | None) -> Iterator[None]:
         return
     path = file.with_suffix(".lock")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
         lock = open(path, "w", encoding="ascii")  # noqa: SIM115 - closed below, whatever is compiled inside
     except OSError:
         yield
@@ -176,12 +176,19 @@ def _locked(file: Path | None) -> Iterator[None]:
 
 
 def _write_whole(file: Path, content: bytes) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(file.parent)
     handle, unfinished = tempfile.mkstemp(dir=file.parent)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
+            os.fchmod(stream.fileno(), FILE_MODE)
         os.replace(unfinished, file)
     except BaseException:
         Path(unfinished).unlink(missing_ok=True)
         raise
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder that nobody else may write, whatever the umask is."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=FOLDER_MODE, exist_ok=True)

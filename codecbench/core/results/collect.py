@@ -15,6 +15,7 @@ from codecbench.core.contracts.errors import CodecbenchError, StoreError
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
+from codecbench.core.engine.foreign_text import clean_value
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
@@ -119,6 +120,7 @@ def _result(
         record.duration_s,
         partial(_drawing, evaluator if record.status == "ok" else None, outcome),
         record.code,
+        clean_value(record.worker),
     )
 
 

@@ -7,18 +7,18 @@ import fnmatch
 import io
 import json
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from codecbench.core.contracts.errors import ParamsError
-from codecbench.core.results.markdown import escaped
-from codecbench.core.results.markdown import table as markdown_table
+from codecbench.core.results.markdown import foreign_table
 
 if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
+_FORMULA = ("=", "+", "-", "@")
 _LATEX = str.maketrans(
     {**{special: f"\\{special}" for special in "&%$#_{}"}, "\\": "\\textbackslash{}", "~": "\\textasciitilde{}",
      "^": "\\textasciicircum{}", "\n": " "}
@@ -28,10 +28,11 @@ _LATEX = str.maketrans(
 def exported(frame: pd.DataFrame, format_: str) -> bytes:
     """A table as the bytes of a file: `csv`, `parquet`, `json`, `markdown` or `latex`.
 
-    Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty.
+    Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty. In csv a
+    text that spreadsheets would take for a formula gets an apostrophe before it.
     """
     if format_ == "csv":
-        return frame.to_csv(index=False).encode()
+        return _no_formulas(frame).to_csv(index=False).encode()
     if format_ == "parquet":
         buffer = io.BytesIO()
         frame.to_parquet(buffer, index=False)
@@ -44,8 +45,7 @@ def exported(frame: pd.DataFrame, format_: str) -> bytes:
         return (json.dumps(records, indent=1) + "\n").encode()
     rows = _objects(frame).to_numpy().tolist()
     if format_ == "markdown":
-        heads = [escaped(str(name)) for name in frame.columns]
-        return markdown_table(heads, [[_markdown_cell(value) for value in row] for row in rows]).encode()
+        return foreign_table([str(name) for name in frame.columns], rows).encode()
     if format_ == "latex":
         return _latex(frame).encode()
     raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
@@ -92,8 +92,14 @@ def json_value(value: object) -> object:
     return value
 
 
-def _markdown_cell(value: object) -> object:
-    return escaped(value) if isinstance(value, str) else value
+def _no_formulas(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table with an apostrophe before each text, heads too, that begins like a formula; numbers as they are."""
+    texts = [name for name in frame.columns if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
+    return frame.assign(**{name: frame[name].map(_no_formula) for name in texts}).rename(columns=_no_formula)
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
 def _latex(frame: pd.DataFrame) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from codecbench.core.contracts.view import Drawing
+from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import SequenceEntry
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.results.columns import Column
@@ -27,7 +28,12 @@ from codecbench.core.results.views import Bars, CurveView, Drawn, bars_views, cu
 _STYLE: Final[Any] = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False,
     "figure.constrained_layout.use": True, "svg.hashsalt": "codecbench", "legend.frameon": False,
+    "text.parse_math": False,
 }  # fmt: skip
+
+_NAME_BYTES: Final = 200
+_NAME_LETTERS: Final = 40
+"""What is left of a longer name, before a digest of the whole."""
 
 _HATCHES: Final = ("", "////", "....", "xxxx")
 
@@ -200,7 +206,10 @@ def _fill(at: int) -> dict[str, Any]:
 
 
 def _file_name(*parts: str) -> str:
-    """The parts that are not empty, joined by dashes, of letters that every file system takes."""
-    return "-".join(
+    """The parts that are not empty, joined by dashes, of letters and of a length that every file system takes."""
+    name = "-".join(
         "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in part) for part in parts if part
     )
+    if len(name.encode()) <= _NAME_BYTES:
+        return name
+    return f"{name[:_NAME_LETTERS]}-{content_digest(name.encode())[:8]}"

@@ -17,6 +17,12 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def foreign_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table of text that others wrote: markup in it is escaped."""
+    shown = ([escaped(value) if isinstance(value, str) else value for value in row] for row in rows)
+    return table([escaped(head) for head in heads], shown)
+
+
 def cell(value: object) -> str:
     """A value as a table shows it: four significant digits, thousands apart where it is a count."""
     if value is None or (isinstance(value, float) and math.isnan(value)):

@@ -87,6 +87,7 @@ class DaskExecutor(Executor[DaskParams]):
     name = "dask"
     version = "1"
     params_type: ClassVar[type[Params]] = DaskParams
+    confines = True
 
     def __init__(self, params: DaskParams) -> None:
         super().__init__(params)
@@ -117,9 +118,10 @@ class DaskExecutor(Executor[DaskParams]):
                 where = self._cluster or self.params.address
                 self._client = Client(where, timeout=self.params.start_timeout_s)  # type: ignore[no-untyped-call]
                 self._client.wait_for_workers(1, timeout=self.params.start_timeout_s)
-            except OSError as error:  # TimeoutError is one
+            except (OSError, TypeError, ValueError) as error:  # TimeoutError is an OSError; the others are of settings
                 place = self.params.address or f"the {self.params.made} cluster"
-                raise CodecbenchError(f"no dask worker at {place}: {error}") from error
+                cause = error if isinstance(error, OSError) else OSError(str(error))
+                raise CodecbenchError(f"no dask worker at {place}: {error}") from cause
         self._wanted = len(self._cluster.worker_spec) if self._cluster is not None else 0
         self._looked = self._last_seen = time.monotonic()
         self._client.run_on_scheduler(_allow_failures, count=self.params.retries)
@@ -167,7 +169,7 @@ class DaskExecutor(Executor[DaskParams]):
         usual: dict[str, Any] = {}
         if self.params.made == "local":
             usual = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
-            usual["dashboard_address"] = ":0"  # any free port: the usual one may be taken
+            usual["dashboard_address"] = "127.0.0.1:0"  # else all interfaces; any free port: the usual one may be taken
         try:
             with hidden_main():
                 cluster = make(**{**usual, **self.params.options})

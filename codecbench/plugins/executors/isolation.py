@@ -70,23 +70,29 @@ class _State:
 _state = _State()
 
 
-def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings) -> None:
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings | None) -> None:
     """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
 
-    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
+    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`. surroundings:
+    None for a confined worker, which was executed with its own; its identity, output and end are seen to from outside.
     """
-    os.setpgid(0, 0)
-    surroundings.enter()
-    _redirect_output(files.output)
+    if surroundings is not None:
+        os.setpgid(0, 0)
+        surroundings.enter()
+        _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
     if "CODECBENCH_CACHE" in os.environ:
         os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
     os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
-    _die_with_parent()
+    _adopt_orphans()
+    if surroundings is not None:
+        _die_with_parent()
     prepare()
     _state.baseline_mb = private_mb(os.getpid())
+    if surroundings is None:
+        return
     content = json.dumps({"pid": os.getpid(), "baseline_mb": _state.baseline_mb})
     temporary = files.identity.with_suffix(".new")
     temporary.write_text(content)
@@ -143,16 +149,19 @@ def _redirect_output(path: Path) -> None:
     os.close(nothing)
 
 
+def _adopt_orphans() -> None:
+    """Make orphans of this process's descendants its children: a task cannot leave a process by leaving its group."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+
+
 def _die_with_parent() -> None:
     """End this process and its group when the program ends that wanted it, even while C code holds the interpreter.
 
-    The server that forked it ends with that program, and the system kills this process with the server. Orphans of its
-    descendants become its children, so that a task cannot leave a process by leaving its group.
+    The server that forked it ends with that program, and the system kills this process with the server.
     """
     if sys.platform == "linux":
-        library = ctypes.CDLL(None)
-        library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        library.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     process = multiprocessing.parent_process()
     if process is not None:
         if not process.is_alive():

@@ -24,7 +24,9 @@ from typing import Any, Final
 import psutil
 from pebble import ProcessExpired, ProcessPool
 
+from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
+from codecbench.plugins.executors.confined_context import ConfinedContext
 from codecbench.plugins.executors.fork_server import ForkServer, Surroundings
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
@@ -47,6 +49,7 @@ class _Slot:
 
     files: WorkerFiles
     company: tuple[str, ...] = ()
+    confined: bool = False
     pool: ProcessPool | None = None
     task: Task | None = None
     future: Future[Any] | None = None
@@ -76,11 +79,16 @@ class WorkerPool:
         return sum(slot.task is not None for slot in self._slots)
 
     def start(self, task: Task) -> bool:
-        """Give the task to a free worker of its company, preferring one that has started; False where all are busy."""
+        """Give the task to a free worker of its company, preferring one that has started; False where all are busy.
+
+        Raises CodecbenchError where the task is to be confined and the system does not allow that.
+        """
         if self.running >= self._workers:
             return False
-        slot = self._slot_for(task.company)
-        slot.task, slot.company, slot.launches = task, task.company, 0
+        if task.confined:
+            confinement()
+        slot = self._slot_for(task)
+        slot.task, slot.company, slot.confined, slot.launches = task, task.company, task.confined, 0
         self._launch(slot)
         return True
 
@@ -111,10 +119,11 @@ class WorkerPool:
             with suppress(OSError, ValueError):
                 _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
 
-    def _slot_for(self, company: tuple[str, ...]) -> _Slot:
-        """A free worker of the company, else one that has not started, else another company's that has to go."""
+    def _slot_for(self, task: Task) -> _Slot:
+        """A free worker of the task's company, else one that has not started, else another company's that has to go."""
         free = [slot for slot in self._slots if slot.task is None]
-        known = next((slot for slot in free if slot.pool is not None and slot.company == company), None)
+        wanted = task.company, task.confined
+        known = next((slot for slot in free if slot.pool is not None and (slot.company, slot.confined) == wanted), None)
         slot = known or next((slot for slot in free if slot.pool is None), None)
         if slot is None and len(self._slots) < self._workers + _PARKED:
             slot = _Slot(self._folder.files(len(self._slots)))
@@ -134,8 +143,8 @@ class WorkerPool:
             slot.pool = ProcessPool(
                 max_workers=1,
                 initializer=enter_worker,
-                initargs=(slot.files, self._prepare, Surroundings.now()),
-                context=self._server,
+                initargs=(slot.files, self._prepare, None if slot.confined else Surroundings.now()),
+                context=ConfinedContext(slot.files) if slot.confined else self._server,
             )
         future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
         slot.future = future
@@ -149,11 +158,12 @@ class WorkerPool:
         if error is None:
             return self._end(slot, "ok", value=future.result())
         if isinstance(error, ProcessExpired):
-            if error.exitcode == RETIRED and slot.launches < _LAUNCHES:
+            exitcode = status_inside(error.exitcode) if slot.confined else error.exitcode
+            if exitcode == RETIRED and slot.launches < _LAUNCHES:
                 self._discard(slot)
                 self._launch(slot)
                 return None
-            return self._end(slot, "crashed", _death(error.exitcode), discard=True)
+            return self._end(slot, "crashed", _death(exitcode), discard=True)
         if isinstance(error, RuntimeError) and slot.pool is not None and not slot.pool.active:
             return self._restarted(slot, f"its worker could not start or answer: {error}")
         text = " ".join(f"{type(error).__name__}: {error}".split())
@@ -215,7 +225,8 @@ class WorkerPool:
 
     def _meet(self, slot: _Slot, now: float) -> None:
         identity = json.loads(slot.files.identity.read_text())
-        slot.pid, slot.baseline_mb, slot.started = identity["pid"], identity["baseline_mb"], now
+        slot.pid, slot.started = identity["pid"], now
+        slot.baseline_mb = _tree_mb(slot.pid) if identity["baseline_mb"] is None else identity["baseline_mb"]
 
     def _discard(self, slot: _Slot) -> None:
         """Kill the slot's worker with its descendants and let go of its pool."""

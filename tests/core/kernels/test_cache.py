@@ -109,3 +109,14 @@ def test_a_named_tuple_is_known_by_its_module_and_its_fields(tmp_path: Path) -> 
         command = [sys.executable, "-c", "from pairs import Pair, first_of; print(first_of(Pair(1, 2)))"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
         assert done.stdout.strip() == expected, done.stderr
+
+
+def test_what_is_kept_can_be_read_by_all_and_written_by_its_owner_alone(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert output(start(tmp_path, PLUS)) == "3 1"
+    finally:
+        os.umask(before)
+    folder = tmp_path / "cache" / "kernels"
+    assert oct(folder.stat().st_mode & 0o7777) == "0o755"
+    assert {oct(path.stat().st_mode & 0o7777) for path in folder.glob("*.bin")} == {"0o644"}

@@ -16,7 +16,9 @@ import pytest
 from distributions import install_source, register
 from project import SUPPORT
 
+from codecbench.core.engine.environment import environment_id
 from codecbench.core.engine.foreign_text import LINE_LIMIT, clean_line, clean_text
+from codecbench.core.engine.identity import digest
 from codecbench.core.results.markdown import escaped
 
 pytestmark = pytest.mark.thorough
@@ -149,8 +151,6 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
 
 
 def test_the_name_of_an_own_folder_does_not_make_a_plan_ones_own(run: Path, place: Path) -> None:
-    from codecbench.core.engine.identity import digest
-
     document = json.loads((run / "plan.json").read_text())
     document["plan"]["sequences"][0]["dataset"]["params"]["path"] = "/etc"
     content = {"plan": document["plan"], "origin": document["origin"]}
@@ -168,19 +168,28 @@ def test_no_new_frames_are_shown_beside_old_bitstreams(run: Path, place: Path, t
     assert pictures(run) == 0
 
 
-@pytest.mark.parametrize("what", ["lock", "report", "run.log", "coded", "records", "environment", "record", "file"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        *("lock", "report", "page", "run.log", "plan.json", "matrix.yaml", "coded", "file", "environment"),
+        *("records", "records/index.jsonl", "shard", "record"),
+    ],
+)
 def test_no_link_is_followed_out_of_a_run_folder(what: str, run: Path, place: Path, tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.mkdir()
     record = next(run.glob("records/*/*"))
-    path = {"record": record, "file": next(run.glob("coded/*.bits"))}.get(what, run / what)
+    (run / "report").mkdir(exist_ok=True)
+    places = {"record": record, "shard": record.parent, "page": run / "report" / "report.html"}
+    path = {**places, "file": next(run.glob("coded/*.bits"))}.get(what, run / what)
+    is_file = what == "page" or path.is_file()
     if path.is_dir():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)
-    target = outside / "thesis.txt" if what in ("lock", "run.log", "file") else outside
+    target = outside / "thesis.txt" if is_file else outside
     (outside / "thesis.txt").write_text("a year's work")
     path.symlink_to(target)
-    for words in (["report", run], ["run", "small.yaml", "--out", run]):
+    for words in (["report", run], ["run", "small.yaml", "--out", run], ["plan", "small.yaml", "--out", run]):
         done = command(place, *words)
         assert done.returncode == 2, done.stdout
         assert f"{path} is a link to {target}, out of the run folder" in done.stderr
@@ -235,6 +244,75 @@ def test_what_a_codec_says_is_shown_cleaned_and_cut(loud: Path, place: Path) -> 
     latex = command(place, "table", "--format", "latex", "loud").stdout
     assert "\\textbackslash{}\\textbackslash{}" not in latex
     assert "\\textbackslash{}x1b" in latex
+
+
+EVIL = "=cmd|calc \x1b[31m\u202ered</script><img src=x onerror=alert(1)> [l](javascript:x) `c` \\input{x} ${{7*7}} \x07"
+
+
+def spoil(run: Path) -> None:
+    """Put hostile text wherever a plan, records and environments have text, with the checksums that belong to it."""
+    plan = json.loads((run / "plan.json").read_text())
+    body = plan["plan"]
+    body["matrix_text"] = EVIL * 100_000
+    body["sequences"][0]["name"] = EVIL
+    for number, setting in enumerate(body["settings"]):
+        setting["label"] = f"{EVIL} {number}"
+    content = {"plan": body, "origin": plan["origin"]}
+    (run / "plan.json").write_text(json.dumps({"checksum": digest(content), **content}))
+    for path in run.glob("records/*/*/record.json"):
+        record = json.loads(path.read_text())
+        del record["checksum"]
+        record["worker"] = {"company": [EVIL], "confined": EVIL}
+        record["summaries"].append([f"{EVIL} metric", EVIL, "mean", 2.0])
+        if record["cell"]["codec"]["name"] == "jpeg":
+            record |= {"status": "failed", "reason": EVIL + "A" * 5_000_000, "traceback": EVIL}
+        path.write_text(json.dumps({"checksum": digest(record), **record}))
+    (run / "records" / "index.jsonl").unlink()
+    (path,) = run.glob("environment/*.json")
+    environment = json.loads(path.read_text())["environment"]
+    environment["machine"]["cpu"] = EVIL * 1000
+    described = {"id": environment_id(environment), "environment": environment}
+    path.unlink()
+    path.with_stem(described["id"]).write_text(json.dumps({"checksum": digest(described), **described}))
+
+
+def test_hostile_text_of_a_folder_is_text_wherever_it_is_shown(run: Path, place: Path, tmp_path: Path) -> None:
+    spoil(run)
+    formats = [["--format", name] for name in ("csv", "json", "markdown", "latex")]
+    commands = [["table", run], *([["table", run, *words] for words in formats])]
+    commands += [["table", "--tidy", run, "--format", "csv"], ["status", "--failed", run], ["status", "--json", run]]
+    commands += [["compare", place / "whole", run, "--all", "--fail-on", "never", *words] for words in ([], formats[2])]
+    for words in commands:
+        done = command(place, *words)
+        assert done.returncode == 0, done.stderr
+        assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f\u202e]", done.stdout + done.stderr), words
+        assert len(done.stdout) < 60_000, words
+        assert "markdown" not in words or not re.search(r"<img|[^\\]\[l|[^\\]`c", done.stdout)
+        assert "csv" not in words or not re.search(r"(^|,)\"?=", done.stdout, re.MULTILINE)
+    assert command(place, "table", run, "--format", "csv").stdout.count("'=cmd") > 3
+    assert command(place, "report", run).returncode == 0
+    page = (run / "report" / "report.html").read_text()
+    assert len(page) < 8_000_000
+    assert "<img src=x" not in page
+    assert page.count("</script>") == 3
+    assert "\u202e" not in page
+    assert command(place, "plot", run, "--out", tmp_path / "figures").returncode == 0
+    drawn = list((tmp_path / "figures").iterdir())
+    assert drawn
+    assert "<img" not in "".join(path.read_text() for path in drawn)
+    assert command(place, "reproduce", run, "--out", tmp_path / "paper.md").returncode == 0
+    assert not re.search(r"<img|[^\\]\[l", (tmp_path / "paper.md").read_text())
+
+
+def test_a_plan_whose_name_is_a_path_is_refused(run: Path, place: Path, tmp_path: Path) -> None:
+    plan = json.loads((run / "plan.json").read_text())
+    plan["plan"]["name"] = str(tmp_path / "elsewhere")
+    content = {"plan": plan["plan"], "origin": plan["origin"]}
+    (run / "plan.json").write_text(json.dumps({"checksum": digest(content), **content}))
+    done = command(place, "reproduce", place / "whole", run, "--out", tmp_path / "paper.md")
+    assert done.returncode == 3
+    assert "plan.json is damaged" in done.stderr
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_text_is_cleaned_without_confusing_what_differs() -> None:

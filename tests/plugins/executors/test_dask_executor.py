@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -68,18 +70,26 @@ def prepare() -> None:
     return None
 
 
+def dask_worker() -> int:
+    """The dask worker that wanted this process; its parent is the server that forked it."""
+    wanting = multiprocessing.parent_process()
+    assert wanting is not None
+    assert wanting.pid is not None
+    return wanting.pid
+
+
 def slow_pid(seconds: float) -> int:
     time.sleep(seconds)
-    return os.getppid()
+    return dask_worker()
 
 
 def slow_size(content: bytes) -> tuple[int, int]:
     time.sleep(1.5)
-    return len(content), os.getppid()
+    return len(content), dask_worker()
 
 
 def kill_worker(_: object) -> None:
-    os.kill(os.getppid(), signal.SIGKILL)
+    os.kill(dask_worker(), signal.SIGKILL)
     time.sleep(60)
 
 
@@ -177,7 +187,7 @@ def hanging(executor: DaskExecutor, path: Path) -> psutil.Process:
 def spawned(earlier: list[psutil.Process]) -> list[psutil.Process]:
     """The processes below this one that are not among the earlier ones, without Python's own resource tracker."""
     new = [one for one in psutil.Process().children(recursive=True) if one not in earlier]
-    return [one for one in new if "spawn_main" in " ".join(_command(one))]
+    return [one for one in new if re.search("spawn_main|multiprocessing.forkserver", " ".join(_command(one)))]
 
 
 def gone(*processes: psutil.Process) -> bool:
@@ -320,6 +330,20 @@ def test_a_sequence_that_differs_on_the_workers_is_told(bench: Bench) -> None:
 def test_a_cluster_that_cannot_be_made_is_told(params: dict[str, Any], told: str) -> None:
     with pytest.raises(CodecbenchError, match=told), started(DaskParams(**params)):
         pass
+
+
+def test_a_cluster_on_this_machine_listens_on_the_loopback_alone() -> None:
+    mine = psutil.Process()
+    before = {process.pid for process in mine.children(recursive=True)}
+    with started(DaskParams()):
+        ours = [mine, *(process for process in mine.children(recursive=True) if process.pid not in before)]
+        listening = {
+            connection.laddr.ip
+            for process in ours
+            for connection in process.net_connections("inet")
+            if connection.status == psutil.CONN_LISTEN
+        }
+    assert listening == {"127.0.0.1"}
 
 
 def test_contradicting_parameters_and_unreachable_clusters_are_told() -> None:

@@ -23,6 +23,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from codecbench.core.contracts import errors
+from codecbench.core.contracts.confinement import confining_words, status_inside, wanted
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.foreign_errors import ended
 
@@ -79,11 +80,12 @@ class PluginHost:
         if self._process is not None:
             return
         folder = tempfile.mkdtemp(prefix="codecbench-host-")
+        confining = confining_words(folder) if wanted() else []
         taken, self._requests = os.pipe()
         self._answers, given = os.pipe()
         paths = [os.path.abspath(path) for path in sys.path]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company, folder])],
+            [*confining, sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company, folder])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -177,7 +179,7 @@ def _death(process: subprocess.Popen[bytes]) -> str:
         status = process.wait(1.0)
     except subprocess.TimeoutExpired:
         return "it closed the connection of its process"
-    return ended(status)
+    return ended(status_inside(status) if wanted() else status)
 
 
 def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: str) -> None:

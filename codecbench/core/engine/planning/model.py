@@ -172,6 +172,9 @@ class Plan:
 
 
 _Id = Annotated[str, Field(pattern="^[0-9a-f]+$")]
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=255)]
+"""Of a matrix; folders are called by it."""
+
 _Declared = dict[str, dict[str, dict[str, Any]]]
 
 
@@ -179,7 +182,7 @@ _Declared = dict[str, dict[str, dict[str, Any]]]
 class _PlanBody:
     """What `as_json` writes; texts of one line are cleaned, for the plan may come from elsewhere."""
 
-    name: str
+    name: _Name
     matrix_text: str
     run: RunSettings
     sequences: list[SequenceEntry]
@@ -198,7 +201,7 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
     sequences = [replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset)) for entry in body.sequences]
     settings = [_shown(setting) for setting in body.settings]
     return Plan(
-        name=clean_line(body.name),
+        name=body.name,
         matrix_text=clean_text(body.matrix_text),
         run=body.run,
         sequences=tuple(sequences),

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.contracts.errors import StoreError
+from codecbench.core.contracts.confinement import confinement, confines, wanted
+from codecbench.core.contracts.errors import CodecbenchError, StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status, Task
-from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.answer import outcome_of
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.distrust import beside_notice, made_beside
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
@@ -70,13 +71,16 @@ def run_plan(
 
     recompute: names of codecs, evaluators and sequences whose cells are computed again. Listener is told after every
     job and cell. SIGINT and SIGTERM end the run within seconds; everything recorded is kept. Raises StoreError where
-    the folder is in use or cannot be written, and ParamsError for a name in `recompute` that the plan does not have.
+    the folder is in use or cannot be written, ParamsError for a name in `recompute` that the plan does not have, and
+    CodecbenchError where plugins are to be confined and cannot be.
     """
     store = Store(folder)
     setting = plan.run.executor
     registry = registry or installed()
     with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
         executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
+        if wanted():
+            _require_confinement(executor)
         resumption = resume(plan, store, registry, recompute)
         run = _Run(
             plan, store, executor, registry, resumption, workers or plan.run.workers, listener or (lambda _: None)
@@ -89,6 +93,16 @@ def run_plan(
         finally:
             executor.stop()
         return run.summary(interruption.signal_name)
+
+
+def _require_confinement(executor: Executor[Any]) -> None:
+    """Raise CodecbenchError where this system or the executor does not confine."""
+    confinement()
+    if not executor.confines:
+        message = (
+            f"the executor {executor.name} does not confine plugins; choose local or dask, or run without --confine"
+        )
+        raise CodecbenchError(message)
 
 
 class _Run:
@@ -171,7 +185,8 @@ class _Run:
         settings = self.plan.run
         order = Order(work, self._bitstreams(work), cache_limit_bytes(settings.memory_mb))
         exclusive = isinstance(work, Cell) and work.exclusive
-        return Task(work.id, perform, order, settings.timeout_s, settings.memory_mb, exclusive, work.company)
+        limits = settings.timeout_s, settings.memory_mb
+        return Task(work.id, perform, order, *limits, exclusive, work.company, confines(work.company))
 
     def _bitstreams(self, work: Work) -> Path | bytes | None:
         """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""
@@ -179,20 +194,19 @@ class _Run:
         if job_id is None:
             return None
         path = self.store.coded_path(job_id).absolute()
-        if self.executor.shares_files:
+        writes = isinstance(work, CodingJob)
+        if self.executor.shares_files and not (writes and confines(work.company)):
             return path
-        return None if isinstance(work, CodingJob) else path.read_bytes()
+        return None if writes else path.read_bytes()
 
     def _take_back(self, finished: Finished) -> None:
         if self.warm_up.took(finished):
             self._tell()
             return
         work = self.under_way.pop(finished.task_id)
-        if isinstance(finished.value, Record) and not finished.value.worker["checked"]:
-            self._distrust(finished.value.worker, work.company)
-        outcome: Record | BitstreamDamage = finished.value or Record(
-            work.id, finished.status, clean_line(_blamed(work, finished.reason)), clean_text(finished.traceback)
-        )
+        outcome = outcome_of(work, finished)
+        if isinstance(outcome, Record) and outcome.worker and not outcome.worker["checked"]:
+            self._distrust(outcome.worker, work.company)
         if isinstance(work, CodingJob):
             assert isinstance(outcome, Record)
             self._coded(work, outcome)
@@ -279,10 +293,3 @@ class _Run:
                 record=record,
             )
         )
-
-
-def _blamed(work: Work, reason: str) -> str:
-    """Why a worker did not live to tell, with the plugins of other distributions whose code ran there."""
-    strangers = [plugin.full_name for plugin in work.plugins if plugin.distribution]
-    doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
-    return f"{' or '.join(strangers)} while {doing}: {reason}" if strangers else reason

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, TypeAlias
 
+from codecbench.core.contracts.confinement import confines
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
@@ -84,7 +85,8 @@ class WarmUp:
         for entry in sorted(entries, key=lambda entry: (entry.stage, -entry.seconds)):
             id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
             self._under_way[id_] = entry
-            self._executor.submit(Task(id_, compile_entry, entry, company=self._companies.get(entry, ())))
+            company = self._companies.get(entry, ())
+            self._executor.submit(Task(id_, compile_entry, entry, company=company, confined=confines(company)))
 
 
 def compile_entry(entry: Entry) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import platform
 import random
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.confinement import confined_by, outer_pid
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import (
     CodecEvaluator,
@@ -106,10 +106,21 @@ def perform(order: Order) -> Record | BitstreamDamage:
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker={"host": platform.node(), "pid": os.getpid(), "company": list(work.company), "checked": checked},
+        worker=_worker(work, checked),
         code=code,
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
+
+
+def _worker(work: Work, checked: bool) -> dict[str, Any]:
+    """Where and in whose company the work was done, what confined it, if anything did, and whether it was sound after.
+
+    The process has the number that it is known by outside of its confinement, which no other worker has.
+    """
+    tool = confined_by()
+    confined = {} if tool is None else {"confined": tool}
+    company = list(work.company)
+    return {"host": platform.node(), "pid": outer_pid(), "company": company, "checked": checked, **confined}
 
 
 def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record:

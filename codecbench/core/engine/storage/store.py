@@ -79,7 +79,7 @@ class Store:
         """
         with self._writing():
             make_folder(self.folder, durable=True)
-            refuse_links(self.folder, _DEPTH)
+            self.refuse_links()
             lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
         with lock as stream:
             if not _locked(stream):
@@ -94,6 +94,10 @@ class Store:
             yield
             with self._writing():
                 sync_file_system(self.folder)
+
+    def refuse_links(self) -> None:
+        """Raise StoreError where a file or folder of the run is a link that leads out of its folder."""
+        refuse_links(self.folder, _DEPTH)
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
@@ -116,7 +120,7 @@ class Store:
 
         Raises StoreError where it is missing or damaged, or the folder has links that lead out of it.
         """
-        refuse_links(self.folder, _DEPTH)
+        self.refuse_links()
         return PlanFile(self.folder).read()
 
     def coded_path(self, job_id: str) -> Path:

@@ -12,6 +12,9 @@ const shown = (x) => {
   return x === 0 ? "0" : Math.abs(x) >= 1e5 ? x.toExponential(3) : String(Number(x.toPrecision(4)));
 };
 
+/* Text that the drawings would otherwise take for markup. */
+const plain = (text) => String(text ?? "").replaceAll("&", "&amp;").replaceAll("<", "&lt;");
+
 function layout(extra) {
   const ink = getComputedStyle(document.documentElement).getPropertyValue("--ink").trim();
   const line = getComputedStyle(document.documentElement).getPropertyValue("--line").trim();
@@ -89,10 +92,10 @@ function curves() {
         return { type: "data", symmetric: false, thickness: 1, array: rows.map((r) => measured(r, high) - measured(r, column)),
           arrayminus: rows.map((r) => measured(r, column) - measured(r, low)) };
       };
-      return { name: curve, x: rows.map((r) => measured(r, x)), y: rows.map((r) => measured(r, y)),
-        text: rows.map((r) => r.setting), mode: "lines+markers", type: "scatter", error_y: bars(y), error_x: bars(x),
+      return { name: plain(curve), x: rows.map((r) => measured(r, x)), y: rows.map((r) => measured(r, y)),
+        text: rows.map((r) => plain(r.setting)), mode: "lines+markers", type: "scatter", error_y: bars(y), error_x: bars(x),
         line: { color: style.colour, width: 1.6 }, marker: { symbol: style.symbol, size: 9, color: style.colour },
-        hovertemplate: `<b>${curve}</b> %{text}<br>${columnName(x)} %{x:.5g}<br>${columnName(y)} %{y:.5g}<extra></extra>` };
+        hovertemplate: `<b>${plain(curve)}</b> %{text}<br>${plain(columnName(x))} %{x:.5g}<br>${plain(columnName(y))} %{y:.5g}<extra></extra>` };
     }).filter((trace) => trace.x.length);
     const front = $("front").checked ? frontOf(traces, x, y) : [];
     if (front.length) traces.push({ name: "Pareto front", x: front.map((p) => p[0]), y: front.map((p) => p[1]), mode: "lines",
@@ -102,8 +105,8 @@ function curves() {
       ? `Without a finite value here: ${left.map((r) => `${r.codec} ${r.setting}`.trim()).join("; ")}.` : "";
     draw("curve", traces, {
       showlegend: true,
-      xaxis: { title: { text: columnName(x) }, ...scale($("logx").checked) },
-      yaxis: { title: { text: columnName(y) }, ...scale($("logy").checked) },
+      xaxis: { title: { text: plain(columnName(x)) }, ...scale($("logx").checked) },
+      yaxis: { title: { text: plain(columnName(y)) }, ...scale($("logy").checked) },
     });
   };
   for (const axis of ["x", "y"]) $(axis).addEventListener("change", () => { rescale(axis); plot(); });
@@ -139,7 +142,7 @@ function map(view, id) {
       box.append(plotted, caption); host.append(box);
       const traces = drawing.lines.map((line) => {
         const style = DATA.strokes[line.stroke];
-        return { name: line.name, x: line.points[0], y: line.points[1], mode: "lines", type: "scatter", hoverinfo: "name",
+        return { name: plain(line.name), x: line.points[0], y: line.points[1], mode: "lines", type: "scatter", hoverinfo: "name",
           line: { color: style.colour, dash: style.plotly_dash, width: style.width } };
       });
       draw(plotted.id, traces, { margin: { l: 34, r: 6, t: 6, b: 26 }, showlegend: false, yaxis: { scaleanchor: "x" } },
@@ -186,12 +189,12 @@ function bars(view, id) {
     const settings = [...new Set(chosen.map((bar) => bar.setting))];
     const stages = [...new Set(chosen.map((bar) => bar.stage))];
     draw(`${id}-plot`, stages.map((stage, i) => ({
-      name: stage, type: "bar", orientation: "h", y: settings, marker: { color: DATA.palette[i % DATA.palette.length],
+      name: plain(stage), type: "bar", orientation: "h", y: settings.map(plain), marker: { color: DATA.palette[i % DATA.palette.length],
         pattern: { shape: ["", "/", ".", "x"][Math.floor(i / DATA.palette.length) % 4], fillmode: "overlay", fgcolor: "#fff" } },
       x: settings.map((setting) => chosen.filter((bar) => bar.setting === setting && bar.stage === stage)
         .reduce((sum, bar) => sum + bar.value, 0)),
-      hovertemplate: `${stage}: %{x:.4s} ${view.unit}<extra>%{y}</extra>`,
-    })), { barmode: "stack", xaxis: { title: { text: `${view.unit} a frame` } }, yaxis: { automargin: true, autorange: "reversed" },
+      hovertemplate: `${plain(stage)}: %{x:.4s} ${plain(view.unit)}<extra>%{y}</extra>`,
+    })), { barmode: "stack", xaxis: { title: { text: `${plain(view.unit)} a frame` } }, yaxis: { automargin: true, autorange: "reversed" },
       legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 56, r: 16, t: 90, b: 48 },
       height: Math.max(320, 150 + 26 * settings.length) });
   };
@@ -242,7 +245,9 @@ function table() {
     link.href = URL.createObjectURL(new Blob([content], { type }));
     link.download = name; link.click(); URL.revokeObjectURL(link.href);
   };
-  const quoted = (value) => /[",\n]/.test(String(value ?? "")) ? `"${String(value).replaceAll('"', '""')}"` : String(value ?? "");
+  /* As in the table's CSV: a text that spreadsheets would take for a formula gets an apostrophe before it. */
+  const harmless = (value) => typeof value === "string" && /^[=+@-]/.test(value) && value !== "-inf" ? `'${value}` : String(value ?? "");
+  const quoted = (value) => /[",\n]/.test(harmless(value)) ? `"${harmless(value).replaceAll('"', '""')}"` : harmless(value);
   $("csv").addEventListener("click", () => download(`${DATA.name}.csv`, "text/csv",
     [columns, ...DATA.rows.map((row) => columns.map((name) => row[name]))].map((row) => row.map(quoted).join(",")).join("\n")));
   $("json").addEventListener("click", () => download(`${DATA.name}.json`, "application/json", JSON.stringify(DATA.rows, null, 1)));

@@ -62,6 +62,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         failures=_failures(run),
         codes=_codes(run),
         environment=json.dumps(run.environments, indent=1, sort_keys=True),
+        companies=_companies(run),
         matrix=run.plan.matrix_text,
         folder=run.folder.name,
         version=version("codecbench"),
@@ -113,6 +114,17 @@ def _codes(run: RunResult) -> list[list[str]]:
     rows = [[label, *told.rpartition(" ")[::2], str(count)] for (label, told), count in sorted(found.items())]
     several = {label for label, count in Counter(row[0] for row in rows).items() if count > 1}
     return [[*row, "other code made the rest: do not compare them" if row[0] in several else ""] for row in rows]
+
+
+def _companies(run: RunResult) -> list[str]:
+    """How many cells ran code of other distributions, which, and what confined it, in words."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for result in run.results:
+        company = result.worker.get("company")
+        if isinstance(company, list) and company:
+            tool = result.worker.get("confined")
+            counts[" and ".join(map(str, company)), f"confined by {tool}" if tool else "not confined"] += 1
+    return [f"{_counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
 
 
 def _counted(count: int, noun: str) -> str:

@@ -1,0 +1,88 @@
+"""Whose files may be run as code: this user's and root's, as long as nobody else may write them."""
+
+from __future__ import annotations
+
+import logging
+import os
+import pwd
+import stat
+from pathlib import Path
+
+import platformdirs
+
+from codecbench.core.kernels.cache_folder import cache_folder
+
+log = logging.getLogger("codecbench.kernels")
+
+FOLDER_MODE = 0o755
+FILE_MODE = 0o644
+"""For everyone to read, so that what root compiled into an image of a container serves its users."""
+
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_told: set[str] = set()
+
+
+def kernel_folder() -> Path | None:
+    """Where compiled kernels are kept: in the cache folder, else in the user's own one, else nowhere.
+
+    A folder that others own or may write is refused, with a line in the log.
+    """
+    own = Path(platformdirs.user_cache_dir("codecbench"))
+    for folder in (cache_folder() / "kernels", own / "kernels"):
+        try:
+            reason = objection(folder.stat())
+        except FileNotFoundError:
+            return folder
+        except OSError as error:
+            reason = f"it cannot be looked at ({error.strerror})"
+        if reason is None:
+            return folder
+        refuse(folder, reason)
+    return None
+
+
+def read_trusted(file: Path) -> bytes | None:
+    """The content of a file, or None where it cannot be read or is refused, with a line in the log."""
+    try:
+        with open(file, "rb") as stream:
+            reason = objection(os.fstat(stream.fileno()))
+            if reason is None:
+                return stream.read()
+    except OSError:
+        return None
+    refuse(file, reason)
+    return None
+
+
+def objection(facts: os.stat_result) -> str | None:
+    """Why a file or folder is not to be trusted, from its owner and mode; None where it is."""
+    if facts.st_uid not in (0, current_user()):
+        return f"it belongs to {_name(facts.st_uid)}"
+    if facts.st_mode & _WRITABLE_BY_OTHERS:
+        return f"others than its owner may write to it ({stat.filemode(facts.st_mode)})"
+    return None
+
+
+def refuse(path: Path, reason: str) -> None:
+    """Say once in a process what is refused, why, what is allowed and what to do."""
+    if str(path) in _told:
+        return
+    _told.add(str(path))
+    log.warning(
+        "%s: compiled kernels are not taken from here: %s; allowed is what you or root own and nobody else may write, "
+        "for they are run as code. They are kept elsewhere or compiled in memory; to use this place: "
+        "chown it, `chmod -R go-w` it, or set CODECBENCH_CACHE to a folder of your own",
+        path,
+        reason,
+    )
+
+
+def current_user() -> int:
+    return os.geteuid()
+
+
+def _name(user: int) -> str:
+    try:
+        return f"user {pwd.getpwuid(user).pw_name}"
+    except KeyError:
+        return f"user {user}"
