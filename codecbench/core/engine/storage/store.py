@@ -10,21 +10,18 @@ damage is found, reported, and made again by the next run. Links that lead out o
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
-import socket
-import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
+from codecbench.core.engine.storage import folder_lock
 from codecbench.core.engine.storage.atomic import (
     make_folder,
     remove_folder,
@@ -36,7 +33,7 @@ from codecbench.core.engine.storage.atomic import (
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.encoder_notes import EncoderNotes
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
-from codecbench.core.engine.storage.plain_file import open_plain, read_plain, refuse_links
+from codecbench.core.engine.storage.plain_file import read_plain, refuse_links
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
@@ -74,22 +71,13 @@ class Store:
     def locked(self) -> Iterator[None]:
         """Hold the folder for writing. Raises StoreError where another process does, or a link leads out of it.
 
-        The lock is the system's (flock): it ends with its process, however that ends, and cannot go stale. When it is
-        given back, the disk has all that was written.
+        When it is given back, the disk has all that was written.
         """
-        with self._writing():
-            make_folder(self.folder, durable=True)
-            self.refuse_links()
-            lock = open(self.folder / "lock", "a+", encoding="utf-8", errors="replace")  # noqa: SIM115 - closed below
-        with lock as stream:
-            if not _locked(stream):
-                stream.seek(0)
-                holder = clean_line(stream.read(1000).strip()) or "another process"
-                message = f"{self.folder} is in use by {holder}; wait for it to end or choose another folder with --out"
-                raise StoreError(message)
+        with ExitStack() as stack:
             with self._writing():
-                stream.truncate(0)
-                os.write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()}".encode())
+                make_folder(self.folder, durable=True)
+                self.refuse_links()
+                stack.enter_context(folder_lock.held(self.folder / "lock"))
                 self._tidy()
             yield
             with self._writing():
@@ -101,14 +89,7 @@ class Store:
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
-        try:
-            with open_plain(self.folder / "lock") as stream:
-                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:
-            return False
-        return False
+        return folder_lock.is_held(self.folder / "lock")
 
     def write_plan(self, plan: Plan) -> None:
         """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""
@@ -297,13 +278,3 @@ class Store:
             sweep(folder)
         for shard in self.records_folder.glob("??"):
             sweep(shard)
-
-
-def _locked(stream: TextIO) -> bool:
-    """Lock an open file for this process alone; tries for a moment, for `in_use` may just be looking."""
-    for _ in range(4):
-        with suppress(BlockingIOError):
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        time.sleep(0.05)
-    return False
