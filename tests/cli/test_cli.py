@@ -94,7 +94,10 @@ def test_adding_an_evaluator_encodes_nothing(place: Path, run: Path) -> None:
     call(place, "run", "tiny.yaml", "--quiet")
 
 
-@pytest.mark.parametrize("format_", ["text", "csv", "json", "markdown", "latex"])
+@pytest.mark.parametrize(
+    "format_",
+    ["csv", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("text", "json", "markdown", "latex"))],
+)
 @pytest.mark.parametrize("shape", ["--wide", "--tidy"])
 def test_tables_in_every_format(place: Path, run: Path, shape: str, format_: str) -> None:
     out = call(place, "table", str(run), shape, "--format", format_)
