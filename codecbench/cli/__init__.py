@@ -72,7 +72,7 @@ def cli(confine: bool) -> None:
 
 def main() -> None:
     """Entry point: whatever ends a command is a message, not a traceback, and an exit status."""
-    from codecbench.cli.exit_status import close_output, told
+    from codecbench.cli.exit_status import close_output, report_error
 
     status = 0
     try:
@@ -81,10 +81,10 @@ def main() -> None:
         close_output()
     except click.exceptions.Exit as done:
         status = done.exit_code
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a fault of our own is told like any other end
-        status = told(error)
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a fault of our own is reported like any other end
+        status = report_error(error)
     try:
         close_output()
     except OSError as error:
-        status = status or told(error)
+        status = status or report_error(error)
     sys.exit(status)

@@ -54,7 +54,7 @@ _NO_TEMPORARY_FOLDER: Final = "No usable temporary directory found"
 """How `tempfile` begins to say that it can write to none of the folders that it then lists."""
 
 
-def told(error: BaseException) -> ExitStatus:
+def report_error(error: BaseException) -> ExitStatus:
     """Say what ended a command, on standard error, and give the exit status."""
     if isinstance(error, BrokenPipeError):
         return ExitStatus.BROKEN_PIPE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 
 
-def told(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """The kind and the message of an exception, also of one that cannot say it: `ValueError: no such table`."""
     kind = type(error).__name__
     try:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind, PluginSpec
-from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.foreign_errors import describe_error
 
 _BASES: Final[dict[Kind, tuple[str, str]]] = {
     "codec": ("codecbench.core.contracts.codec", "Codec"),
@@ -31,7 +31,7 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
     except Unsupported:
         raise
     except Exception as error:
-        raise PluginError(f"{title}: {module_name} does not import: {told(error)}") from error
+        raise PluginError(f"{title}: {module_name} does not import: {describe_error(error)}") from error
     cls: Any = getattr(module, class_name, None)
     base_module, base_name = _BASES[kind]
     base = getattr(importlib.import_module(base_module), base_name)

@@ -46,7 +46,7 @@ def code_of(plugin: Plugin) -> str:
 
 def code_digest(code: dict[str, str]) -> str:
     """A digest of the fingerprints of several plugins by label, without versions; empty where there are none."""
-    return digest({label: told.rpartition(" ")[2] for label, told in code.items()}) if code else ""
+    return digest({label: fingerprint.rpartition(" ")[2] for label, fingerprint in code.items()}) if code else ""
 
 
 def files_since(plugin: Plugin, time_s: float) -> list[str]:

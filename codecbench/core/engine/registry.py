@@ -25,7 +25,7 @@ from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
-from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
     PluginFault,
@@ -171,7 +171,7 @@ class Registry:
         try:
             module = importlib.import_module(point.module)
         except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
-            reason = f"{point.module} does not import: {told(error)}"
+            reason = f"{point.module} does not import: {describe_error(error)}"
             self._report(origin, point, reason, nameless=True)
             return
         manager = pluggy.PluginManager(hooks.GROUP)
@@ -194,7 +194,7 @@ class Registry:
         try:
             answers = hook()
         except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
-            self._report(origin, point, f"codecbench_{kind}s failed: {told(error)}", nameless=True)
+            self._report(origin, point, f"codecbench_{kind}s failed: {describe_error(error)}", nameless=True)
             return True
         for answer in answers:
             specs = answer if isinstance(answer, list | tuple) else [answer]

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts import errors
 from codecbench.core.engine.entry_points import points_by_origin
-from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.registry import Registry, offered, registry_of
 from codecbench.core.engine.scouting import answers_of_children
 
@@ -65,7 +65,7 @@ def _answer(call: Callable[[], Any], number: int = 0) -> bytes:
         return _line({"number": number, "value": call()})
     except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
         known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
-        text = str(error) if known else told(error)
+        text = str(error) if known else describe_error(error)
         return _line({"number": number, "error": known, "text": text[:4000]})
     finally:
         if os.getpid() != process:

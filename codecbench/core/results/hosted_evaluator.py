@@ -36,11 +36,11 @@ class HostedEvaluator:
     """Has the members of an Evaluator that results use. Raises the CodecbenchErrors of `planning.describe`."""
 
     def __init__(self, registry: Registry, setting: PluginSetting) -> None:
-        told = describe(registry, "evaluator", setting.name, setting.params)
-        if told.missing is not None:
-            raise PluginError(told.missing)
+        description = describe(registry, "evaluator", setting.name, setting.params)
+        if description.missing is not None:
+            raise PluginError(description.missing)
         self._registry, self._setting = registry, setting
-        declared = told.declared
+        declared = description.declared
         self.metrics: tuple[Metric, ...] = tuple(filter(None, (read_declared(Metric, m) for m in declared["metrics"])))
         self.views: tuple[View, ...] = tuple(filter(None, (read_declared(View, v) for v in declared["views"])))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from codecbench.core.engine.foreign_errors import ended, told
+from codecbench.core.engine.foreign_errors import describe_error, ended
 
 
 class Untold(Exception):
@@ -21,7 +21,7 @@ class Untold(Exception):
     ],
 )
 def test_an_exception_is_told(error: BaseException, words: str) -> None:
-    assert told(error) == words
+    assert describe_error(error) == words
 
 
 @pytest.mark.parametrize(

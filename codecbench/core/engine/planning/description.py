@@ -18,6 +18,7 @@ from codecbench.core.engine.foreign_text import clean_line, clean_value
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json, without_defaults
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
+from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
 
 _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor")
@@ -55,6 +56,10 @@ class Description:
     exclusive: bool = False
     runs_codec: bool = False
     uses: list[tuple[Kind, str, dict[str, Any]]] = field(default_factory=list)
+
+    def setting(self, kind: Kind, name: str, distribution: str) -> PluginSetting:
+        """The setting that is described. distribution: where the plugin is from, empty for codecbench's own."""
+        return PluginSetting(kind, name, self.version, self.params, inert=tuple(self.inert), distribution=distribution)
 
 
 def describe(
@@ -119,10 +124,12 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
     }
 
 
-def _identities(params: Params, told: list[dict[str, Any]]) -> dict[str, Any]:
+def _identities(params: Params, identities: list[dict[str, Any]]) -> dict[str, Any]:
     full = params.model_dump(mode="json")
-    inert = [name for name in full if any(name not in identity or identity[name] != full[name] for identity in told)]
-    return {"identities": [without_defaults(identity, params) for identity in told], "inert": inert}
+    inert = [
+        name for name in full if any(name not in identity or identity[name] != full[name] for identity in identities)
+    ]
+    return {"identities": [without_defaults(identity, params) for identity in identities], "inert": inert}
 
 
 def _channels(codec: Any) -> list[int]:

@@ -157,7 +157,7 @@ class _Reader:
             return replace(unusable, missing=broken, faulty=True)
         try:
             plugin = self.registry.find(kind, name)
-            told = describe(self.registry, kind, name, values, str(self.folder))
+            description = describe(self.registry, kind, name, values, str(self.folder))
         except InvalidParams as invalid:
             if plugin is not None and plugin.hosted and (fault := _own_fault(invalid, values)):
                 return replace(unusable, missing=f"{plugin.title}: {fault}", faulty=True)
@@ -172,10 +172,8 @@ class _Reader:
                 return replace(unusable, missing=str(error) if named else f"{plugin.title}: {error}", faulty=True)
             self.problems.add((*where, "use"), str(error))
             return None
-        setting = PluginSetting(
-            kind, name, told.version, told.params, inert=tuple(told.inert), distribution=plugin.company
-        )
-        return Entry(where, setting, description=told)
+        setting = description.setting(kind, name, plugin.company)
+        return Entry(where, setting, description=description)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
         """Translate one of pydantic's errors into a problem at the value that it is about."""

@@ -36,7 +36,7 @@ class _Side:
 
     setting: PluginSetting
     identities: tuple[list[Any], ...]
-    told: Description | None = None
+    description: Description | None = None
     missing: str | None = None
 
 
@@ -69,8 +69,12 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         jobs=tuple(jobs.values()),
         cells=tuple(cells.values()),
         declared={
-            "codecs": {side.setting.name: side.told.declared for side in codecs if side.told and side.told.declared},
-            "evaluators": {side.setting.title: side.told.declared for side in evaluators if side.told},
+            "codecs": {
+                side.setting.name: side.description.declared
+                for side in codecs
+                if side.description and side.description.declared
+            },
+            "evaluators": {side.setting.title: side.description.declared for side in evaluators if side.description},
         },
     )
 
@@ -145,26 +149,26 @@ def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
 
 
 def _codec_side(entry: Entry) -> _Side:
-    setting, told = entry.setting, entry.description
-    if told is None:
+    setting, description = entry.setting, entry.description
+    if description is None:
         return _Side(setting, ([setting.kind, setting.name, setting.version, setting.params],), None, entry.missing)
-    (identity,) = told.identities
-    return _Side(setting, ([setting.kind, setting.name, setting.version, identity],), told, told.missing)
+    (identity,) = description.identities
+    return _Side(setting, ([setting.kind, setting.name, setting.version, identity],), description, description.missing)
 
 
 def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
-    setting, told = entry.setting, entry.description
-    missing = entry.missing if told is None else told.missing
-    if told is None or missing is not None:
+    setting, description = entry.setting, entry.description
+    missing = entry.missing if description is None else description.missing
+    if description is None or missing is not None:
         return _Side(setting, ([setting.name, setting.version, setting.params, 0, []],), None, missing)
-    used = [_used(*use, registry) for use in told.uses]
+    used = [_used(*use, registry) for use in description.uses]
     identities = [
         [setting.name, setting.version, of_repeat, repeat, [identity for _, identity, _ in used]]
-        for repeat, of_repeat in enumerate(told.identities)
+        for repeat, of_repeat in enumerate(description.identities)
     ]
     reasons = (reason for *_, reason in used if reason is not None)
     setting = replace(setting, uses=tuple(plugin for plugin, *_ in used))
-    return _Side(setting, tuple(identities), told, next(reasons, None))
+    return _Side(setting, tuple(identities), description, next(reasons, None))
 
 
 def _used(
@@ -172,15 +176,15 @@ def _used(
 ) -> tuple[PluginSetting, list[Any], str | None]:
     """A plugin that an evaluator runs, its identity, which has no version where it is not there, and why not."""
     try:
-        plugin, told = registry.find(kind, name), describe(registry, kind, name, params)
+        plugin, description = registry.find(kind, name), describe(registry, kind, name, params)
     except (Unsupported, PluginError, InvalidParams) as error:
         return PluginSetting(kind, name, "", params), [kind, name, None, params], str(error)
-    setting = PluginSetting(kind, name, told.version, told.params, inert=tuple(told.inert), distribution=plugin.company)
-    return setting, [kind, name, told.version, told.identities[0]], told.missing
+    setting = description.setting(kind, name, plugin.company)
+    return setting, [kind, name, description.version, description.identities[0]], description.missing
 
 
 def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int) -> Iterator[Cell]:
-    told = evaluator.told
+    description = evaluator.description
     unsupported = _unsupported(job.sequence, codec, evaluator)
     shared = ["cell", RECORD_FORMAT, job.sequence.fingerprint, *codec.identities]
     for repeat, identity in enumerate(evaluator.identities):
@@ -192,8 +196,8 @@ def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int) -> Iterato
             evaluator=evaluator.setting,
             repeat=repeat,
             seed=seed_from(cell_id, seed),
-            exclusive=bool(told and told.exclusive),
-            job_id=None if told and told.runs_codec else job.id,
+            exclusive=bool(description and description.exclusive),
+            job_id=None if description and description.runs_codec else job.id,
             unsupported=unsupported,
         )
 
@@ -202,16 +206,16 @@ def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str
     """Why this combination cannot be computed here, or None."""
     if sequence.missing is not None:
         return sequence.missing
-    if codec.told is None or codec.missing is not None:
+    if codec.description is None or codec.missing is not None:
         return codec.missing
-    if evaluator.told is None:
+    if evaluator.description is None:
         return evaluator.missing
-    allowed = codec.told.channels
+    allowed = codec.description.channels
     if sequence.channels not in allowed:
         wanted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
         return f"codec {codec.setting.name} takes {wanted} frames; {sequence.name} has {sequence.channels} channel(s)"
-    if "camera" in evaluator.told.needs and not sequence.has_camera:
+    if "camera" in evaluator.description.needs and not sequence.has_camera:
         return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
-    if "ground_truth" in evaluator.told.needs and not sequence.has_ground_truth:
+    if "ground_truth" in evaluator.description.needs and not sequence.has_ground_truth:
         return f"evaluator {evaluator.setting.name} needs ground truth; {sequence.name} has none"
     return evaluator.missing

@@ -44,12 +44,12 @@ def code_notices(plan: Plan, kept: Mapping[str, IndexEntry], store: Store, regis
     today = _Today(registry)
     differences: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
     changes: dict[tuple[str, str], _Change] = {}
-    untold = 0
+    unknown = 0
     for cell in plan.cells:
         if (entry := kept.get(cell.id)) is None:
             continue
         now = today.code(cell)
-        untold += not entry.code
+        unknown += not entry.code
         pair = entry.code, code_digest(now)
         if not entry.code or pair[0] == pair[1]:
             continue
@@ -60,8 +60,8 @@ def code_notices(plan: Plan, kept: Mapping[str, IndexEntry], store: Store, regis
             change.cells.add(cell.id)
             change.names[_asked(cell, name)] = None
     lines = [change.line(title) for (title, _), change in changes.items()]
-    if untold:
-        lines.append(f"{untold} kept cell(s) were computed before codecbench recorded the code of plugins; whether it "
+    if unknown:
+        lines.append(f"{unknown} kept cell(s) were computed before codecbench recorded the code of plugins; whether it "
                      "has changed since is unknown")  # fmt: skip
     return lines
 
@@ -78,7 +78,7 @@ class _Today:
         found = {code_label(setting.kind, setting.name): self._of(setting) for setting in cell.plugins}
         if cell.job_id is not None:
             found[BITSTREAMS_LABEL] = self._of(cell.codec)
-        return {label: told for label, told in found.items() if told}
+        return {label: code for label, code in found.items() if code}
 
     def differences(self, cell: Cell, now: dict[str, str], store: Store) -> Iterator[tuple[str, str, str]]:
         """Of each plugin that differs its label, what changed, and whose name asks for its cells: `dataset` or so."""
@@ -88,12 +88,12 @@ class _Today:
             return  # damaged or gone, which is another reason
         by_label = {code_label(setting.kind, setting.name): setting for setting in cell.plugins}
         by_label[BITSTREAMS_LABEL] = cell.codec
-        told = set()
+        seen = set()
         for label in record.code.keys() & now.keys():
             setting, before = by_label[label], record.code[label]
             title = code_label(setting.kind, setting.name)
-            if before.rpartition(" ")[2] != now[label].rpartition(" ")[2] and title not in told:
-                told.add(title)
+            if before.rpartition(" ")[2] != now[label].rpartition(" ")[2] and title not in seen:
+                seen.add(title)
                 yield title, self._change(setting, before, now[label], record), setting.kind
 
     def _change(self, setting: PluginSetting, before: str, now: str, record: Record) -> str:

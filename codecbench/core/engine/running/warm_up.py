@@ -100,18 +100,18 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
     coding: dict[_Call, None] = {}
     counted: dict[_Call, None] = {}
     evaluating: dict[_Call, None] = {}
-    told: dict[PluginSetting, dict[str, Any]] = {}
+    descriptions: dict[PluginSetting, dict[str, Any]] = {}
 
     def calls(setting: PluginSetting) -> dict[_Call, None]:
-        if setting not in told:
-            told[setting] = _told(registry, setting.kind, setting.name, setting.params)
-        return {(setting.kind, setting.name, kernels): None for kernels in told[setting]["kernels"]}
+        if setting not in descriptions:
+            descriptions[setting] = _description(registry, setting.kind, setting.name, setting.params)
+        return {(setting.kind, setting.name, kernels): None for kernels in descriptions[setting]["kernels"]}
 
     for cell in by_setting.values():
         coding |= calls(cell.sequence.dataset) | calls(cell.codec)
         for plugin in (cell.evaluator, *cell.evaluator.uses):
             evaluating |= calls(plugin)
-        if told[cell.evaluator]["counts"]:
+        if descriptions[cell.evaluator]["counts"]:
             counted |= calls(cell.codec)
     first = missing(registry, coding, "fast")
     counting = missing(registry, counted, "counting")
@@ -125,7 +125,7 @@ def all_kernels(registry: Registry) -> WarmUp:
     names: dict[_Call, None] = {}
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
         asked = plugin.kind, plugin.spec.name
-        names |= {(*asked, kernels): None for kernels in _told(registry, *asked)["kernels"]}
+        names |= {(*asked, kernels): None for kernels in _description(registry, *asked)["kernels"]}
     found = missing(registry, names, "fast", "counting")
     return WarmUp([*found], companies=found)
 
@@ -172,7 +172,7 @@ def entries_missing(_: Registry, names: list[str], builds: list[str]) -> dict[st
     return {"entries": [asdict(entry) for entry in entries], "problems": problems}
 
 
-def _told(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
+def _description(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
     """What `kernels_called` says; nothing, with a line in the log, where the plugin cannot be asked."""
     try:
         found: dict[str, Any] = registry.ask(kernels_called, kind, name, params, of=[(kind, name)])

@@ -30,7 +30,7 @@ from codecbench.core.contracts.evaluator import (
 )
 from codecbench.core.contracts.executor import Status, retirement
 from codecbench.core.engine.aggregate import summarise
-from codecbench.core.engine.foreign_errors import told
+from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
@@ -128,13 +128,13 @@ def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record
     try:
         trace = clean_text("".join(traceback.format_exception(error)))
     except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
-        trace = f"no traceback: {told(second)}"
+        trace = f"no traceback: {describe_error(second)}"
     return Record(work.id, status, _reason(error, position), trace)
 
 
 def _reason(error: BaseException, position: WorkPosition) -> str:
     """One line: where the work had got to, and what happened there."""
-    text = told(error)
+    text = describe_error(error)
     if isinstance(error, CodecbenchError):
         text = text.removeprefix(f"{type(error).__name__}: ")
     return clean_line(" ".join((f"{position}: {text}" if str(position) else text).split()))

@@ -66,7 +66,7 @@ class Workbench:
             if label not in self._code:
                 self._code[label] = code_of(self.registry.find(setting.kind, setting.name))
             found[label] = self._code[label]
-        return {label: told for label, told in found.items() if told}
+        return {label: fingerprint for label, fingerprint in found.items() if fingerprint}
 
     def create(self, setting: PluginSetting) -> Any:
         """The plugin of a setting. Raises PluginError where another version of it is installed here."""

@@ -31,8 +31,8 @@ def origin_here(plan_digest: str, folder: Path) -> dict[str, Any]:
 
 def is_from_here(plan_digest: str, origin: dict[str, Any]) -> bool:
     """Whether the plan of this digest was sealed with this user's key."""
-    told = {name: value for name, value in origin.items() if name != "seal"}
-    expected = _seal(plan_digest, told, _key(make=False))
+    content = {name: value for name, value in origin.items() if name != "seal"}
+    expected = _seal(plan_digest, content, _key(make=False))
     return expected is not None and hmac.compare_digest(expected.encode(), str(origin.get("seal")).encode())
 
 

@@ -111,7 +111,7 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
 def _codes(run: RunResult) -> list[list[str]]:
     """A row for each plugin and code of it that made cells: plugin, distribution, fingerprint, how many cells."""
     found = Counter(item for result in run.results if result.status == "ok" for item in result.code.items())
-    rows = [[label, *told.rpartition(" ")[::2], str(count)] for (label, told), count in sorted(found.items())]
+    rows = [[label, *code.rpartition(" ")[::2], str(count)] for (label, code), count in sorted(found.items())]
     several = {label for label, count in Counter(row[0] for row in rows).items() if count > 1}
     return [[*row, "other code made the rest: do not compare them" if row[0] in several else ""] for row in rows]
 
