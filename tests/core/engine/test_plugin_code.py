@@ -21,6 +21,8 @@ POSTERIZE = Plugin("codec", PluginSpec("posterize", "codecbench_posterize.codec:
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder on the path with a distribution that has no list of what was installed."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "codecbench_posterize"]:
+        monkeypatch.delitem(sys.modules, name)  # of a test before: what is imported is found where it was
     install_posterize(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path

@@ -62,9 +62,9 @@ def test_it_compares_as_the_plugin_does(evaluator: HostedEvaluator, monkeypatch:
 @pytest.mark.parametrize(
     ("yielded", "said"),
     [
-        ([Measurement("speed", 1.0)], "it yields Measurements of error, ratio"),
-        (["fast"], "compare yielded 'fast'"),
-        ([Measurement("ratio", math.nan)], "compare yielded NaN without a reason for ratio"),
+        ([Measurement("speed", 1.0)], "metric 'speed' is not declared; declared: error, ratio"),
+        (["fast"], "compare: yielded str; evaluators yield Measurement"),
+        ([Measurement("ratio", math.nan)], "compare: ratio: NaN without a reason"),
     ],
     ids=["undeclared", "no measurement", "no reason"],
 )

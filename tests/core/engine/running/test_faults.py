@@ -30,7 +30,7 @@ CODEC_FAULTS = {
     "leave": ("crashed", "coding failed: its worker exited with status 0"),
     "segfault": ("crashed", "coding failed: its worker died of SIGSEGV"),
     "abort": ("crashed", "coding failed: its worker died of SIGABRT"),
-    "hang": ("timed_out", "coding failed: no result within 5 s"),
+    "hang": ("timed_out", "coding failed: no result within 15 s"),
     "hog": ("failed", "coding failed: encode, frame 2: "),
     "drip": ("failed", "coding failed: encode, frame 2: "),
     "text": ("failed", "coding failed: encode, frame 2: encode returned str; a bitstream is bytes"),
@@ -59,7 +59,7 @@ EVALUATOR_FAULTS = {
     "tuple": ("failed", "evaluate, frame 2: yielded tuple; evaluators yield Measurement"),
     "frame": ("failed", "evaluate, frame 2: error: measured on frame 2 but yielded for frame 7"),
     "raise": ("failed", "evaluate, frame 2: KeyError: 'gone'"),
-    "sleep": ("timed_out", "no result within 5 s"),
+    "sleep": ("timed_out", "no result within 15 s"),
 }
 WHOLE_FAULTS = {
     "none": ("ok", ""),
@@ -69,7 +69,7 @@ WHOLE_FAULTS = {
 }
 
 
-LIMITS = "workers: 2, timeout_s: 5, memory_mb: 300"
+LIMITS = "workers: 2, timeout_s: 15, memory_mb: 300"
 
 
 @pytest.fixture

@@ -115,7 +115,7 @@ def test_a_name_that_is_not_there_is_answered_with_the_nearest_and_removes_nothi
     plan = folder.plan()
     folder.write(plan)
     with pytest.raises(
-        ParamsError, match=r"'stopwach'; did you mean 'stopwatch'\? .*: absent, error, long, ramp, shift"
+        ParamsError, match=r"'stopwach'; did you mean 'stopwatch'\? this matrix has absent, error, long, ramp, shift"
     ):
         folder.resume(plan, "error", "stopwach")
     assert len(folder.resume(plan).kept) == len(plan.cells)
