@@ -88,6 +88,15 @@ def test_a_curve_needs_as_many_points_as_its_method(method: str, least: int) -> 
     assert few.reason == f"the test curve has {least - 1} usable points; {method} needs {least}"
 
 
+def test_a_lossless_curve_is_refused_without_a_warning_of_numpy() -> None:
+    lossless = ([100, 200, 400], [np.inf] * 3)
+    with np.errstate(all="raise"):
+        for anchor, test in ((ANCHOR, lossless), (lossless, TEST), (lossless, lossless)):
+            result = bd_rate(*anchor, *test)
+            assert "has an infinite value" in result.reason
+            assert result.overlap == 0.0
+
+
 def test_settings_are_taken_in_any_order() -> None:
     given, order = [np.array(values) for values in TEST], [2, 0, 3, 1]
     assert bd_rate(*ANCHOR, *(values[order] for values in given)) == bd_rate(*ANCHOR, *given)

@@ -12,6 +12,7 @@ def test_pareto_front_agrees_with_the_definition(rng: np.random.Generator) -> No
     values = rng.integers(0, 6, (60, 3)).astype(float)
     values[5, 1] = np.nan
     front = pareto_front(values, ["lower", "higher", "lower"])
+    assert front.dtype == bool, "it is used as a mask"
     costs = values * [1, -1, 1]
     for index, row in enumerate(costs):
         beaten = any((other <= row).all() and (other < row).any() for other in costs if not np.isnan(other).any())

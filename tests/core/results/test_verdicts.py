@@ -15,6 +15,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
 from codecbench.core.results.columns import Column
 from codecbench.core.results.curves import CurvePoint
 from codecbench.core.results.meaning import Meaning
@@ -179,7 +180,7 @@ def test_the_front_says_which_settings_are_on_it_in_the_directions_of_the_column
     assert pareto_settings(table, [column("rate", "lower"), column("score", "higher")])[1].tolist() == [True, False]
     assert pareto_settings(table, [column("rate", "higher"), column("score", "lower")])[1].tolist() == [False, True]
     names, front = pareto_settings(table, [column("missing", "lower")])
-    assert (names, front.tolist()) == ([], [False, False])
+    assert (names, front.tolist(), front.dtype) == ([], [False, False], bool)
 
 
 BITS = Metric("bits", "bpp", "lower", "", role="rate", headline=True)
@@ -267,10 +268,42 @@ def test_bd_rates_over_frames_are_those_of_the_means_of_measured_frames(metric: 
     )
     assert set(found) == {("s", "mine")}
     assert found["s", "mine"].percent == pytest.approx(expected, abs=1e-9)
-    assert found["s", "mine"].failures == (0, 0)
-    interval = found["s", "mine"].interval
-    assert interval is not None
-    assert interval[0] - 1e-9 <= expected <= interval[1] + 1e-9
+    frames = (np.outer(RATES, WOBBLE), quality(value(blurs("plain"))), quality(value(blurs("mine"))))
+    seeded = np.random.default_rng(0)
+    assert found["s", "mine"] == bd_rate_with_interval(*frames[:2], frames[0], frames[2], rng=seeded, resamples=30)
+
+
+def over_frames(**frames: Sequence[tuple[float, Sequence[float]]]) -> dict[tuple[str, str], BdRate]:
+    """BD-rates of codecs of which each has settings of a rate and of drifts of five frames."""
+    results = []
+    for codec, members in frames.items():
+        for rate, values in members:
+            results.append(cell_result(codec, rate, "size", {("bits", ""): [rate] * 5}))
+            results.append(cell_result(codec, rate, "look", {("drift", ""): values}))
+    run = run_of(*results)
+    return bd_rates(run, run.columns["look.drift.median"], resamples=10)
+
+
+def test_over_frames_too_a_curve_has_several_settings() -> None:
+    many: list[tuple[float, Sequence[float]]] = [(rate, errors(rate) + errors(rate)[:2]) for rate in RATES]
+    found = over_frames(plain=many, alone=many[:1], pair=many[:2])
+    assert list(found) == [("s", "pair")]
+    assert found["s", "pair"].reason == "the test curve has 2 usable points; pchip needs 3"
+    assert over_frames(plain=many[:1], alone=many[:1]) == {}
+
+
+def test_a_frame_that_a_codec_never_gave_counts_for_neither() -> None:
+    """The anchor's last frame is much better than its others, which is not to the other codec's harm."""
+    anchor: list[tuple[float, Sequence[float]]] = [(rate, [0.01 / rate] * 4 + [1e-9]) for rate in RATES]
+    lost: list[tuple[float, Sequence[float]]] = [(rate / 2, [0.01 / rate] * 4 + [np.nan]) for rate in RATES]
+    assert over_frames(plain=anchor, mine=lost)["s", "mine"].percent == pytest.approx(-50.0)
+    assert over_frames(plain=lost, mine=anchor)["s", "mine"].percent == pytest.approx(100.0)
+
+
+def test_an_error_of_nothing_has_no_logarithm_and_a_reason() -> None:
+    perfect: list[tuple[float, Sequence[float]]] = [(rate, [0.01 / rate] * 4 + [0.0]) for rate in RATES]
+    with np.errstate(all="raise"):
+        assert "has an infinite value" in over_frames(plain=perfect, mine=perfect)["s", "mine"].reason
 
 
 def test_bd_rates_go_by_repeats_where_a_metric_is_measured_once_a_repeat() -> None:
@@ -281,11 +314,37 @@ def test_bd_rates_go_by_repeats_where_a_metric_is_measured_once_a_repeat() -> No
             for repeat, error in enumerate(errors(rate)):
                 results.append(cell_result(codec, rate, "track", own={("drift", ""): [error]}, repeat=repeat))
     run = run_of(*results)
-    found = bd_rates(run, run.columns["track.drift.median"])
+    column = run.columns["track.drift.median"]
+    found = bd_rates(run, column)
     assert set(found) == {("s", "mine")}
     assert found["s", "mine"].percent == pytest.approx(-50.0)
+    values = {row: -np.log10(np.array(many)) for row, many in values_of_repeats(run, column).items()}
+    again = bd_rates_over_repeats(run.rates, values, run.curves, ANCHORS, resamples=20)
+    assert bd_rates(run, column, resamples=20) == again
     without = run_of(*(result for result in results if result.cell.evaluator.name == "track"))
-    assert bd_rates(without, run.columns["track.drift.median"]) == {}
+    assert bd_rates(without, column) == {}
+
+
+def test_bd_rates_over_repeats_are_those_of_hulls_with_seeded_resamples() -> None:
+    wobbly = {("mine", rate): list(np.array(errors(rate)) * [1.1, 0.7, 1.0]) for rate in RATES}
+    values = qualities({("plain", rate): errors(rate) for rate in RATES} | wobbly)
+    found = bd_rates_over_repeats(
+        rates({"plain": 1.0, "mine": 0.8}), values, points("plain", "mine"), ANCHORS, resamples=25
+    )
+    base, test = (np.array([values["s", codec, f"q={rate}"] for rate in RATES]) for codec in ("plain", "mine"))
+    spent = np.repeat(np.array(RATES)[:, None], 3, axis=1)
+    seeded = np.random.default_rng(0)
+    assert found["s", "mine"] == bd_rate_with_interval(
+        spent, base, 0.8 * spent, test, rng=seeded, hull=True, resamples=25
+    )
+
+
+def test_two_settings_are_a_curve_with_a_reason_over_repeats_too() -> None:
+    measured = qualities(
+        {("plain", rate): errors(rate) for rate in RATES} | {("pair", r): errors(r) for r in (1.0, 2.0)}
+    )
+    found = bd_rates_over_repeats(rates({"plain": 1.0, "pair": 1.0}), measured, points("plain", "pair"), ANCHORS)
+    assert found["s", "pair"].reason == "the test curve has 2 usable points; pchip needs 3"
 
 
 def test_values_of_repeats_are_in_order_and_of_the_stage() -> None:
@@ -295,9 +354,14 @@ def test_values_of_repeats_are_in_order_and_of_the_stage() -> None:
     ]
     results.append(cell_result("mine", 1.0, "track", {("drift", ""): [1, 2, 3, 4, 9]}))
     results.append(cell_result("none", 1.0, "track", own={("bits", ""): [1.0]}))
+    results.append(cell_result("twice", 1.0, "track", own={("drift", ""): [0.8, 0.1]}))
     run = run_of(*results)
     usual, late = (Column(PluginSetting("evaluator", "track", "1"), DRIFT, stage, "median") for stage in ("", "late"))
-    assert values_of_repeats(run, usual) == {("s", "plain", "q=1.0"): [0.9, 0.4, 0.2], ("s", "mine", "q=1.0"): [3.0]}
+    assert values_of_repeats(run, usual) == {
+        ("s", "plain", "q=1.0"): [0.9, 0.4, 0.2],
+        ("s", "mine", "q=1.0"): [3.0],
+        ("s", "twice", "q=1.0"): [0.8, 0.1],
+    }
     assert values_of_repeats(run, late) == {("s", "plain", "q=1.0"): [9.0, 4.0, 2.0]}
 
 
