@@ -183,7 +183,7 @@ def test_a_row_counts_what_failed_by_evaluator_and_gives_the_first_reason() -> N
         result(repeat=1, status="failed", reason="second"),
         result(repeat=2, status="crashed", reason="third"),
     ]
-    cells.append(replace(cells[0], cell=replace(cells[0].cell, evaluator=other)))
+    cells.append(replace(cells[0], cell=replace(cells[0].cell, evaluator=other), reason="last"))
     row = wide(cells).iloc[0]
     assert row["status"] == "test failed (2 repeats), test crashed, other failed"
     assert row["reason"] == "first"
