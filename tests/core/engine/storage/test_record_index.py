@@ -35,6 +35,12 @@ def test_a_line_is_what_its_format_says(index: RecordIndex, tmp_path: Path) -> N
     assert index.read() == {ENTRY.cell_id: ENTRY}
 
 
+def test_any_reason_can_be_kept(index: RecordIndex, tmp_path: Path) -> None:
+    index.append(replace(ENTRY, reason="né \ud800"))
+    assert (tmp_path / "index.jsonl").read_bytes().isascii()
+    assert index.read()[ENTRY.cell_id].reason == "né \\ud800"
+
+
 def test_the_latest_entry_of_a_cell_counts(index: RecordIndex) -> None:
     other = replace(ENTRY, cell_id="cd" * 16)
     for entry in (ENTRY, other, replace(ENTRY, status="ok", reason="")):
