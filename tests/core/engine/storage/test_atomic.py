@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -27,12 +28,13 @@ def mode(path: Path) -> int:
 
 @pytest.fixture
 def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What was waited for, by the name that it has when the disk has it."""
+    """What was waited for, by the name that it has when the disk has it; of a file, its content is there by then."""
     names: list[str] = []
     wait = os.fsync
 
     def fsync(handle: int) -> None:
         names.append(os.readlink(f"/proc/self/fd/{handle}"))
+        assert stat.S_ISDIR(os.fstat(handle).st_mode) or os.fstat(handle).st_size == 1, "it is still in a buffer"
         wait(handle)
 
     monkeypatch.setattr(os, "fsync", fsync)
@@ -54,6 +56,9 @@ def test_what_is_durable_is_waited_for_from_the_file_up_to_the_folder_that_was_t
 ) -> None:
     write_file(tmp_path / "quick" / "file", b"x")
     write_folder(tmp_path / "quick" / "folder", {"a": b"x"})
+    make_folder(tmp_path / "quick" / "empty")
+    with open_whole(tmp_path / "quick" / "whole") as stream:
+        stream.write(b"x")
     assert synced == []
     write_file(tmp_path / "far" / "away" / "file", b"x", durable=True)
     made, new, home = synced[:2], synced[2], synced[3]
@@ -66,7 +71,11 @@ def test_what_is_durable_is_waited_for_from_the_file_up_to_the_folder_that_was_t
     assert (Path(first).name, Path(second).name, home) == ("a", "b", str(tmp_path))
     assert Path(first).parent == Path(second).parent == Path(new)
     assert Path(new).name.startswith(".new-")
-    assert len(synced) == 4
+    assert Path(new).parent == tmp_path, "a folder is not renamed from one file system into another"
+    synced.clear()
+    write_folder(tmp_path / "deep" / "folder", {}, durable=True)
+    assert [synced[0], synced[2]] == [str(tmp_path), str(tmp_path / "deep")]
+    assert len(synced) == 3
 
 
 def test_a_block_that_fails_leaves_what_was_there_and_nothing_beside_it(tmp_path: Path) -> None:
@@ -187,12 +196,7 @@ def test_handles_are_given_back(tmp_path: Path) -> None:
 
 
 def test_a_sync_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Failing:
-        def syncfs(self, handle: int) -> int:
-            atomic.ctypes.set_errno(errno.EIO)
-            return -1
-
-    monkeypatch.setattr(atomic, "_libc", Failing())
-    with pytest.raises(OSError, match="Input/output error") as caught:
+    monkeypatch.setattr(atomic, "_opened", lambda folder: nullcontext(-1))
+    with pytest.raises(OSError, match="Bad file descriptor") as caught:
         sync_file_system(tmp_path)
-    assert (caught.value.errno, caught.value.filename) == (errno.EIO, str(tmp_path))
+    assert (caught.value.errno, caught.value.filename) == (errno.EBADF, str(tmp_path))
