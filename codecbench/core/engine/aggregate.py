@@ -1,7 +1,7 @@
 """How many values become one: the aggregates that a metric may name.
 
-Infinite values (the PSNR of identical images) are kept apart from means: `mean`, `std` and the bootstrap use
-the finite values and are infinite only where every value is. Order statistics take them as they come.
+Infinite values (the PSNR of identical images) are kept apart from means: `mean` and `std` use the finite values, and
+a mean is infinite only where every value is. Order statistics and the bootstrap of the median take them as they come.
 Missing values (NaN) are left out; an aggregate of nothing is NaN.
 """
 
@@ -101,11 +101,13 @@ def median_interval(values: Values) -> tuple[float, float]:
 
 
 def percentile(values: Values, share: float) -> float:
-    """Linear interpolation between order statistics that infinite values survive."""
+    """Linear interpolation between order statistics that infinite values survive; NaN between -inf and inf."""
     ordered = np.sort(values)
     at = share / 100.0 * (len(ordered) - 1)
     low, high = ordered[int(np.floor(at))], ordered[int(np.ceil(at))]
-    return float(low if low == high else low + (high - low) * (at - np.floor(at)))
+    if low == high or (np.isneginf(low) and np.isfinite(high)):
+        return float(low)
+    return float(low + (high - low) * (at - np.floor(at)))
 
 
 def _over_finite(function: Callable[[Values], np.floating], values: Values) -> float:

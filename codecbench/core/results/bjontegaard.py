@@ -75,8 +75,9 @@ def bd_rate(
         dropped = (before[0] - len(curves[0].rates), before[1] - len(curves[1].rates))
     low = max(curve.qualities.min() if len(curve.rates) else np.inf for curve in curves)
     high = min(curve.qualities.max() if len(curve.rates) else -np.inf for curve in curves)
-    spans = [np.ptp(curve.qualities) if len(curve.rates) else 0.0 for curve in curves]
-    overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
+    with np.errstate(invalid="ignore"):  # of infinite qualities, which are at fault
+        spans = [np.ptp(curve.qualities) if len(curve.rates) else 0.0 for curve in curves]
+        overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
     reason = next(filter(None, (curve.fault(method) for curve in curves)), "") or _poor(overlap, low, high)
     if reason:
         return BdRate(float("nan"), method, overlap, reason, dropped, failures)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codecbench.core.results.bjontegaard import bd_rate, bd_rate_with_interval
-from codecbench.core.results.pareto import pareto_front
+from codecbench.core.results.bjontegaard import BdRate, bd_rate, bd_rate_with_interval
 
 ANCHOR = ([9487.76, 4593.60, 2486.44, 1358.24], [40.037, 38.615, 36.845, 34.851])
 TEST = ([9787.80, 4469.00, 2451.52, 1356.24], [40.121, 38.651, 36.970, 34.987])
@@ -21,6 +20,7 @@ def test_equals_the_reference_implementation(method: str) -> None:
     theirs = bjontegaard.bd_rate(*ANCHOR, *TEST, method=method)
     assert ours.percent == pytest.approx(theirs, abs=1e-9)
     assert ours.reason == ""
+    assert (ours.dropped, ours.failures, ours.interval) == ((0, 0), (0, 0), None)
 
 
 @settings(max_examples=50, deadline=None)
@@ -54,6 +54,13 @@ def test_a_codec_that_needs_half_the_rate_is_at_minus_fifty_percent() -> None:
         (([100, 200, 400, 800], [30, 33, 36, np.inf]), "infinite"),
         (([0, 200, 400, 800], [30, 33, 36, 38]), "not positive"),
         (([100, 100, 400, 800], [30, 33, 36, 38]), "not monotone"),
+        (([100, 200, 400, 800], [30, 30, 36, 38]), "not monotone"),
+        (([-1, 200, 400, 800], [30, 33, 36, 38]), "not positive"),
+        (([100, 200, 400, np.inf], [30, 33, 36, 38]), "infinite"),
+        (([100, 200, np.nan, 800], [30, 33, 36, 38]), "rate is not known"),
+        (([100, 200, 400, 800], [39, 40, 41, 42]), "share no quality"),
+        (([100, 200, 400, 800], [36.8, 38, 43, 46]), "share only 24 % of the smaller quality range; at least 25 %"),
+        (([], []), "0 usable points"),
     ],
 )
 def test_refuses_with_a_reason(test_curve: tuple[list[float], list[float]], words: str) -> None:
@@ -61,6 +68,44 @@ def test_refuses_with_a_reason(test_curve: tuple[list[float], list[float]], word
     assert np.isnan(result.percent)
     assert words in result.reason
     assert words in str(result)
+
+
+def test_a_quarter_of_the_shorter_range_is_enough_overlap() -> None:
+    anchor = ([100, 200, 400, 800], [30, 32, 35, 38])
+    result = bd_rate(*anchor, [100, 200, 400, 800], [36, 38, 40, 44])
+    assert (result.overlap, result.reason) == (0.25, "")
+    assert bd_rate(*anchor, [100, 200, 400], [31, 32, 33]).overlap == 1.0
+    assert bd_rate(*anchor, [100, 200, 400], [40, 41, 42]).overlap == 0.0
+    assert bd_rate(*anchor, [100], [33]).overlap == 0.0
+
+
+@pytest.mark.parametrize(("method", "least"), [("pchip", 3), ("akima", 4)])
+def test_a_curve_needs_as_many_points_as_its_method(method: str, least: int) -> None:
+    rates, qualities = np.array([100.0, 200, 400, 800]), np.array([30.0, 33, 36, 39])
+    enough = bd_rate(rates, qualities, 2 * rates[:least], qualities[:least], method=method)
+    assert enough.percent == pytest.approx(100.0)
+    few = bd_rate(rates, qualities, rates[: least - 1], qualities[: least - 1], method=method)
+    assert few.reason == f"the test curve has {least - 1} usable points; {method} needs {least}"
+
+
+def test_a_lossless_curve_is_refused_without_a_warning_of_numpy() -> None:
+    lossless = ([100, 200, 400], [np.inf] * 3)
+    with np.errstate(all="raise"):
+        for anchor, test in ((ANCHOR, lossless), (lossless, TEST), (lossless, lossless)):
+            result = bd_rate(*anchor, *test)
+            assert "has an infinite value" in result.reason
+            assert result.overlap == 0.0
+
+
+def test_settings_are_taken_in_any_order() -> None:
+    given, order = [np.array(values) for values in TEST], [2, 0, 3, 1]
+    assert bd_rate(*ANCHOR, *(values[order] for values in given)) == bd_rate(*ANCHOR, *given)
+
+
+def test_it_is_said_in_words() -> None:
+    assert str(BdRate(-12.34, "pchip", 1.0)) == "-12.3 %"
+    assert str(BdRate(5.0, "pchip", 1.0, interval=(-1.0, 10.06))) == "+5.0 % [-1.0, +10.1]"
+    assert str(BdRate(float("nan"), "pchip", 0.0, "why")) == "no BD-rate: why"
 
 
 def test_the_hull_drops_and_counts_points_that_a_cheaper_one_beats() -> None:
@@ -75,6 +120,22 @@ def test_the_hull_drops_and_counts_points_that_a_cheaper_one_beats() -> None:
     assert noisy.percent == pytest.approx(clean.percent, abs=1e-9)
     assert noisy.dropped == (0, 1)
     assert noisy.failures == (0, 1)
+
+
+def test_the_hull_leaves_out_equal_qualities_and_counts_for_each_curve() -> None:
+    clean = ([100, 200, 400, 800], [30, 33, 36, 39])
+    level = ([100, 150, 200, 300, 400, 800], [30, 30, 33, 33, 36, 39])
+    result = bd_rate(*level, [50, 60, *clean[0]], [30, 29, 30, 33, 36, 39], hull=True)
+    assert result.dropped == (2, 2)
+    assert bd_rate(*level, *clean, hull=True).dropped == (2, 0)
+    assert bd_rate(*clean, *level, hull=True).percent == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_reason_names_the_curve_at_fault() -> None:
+    clean, falling = ([100, 200, 400], [30, 33, 36]), ([100, 200, 400], [30, 34, 33])
+    rest = "curve is not monotone: rate 200 -> 400 takes quality from 34 to 33"
+    assert bd_rate(*falling, *clean).reason == f"the anchor {rest}"
+    assert bd_rate(*clean, *falling).reason == f"the test {rest}"
 
 
 def test_the_interval_covers_a_known_difference(rng: np.random.Generator) -> None:
@@ -106,18 +167,58 @@ def test_mismatched_lists_are_refused() -> None:
         )
 
 
-def test_pareto_front_agrees_with_the_definition(rng: np.random.Generator) -> None:
-    values = rng.integers(0, 6, (60, 3)).astype(float)
-    values[5, 1] = np.nan
-    front = pareto_front(values, ["lower", "higher", "lower"])
-    costs = values * [1, -1, 1]
-    for index, row in enumerate(costs):
-        beaten = any((other <= row).all() and (other < row).any() for other in costs if not np.isnan(other).any())
-        assert front[index] == (not beaten and not np.isnan(row).any())
+def noisy_curves(rng: np.random.Generator, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rates and qualities of four settings, (4, samples)."""
+    rates = np.array([100.0, 200, 400, 800])[:, None] * np.ones((1, samples))
+    return rates, np.array([30.0, 33, 36, 39])[:, None] + rng.normal(0, 0.2, (4, samples))
 
 
-def test_pareto_front_refuses_what_it_cannot_read() -> None:
-    with pytest.raises(ValueError, match="directions"):
-        pareto_front([[1.0, 2.0]], ["lower"])
-    with pytest.raises(ValueError, match="direction must"):
-        pareto_front([[1.0]], ["best"])  # type: ignore[list-item]
+@pytest.mark.parametrize("method", ["pchip", "akima"])
+def test_the_number_beside_an_interval_is_that_of_the_mean_curves(method: str, rng: np.random.Generator) -> None:
+    anchor, test = noisy_curves(rng, 12), noisy_curves(rng, 12)
+    result = bd_rate_with_interval(*anchor, *test, rng=rng, method=method, resamples=40)
+    means = [array.mean(axis=1) for array in (*anchor, *test)]
+    assert result.percent == pytest.approx(bjontegaard.bd_rate(*means, method=method), abs=1e-9)
+    assert result.method == method
+
+
+@pytest.mark.parametrize("method", ["pchip", "akima"])
+def test_an_interval_holds_the_percentiles_of_resamples_of_the_samples(method: str, rng: np.random.Generator) -> None:
+    four = (*noisy_curves(rng, 6), *noisy_curves(rng, 6))
+    result = bd_rate_with_interval(*four, rng=np.random.default_rng(3), method=method, resamples=50)
+    again, values = np.random.default_rng(3), []
+    for _ in range(50):
+        picks = again.integers(0, 6, 6)
+        values.append(bjontegaard.bd_rate(*(array[:, picks].mean(axis=1) for array in four), method=method))
+    assert result.interval == pytest.approx(np.percentile(values, [2.5, 97.5]), abs=1e-9)
+
+
+def test_two_samples_give_no_interval_and_three_do(rng: np.random.Generator) -> None:
+    for samples in (1, 2, 3):
+        curves = noisy_curves(rng, samples)
+        result = bd_rate_with_interval(*curves, *curves, rng=rng, resamples=20)
+        assert result.percent == pytest.approx(0.0, abs=1e-9)
+        assert (result.interval is None) == (samples < 3)
+
+
+def test_no_interval_is_given_where_resamples_often_give_no_number(rng: np.random.Generator) -> None:
+    """Drawn twice, the sample that swings lifts the mean of the second setting above that of the third."""
+    rates, qualities = noisy_curves(rng, 9)
+    swinging = qualities.copy()
+    swinging[1, 0] += 18
+    result = bd_rate_with_interval(rates, qualities, rates, swinging, rng=rng, resamples=60)
+    assert np.isfinite(result.percent)
+    assert result.interval is None
+
+
+def test_a_falling_curve_is_refused_unless_its_hull_is_asked_for(rng: np.random.Generator) -> None:
+    rates, qualities = noisy_curves(rng, 5)
+    falling = np.insert(qualities, 2, 31, axis=0)
+    more_rates = np.insert(rates, 2, 300, axis=0)
+    refused = bd_rate_with_interval(rates, qualities, more_rates, falling, rng=rng, resamples=20)
+    assert "not monotone" in refused.reason
+    assert refused.interval is None
+    reduced = bd_rate_with_interval(rates, qualities, more_rates, falling, rng=rng, hull=True, resamples=20)
+    assert reduced.percent == pytest.approx(0.0, abs=1e-9)
+    assert reduced.dropped == (0, 1)
+    assert reduced.interval == pytest.approx((0.0, 0.0), abs=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -67,6 +68,26 @@ def test_a_column_says_what_it_is() -> None:
     assert columns_of([ONE])["test(n=2).work.encode.max"].label == "encode work done (n=2), max"
     infinite = Column(ONE.cell.evaluator, WORK, "", "infinite")
     assert (infinite.heading, infinite.factor) == ("work done (n=2), infinite", 1.0)
+
+
+def test_a_metric_that_was_not_declared_stands_last_and_means_nothing() -> None:
+    undeclared = replace(
+        ONE, metrics={"work": WORK}, measurements=(Measurement("odd", 1.0), Measurement("odd", 2.0, stage="x"))
+    )
+    other = result("b", {}, note=1.0)
+    columns = columns_of([replace(undeclared, summaries={("late", "", "max"): 1.0, ("work", "", "mean"): 2.0}), other])
+    assert list(columns) == [
+        "test(n=2).work.mean", "test(n=2).late.max", "test(n=2).odd.mean", "test(n=2).odd.x.mean", "test.note.mean",
+    ]  # fmt: skip
+    odd = columns["test(n=2).odd.mean"]
+    assert (odd.metric, odd.heading, odd.brief) == (Metric("odd", "", "neither", ""), "odd (n=2)", "odd\nn=2")
+
+
+def test_heads_say_no_more_than_there_is() -> None:
+    note = columns_of([result("b", {}, note=1.0)])["test.note.mean"]
+    assert (note.label, note.heading, note.brief, note.unit, note.factor) == ("note", "note", "note", "1", 1.0)
+    assert columns_of([ONE])["test(n=2).size.mean"].heading == "size (n=2) [B]"
+    assert Column(ONE.cell.evaluator, WORK, "", "infinite").unit == ""
 
 
 def test_headlines_are_usual_summaries_in_total_that_have_a_value() -> None:

@@ -1,8 +1,9 @@
-"""Tables from cells with known values, and aggregates against numpy."""
+"""Tables from cells with known values."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval, summarise
+from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, PluginSetting, SequenceEntry
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.results.table import TIDY_COLUMNS, CellResult, tidy, wide
@@ -19,6 +20,12 @@ from codecbench.core.results.table import TIDY_COLUMNS, CellResult, tidy, wide
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "synthetic", "1"), "f00d", 3, 3, True, True)
 PSNR = Metric("psnr_db", "dB", "higher", "a test", aggregates=("mean", "median"))
 ATE = Metric("ate_m", "m", "lower", "a test", aggregates=("median", "iqr"))
+FACTORS = (("mean", 1.0), ("sum", 10.0), ("max", 100.0))
+SAMPLES = table_from_parquet(
+    parquet_from_samples(
+        [Measurement("psnr_db", 5.0, 0, "decode"), Measurement("psnr_db", math.nan, 1, None, "bl\x1back")]
+    )
+)
 
 
 def result(
@@ -110,35 +117,88 @@ def test_infinite_values_do_not_poison_a_mean_and_are_counted() -> None:
     assert lossless["test.psnr_db.median"] == math.inf
 
 
-@pytest.mark.parametrize(
-    ("name", "reference"),
-    [
-        ("mean", np.mean),
-        ("std", lambda x: np.std(x, ddof=1)),
-        ("median", np.median),
-        ("p95", lambda x: np.percentile(x, 95)),
-        ("iqr", lambda x: np.subtract(*np.percentile(x, [75, 25]))),
-        ("min", np.min),
-        ("max", np.max),
-        ("sum", np.sum),
-    ],
-)
-def test_aggregates_agree_with_numpy(name: str, reference, rng: np.random.Generator) -> None:  # type: ignore[no-untyped-def]
-    values = rng.normal(10, 3, 37)
-    assert aggregate(name, values) == pytest.approx(reference(values))
-    assert aggregate(name, np.append(values, np.nan)) == pytest.approx(reference(values))
+def test_what_is_none_stays_none_beside_text_of_other_rows() -> None:
+    """Own measurements and samples of frames, each with and without stage and reason, of several cells."""
+    own = (
+        Measurement("ate_m", 1.0, stage="encode"),
+        Measurement("ate_m", 2.0, reason="guess"),
+        Measurement("odd", 3.0),
+    )
+    cells = [
+        replace(result(psnr=(30.0,), own=own), samples=lambda: SAMPLES),
+        result(codec="png", label="", repeat=2, own=(Measurement("ate_m", 4.0),)),
+        result(codec="png", label="", repeat=3, status="failed"),
+    ]
+    table = tidy(cells)
+    rows = table.astype(object).where(table.notna(), None)
+    assert rows[
+        ["codec", "repeat", "metric", "unit", "frame", "stage", "value", "status", "reason"]
+    ].values.tolist() == [
+        ["jpeg", 0, "ate_m", "m", None, "encode", 1.0, "ok", None],
+        ["jpeg", 0, "ate_m", "m", None, None, 2.0, "ok", "guess"],
+        ["jpeg", 0, "odd", "", None, None, 3.0, "ok", None],
+        ["jpeg", 0, "psnr_db", "dB", 0, "decode", 5.0, "ok", None],
+        ["jpeg", 0, "psnr_db", "dB", 1, None, None, "ok", "bl\\x1back"],
+        ["png", 2, "ate_m", "m", None, None, 4.0, "ok", None],
+        ["png", 3, None, None, None, None, None, "failed", None],
+    ]
+    assert str(table["frame"].dtype) == "Int32"
+    assert all(isinstance(table[name].dtype, pd.CategoricalDtype) for name in ("codec", "metric", "stage", "reason"))
+    assert table["metric"].cat.categories.tolist() == ["ate_m", "odd", "psnr_db"]
 
 
-def test_aggregates_of_nothing_are_missing() -> None:
-    for name in AGGREGATES:
-        assert math.isnan(aggregate(name, np.array([])))
-        assert math.isnan(aggregate(name, np.array([np.nan])))
+def test_samples_of_a_cell_that_is_not_ok_are_not_shown() -> None:
+    table = tidy([result(psnr=(30.0, 31.0), status="failed", reason="late")])
+    assert table[["metric", "status", "reason"]].astype(object).fillna("").values.tolist() == [["", "failed", "late"]]
 
 
-def test_the_bootstrap_interval_covers_the_median_as_often_as_it_says(rng: np.random.Generator) -> None:
-    covered = 0
-    for _ in range(200):
-        low, high = median_interval(rng.normal(0, 1, 25))
-        covered += low <= 0 <= high
-    assert 0.88 <= covered / 200 <= 0.995
-    assert all(math.isnan(end) for end in median_interval(np.array([1.0, 2.0])))
+def test_repeats_are_joined_by_means_of_means_and_of_sums_and_medians_of_the_rest() -> None:
+    cells = [
+        replace(result(repeat=index), summaries={("psnr_db", "", how): value * factor for how, factor in FACTORS})
+        for index, value in enumerate((1.0, 2.0, 9.0))
+    ]
+    row = wide(cells).iloc[0]
+    assert [row[f"test.psnr_db.{how}"] for how, _ in FACTORS] == [4.0, 40.0, 200.0]
+
+
+def test_of_a_single_value_only_the_middle_is_shown() -> None:
+    own = (Measurement("ate_m", 1.5), Measurement("ate_m", 2.5, stage="late"), Measurement("odd", 3.0))
+    metrics = {"ate_m": Metric("ate_m", "m", "lower", "", aggregates=("mean", "median", "iqr", "max"))}
+    table = wide([replace(result(own=own), metrics=metrics)])
+    assert list(table.columns) == [
+        "sequence", "codec", "setting", "test.ate_m.mean", "test.ate_m.median", "test.ate_m.late.mean",
+        "test.ate_m.late.median", "test.odd.mean", "status", "reason",
+    ]  # fmt: skip
+    assert table.iloc[0].tolist() == ["room", "jpeg", "quality=10", 1.5, 1.5, 2.5, 2.5, 3.0, "ok", ""]
+    two = [
+        replace(result(own=(Measurement("ate_m", value),), repeat=n), metrics=metrics) for n, value in enumerate((1, 2))
+    ]
+    assert wide(two).iloc[0][["test.ate_m.iqr", "test.ate_m.max"]].tolist() == [0.5, 2.0]
+
+
+def test_a_row_counts_what_failed_by_evaluator_and_gives_the_first_reason() -> None:
+    other = PluginSetting("evaluator", "other", "1")
+    cells = [
+        result(repeat=0, status="failed", reason="first"),
+        result(repeat=1, status="failed", reason="second"),
+        result(repeat=2, status="crashed", reason="third"),
+    ]
+    cells.append(replace(cells[0], cell=replace(cells[0].cell, evaluator=other), reason="last"))
+    row = wide(cells).iloc[0]
+    assert row["status"] == "test failed (2 repeats), test crashed, other failed"
+    assert row["reason"] == "first"
+
+
+def test_settings_and_sequences_have_rows_of_their_own() -> None:
+    cells = [result(label="q=1"), result(label="q=2"), result(codec="png", label="q=1"), result(label="q=1", repeat=1)]
+    moved = replace(cells[0], cell=replace(cells[0].cell, sequence=replace(SEQUENCE, name="hall")))
+    table = wide([*cells, moved])
+    assert table[["sequence", "codec", "setting"]].values.tolist() == [
+        ["room", "jpeg", "q=1"], ["room", "jpeg", "q=2"], ["room", "png", "q=1"], ["hall", "jpeg", "q=1"],
+    ]  # fmt: skip
+    assert list(wide([]).columns) == ["sequence", "codec", "setting", "status", "reason"]
+
+
+def test_samples_of_single_frames_are_a_table_of_their_own() -> None:
+    frames = result(psnr=(30.0, 31.0)).frames()
+    assert frames[["metric", "frame", "value"]].values.tolist() == [["psnr_db", 0, 30.0], ["psnr_db", 1, 31.0]]

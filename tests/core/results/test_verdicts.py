@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
+import bjontegaard
 import numpy as np
 import pandas as pd
 import pytest
 
+from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.aggregate import summarise
+from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
+from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
 from codecbench.core.results.columns import Column
 from codecbench.core.results.curves import CurvePoint
-from codecbench.core.results.verdicts import anchor_of, bd_rates_over_repeats, limits_of, pareto_settings
+from codecbench.core.results.meaning import Meaning
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.table import CellResult
+from codecbench.core.results.verdicts import (
+    anchor_of,
+    bd_rates,
+    bd_rates_over_repeats,
+    frame_matrix,
+    limits,
+    limits_of,
+    pareto_criteria,
+    pareto_settings,
+    spread,
+    values_of_repeats,
+)
 
 RATES = (0.25, 0.5, 1.0, 2.0)
 ANCHORS = ("plain",)
@@ -74,6 +96,19 @@ def test_the_anchor_is_the_one_that_is_declared_and_else_the_first_of_several_se
     assert anchor_of({"raw": [0], "plain": [1]}, ANCHORS) is None
 
 
+def test_codecs_that_cannot_be_compared_have_no_bd_rate() -> None:
+    """A single setting, and other numbers of repeats than the anchor's, say nothing; the others are compared still."""
+    measured = qualities({(codec, rate): errors(rate) for codec in ("plain", "rare", "mine") for rate in RATES})
+    for rate in RATES:
+        measured["s", "rare", f"q={rate}"] = measured["s", "rare", f"q={rate}"][:2]
+    measured["s", "alone", "q=1.0"] = -np.log10(errors(1.0))
+    known = rates(dict.fromkeys(("plain", "rare", "alone", "mine"), 1.0))
+    found = bd_rates_over_repeats(known, measured, points("plain", "rare", "alone", "mine"), ANCHORS)
+    assert set(found) == {("s", "mine")}
+    assert found["s", "mine"].percent == pytest.approx(0.0, abs=1e-9)
+    assert bd_rates_over_repeats(known, {("s", "alone", "q=1.0"): np.ones(3)}, points("alone"), ANCHORS) == {}
+
+
 SUCCESS = {("plain", 2.0): [1, 1, 1], ("plain", 1.0): [1, 0, 1], ("plain", 0.5): [0, 0, 1], ("plain", 0.25): [1, 1, 1]}
 
 
@@ -95,6 +130,18 @@ def test_a_codec_that_fails_at_its_best_has_no_limit() -> None:
 def test_a_missing_value_is_a_run_without_success() -> None:
     values = {("plain", 2.0): [1.0, np.nan]}
     assert limits_of(rates({"plain": 1.0}), per_row(values), points("plain"))["s", "plain"].reason
+
+
+def test_a_sweep_that_never_fails_has_nothing_after_its_limit() -> None:
+    holding = {key: [1.0, 1.0] for key in SUCCESS}
+    limit = limits_of(rates({"plain": 1.0}), per_row(holding), points("plain"))["s", "plain"]
+    assert (limit.point, limit.successes, limit.runs, limit.next_failing) == ("q=0.25", 2, 2, "")
+
+
+def test_half_of_the_runs_is_not_more_than_half() -> None:
+    values = {("plain", 2.0): [1.0, 1.0, 1.0, 0.0], ("plain", 1.0): [1.0, 0.0, 1.0, 0.0]}
+    limit = limits_of(rates({"plain": 1.0}), per_row(values), points("plain"))["s", "plain"]
+    assert (limit.point, limit.next_failing) == ("q=2.0", "q=1.0")
 
 
 @pytest.mark.parametrize("unknown", RATES)
@@ -126,3 +173,221 @@ def test_the_front_is_over_the_criteria_that_all_settings_have() -> None:
     assert names == ["rate", "score"]
     assert front.tolist() == [True, True, False, True]
     assert pareto_settings(table.drop(columns=list(table.columns)), criteria)[0] == []
+
+
+def test_the_front_says_which_settings_are_on_it_in_the_directions_of_the_columns() -> None:
+    table = pd.DataFrame({"test.rate.mean": [1.0, 2.0], "test.score.mean": [30.0, 29.0]})
+    assert pareto_settings(table, [column("rate", "lower"), column("score", "higher")])[1].tolist() == [True, False]
+    assert pareto_settings(table, [column("rate", "higher"), column("score", "lower")])[1].tolist() == [False, True]
+    names, front = pareto_settings(table, [column("missing", "lower")])
+    assert (names, front.tolist(), front.dtype) == ([], [False, False], bool)
+
+
+BITS = Metric("bits", "bpp", "lower", "", role="rate", headline=True)
+SCORE = Metric("score", "dB", "higher", "", role="quality", headline=True)
+BLUR = Metric("blur", "px", "lower", "", role="quality", headline=True)
+DRIFT = Metric("drift", "m", "lower", "", ("median",), role="task", headline=True, scale="log")
+HELD = Metric("held", "1", "higher", "", role="success", headline=True)
+WORK = Metric("work", "ops", "lower", "", role="operations", headline=True)
+SPEED = Metric("speed", "ms", "lower", "", role="time", headline=True)
+SHAPE = Metric("shape", "1", "neither", "", role="task", headline=True)
+METRICS = {metric.name: metric for metric in (SHAPE, BITS, SCORE, BLUR, DRIFT, HELD, WORK, SPEED)}
+Values = dict[tuple[str, str], Sequence[float]]
+
+
+def cell_result(
+    codec: str, q: float, evaluator: str, frames: Values | None = None, own: Values | None = None, repeat: int = 0
+) -> CellResult:
+    """A cell of five frames. frames, own: values of a metric and a stage, "" for none; a NaN is not measured."""
+    sequence = SequenceEntry("s", PluginSetting("dataset", "d", "1"), "f00d", 5, 3, True, True)
+    setting = PluginSetting("codec", codec, "1", {"q": q}, f"q={q}")
+    cell = Cell("id", sequence, setting, PluginSetting("evaluator", evaluator, "1"), repeat, 0, False, None)
+    samples = [
+        Measurement(name, value, frame, stage or None)
+        for (name, stage), values in (frames or {}).items()
+        for frame, value in enumerate(values)
+        if not np.isnan(value)
+    ]
+    kept = table_from_parquet(parquet_from_samples(samples))
+    single = tuple(
+        Measurement(n, value, None, stage or None) for (n, stage), many in (own or {}).items() for value in many
+    )
+    return CellResult(cell, "ok", "", single, summarise(samples, METRICS.values()), METRICS, lambda: kept, Path())
+
+
+def run_of(*results: CellResult) -> RunResult:
+    plan = Plan("p", "", RunSettings(1, 1.0, 1, 0, PluginSetting("executor", "e", "1")), (), (), ())
+    return RunResult(Path(), plan, results, {}, Meaning({}, {}, anchors=frozenset(ANCHORS)))
+
+
+def test_values_of_frames_stand_in_their_places() -> None:
+    values: Values = {
+        ("bits", ""): [1, np.nan, 3, np.nan, 5],
+        ("bits", "part"): [6, 7, 8, 9, 10],
+        ("blur", ""): [0] * 5,
+    }
+    results = [cell_result("plain", 1.0, "look", values), cell_result("mine", 2.0, "look", {})]
+    labels, matrix = frame_matrix(results, "bits")
+    assert labels == ["q=1.0", "q=2.0"]
+    np.testing.assert_array_equal(matrix, [[1, np.nan, 3, np.nan, 5], [np.nan] * 5])
+    np.testing.assert_array_equal(frame_matrix(results[:1], "bits", "part")[1], [[6, 7, 8, 9, 10]])
+
+
+WOBBLE = np.array([0.8, 0.9, 1.0, 1.3])
+"""From frame to frame."""
+BLURS = np.array([8.0, 3.0, 2.0, 0.5])
+"""Of the settings at RATES."""
+
+
+def blurs(codec: str) -> np.ndarray:
+    """(settings, frames); one codec is a third less blurred than the other."""
+    return (2 / 3 if codec == "mine" else 1.0) * BLURS[:, None] / WOBBLE
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "quality"),
+    [
+        (SCORE, lambda blur: 50 - blur, lambda score: score),
+        (BLUR, lambda blur: blur, lambda blur: -blur),
+        (DRIFT, lambda blur: blur, lambda drift: -np.log10(drift)),
+    ],
+)
+def test_bd_rates_over_frames_are_those_of_the_means_of_measured_frames(metric: Metric, value, quality) -> None:  # type: ignore[no-untyped-def]
+    """The last frame, of vast rate, is not measured; a setting whose rate was not measured has no place on a curve."""
+    results = [cell_result("mine", 7.0, "look", {(metric.name, ""): [1.0] * 5})]
+    for codec in ("mine", "plain"):
+        for rate, blur in zip(RATES, blurs(codec), strict=True):
+            results.append(cell_result(codec, rate, "size", {("bits", ""): [*(rate * WOBBLE), 1000 / rate]}))
+            results.append(cell_result(codec, rate, "look", {(metric.name, ""): [*value(blur), np.nan]}))
+    run = run_of(*results)
+    found = bd_rates(run, run.columns[f"look.{metric.name}.{metric.aggregates[0]}"], resamples=30)
+    rate_means = np.array(RATES) * WOBBLE.mean()
+    anchor, test = (quality(value(blurs(codec))).mean(axis=1) for codec in ("plain", "mine"))
+    expected = bjontegaard.bd_rate(
+        rate_means, anchor, rate_means, test, method="pchip", require_matching_points=False, min_overlap=0
+    )
+    assert set(found) == {("s", "mine")}
+    assert found["s", "mine"].percent == pytest.approx(expected, abs=1e-9)
+    frames = (np.outer(RATES, WOBBLE), quality(value(blurs("plain"))), quality(value(blurs("mine"))))
+    seeded = np.random.default_rng(0)
+    assert found["s", "mine"] == bd_rate_with_interval(*frames[:2], frames[0], frames[2], rng=seeded, resamples=30)
+
+
+def over_frames(**frames: Sequence[tuple[float, Sequence[float]]]) -> dict[tuple[str, str], BdRate]:
+    """BD-rates of codecs of which each has settings of a rate and of drifts of five frames."""
+    results = []
+    for codec, members in frames.items():
+        for rate, values in members:
+            results.append(cell_result(codec, rate, "size", {("bits", ""): [rate] * 5}))
+            results.append(cell_result(codec, rate, "look", {("drift", ""): values}))
+    run = run_of(*results)
+    return bd_rates(run, run.columns["look.drift.median"], resamples=10)
+
+
+def test_over_frames_too_a_curve_has_several_settings() -> None:
+    many: list[tuple[float, Sequence[float]]] = [(rate, errors(rate) + errors(rate)[:2]) for rate in RATES]
+    found = over_frames(plain=many, alone=many[:1], pair=many[:2])
+    assert list(found) == [("s", "pair")]
+    assert found["s", "pair"].reason == "the test curve has 2 usable points; pchip needs 3"
+    assert over_frames(plain=many[:1], alone=many[:1]) == {}
+
+
+def test_a_frame_that_a_codec_never_gave_counts_for_neither() -> None:
+    """The anchor's last frame is much better than its others, which is not to the other codec's harm."""
+    anchor: list[tuple[float, Sequence[float]]] = [(rate, [0.01 / rate] * 4 + [1e-9]) for rate in RATES]
+    lost: list[tuple[float, Sequence[float]]] = [(rate / 2, [0.01 / rate] * 4 + [np.nan]) for rate in RATES]
+    assert over_frames(plain=anchor, mine=lost)["s", "mine"].percent == pytest.approx(-50.0)
+    assert over_frames(plain=lost, mine=anchor)["s", "mine"].percent == pytest.approx(100.0)
+
+
+def test_an_error_of_nothing_has_no_logarithm_and_a_reason() -> None:
+    perfect: list[tuple[float, Sequence[float]]] = [(rate, [0.01 / rate] * 4 + [0.0]) for rate in RATES]
+    with np.errstate(all="raise"):
+        assert "has an infinite value" in over_frames(plain=perfect, mine=perfect)["s", "mine"].reason
+
+
+def test_bd_rates_go_by_repeats_where_a_metric_is_measured_once_a_repeat() -> None:
+    results = []
+    for codec, factor in (("plain", 1.0), ("mine", 0.5)):
+        for rate in RATES:
+            results.append(cell_result(codec, rate, "size", own={("bits", ""): [factor * rate]}))
+            for repeat, error in enumerate(errors(rate)):
+                results.append(cell_result(codec, rate, "track", own={("drift", ""): [error]}, repeat=repeat))
+    run = run_of(*results)
+    column = run.columns["track.drift.median"]
+    found = bd_rates(run, column)
+    assert set(found) == {("s", "mine")}
+    assert found["s", "mine"].percent == pytest.approx(-50.0)
+    values = {row: -np.log10(np.array(many)) for row, many in values_of_repeats(run, column).items()}
+    again = bd_rates_over_repeats(run.rates, values, run.curves, ANCHORS, resamples=20)
+    assert bd_rates(run, column, resamples=20) == again
+    without = run_of(*(result for result in results if result.cell.evaluator.name == "track"))
+    assert bd_rates(without, column) == {}
+
+
+def test_bd_rates_over_repeats_are_those_of_hulls_with_seeded_resamples() -> None:
+    wobbly = {("mine", rate): list(np.array(errors(rate)) * [1.1, 0.7, 1.0]) for rate in RATES}
+    values = qualities({("plain", rate): errors(rate) for rate in RATES} | wobbly)
+    found = bd_rates_over_repeats(
+        rates({"plain": 1.0, "mine": 0.8}), values, points("plain", "mine"), ANCHORS, resamples=25
+    )
+    base, test = (np.array([values["s", codec, f"q={rate}"] for rate in RATES]) for codec in ("plain", "mine"))
+    spent = np.repeat(np.array(RATES)[:, None], 3, axis=1)
+    seeded = np.random.default_rng(0)
+    assert found["s", "mine"] == bd_rate_with_interval(
+        spent, base, 0.8 * spent, test, rng=seeded, hull=True, resamples=25
+    )
+
+
+def test_two_settings_are_a_curve_with_a_reason_over_repeats_too() -> None:
+    measured = qualities(
+        {("plain", rate): errors(rate) for rate in RATES} | {("pair", r): errors(r) for r in (1.0, 2.0)}
+    )
+    found = bd_rates_over_repeats(rates({"plain": 1.0, "pair": 1.0}), measured, points("plain", "pair"), ANCHORS)
+    assert found["s", "pair"].reason == "the test curve has 2 usable points; pchip needs 3"
+
+
+def test_values_of_repeats_are_in_order_and_of_the_stage() -> None:
+    results = [
+        cell_result("plain", 1.0, "track", own={("drift", ""): [value], ("drift", "late"): [10 * value]}, repeat=repeat)
+        for repeat, value in ((2, 0.2), (0, 0.9), (1, 0.4))
+    ]
+    results.append(cell_result("mine", 1.0, "track", {("drift", ""): [1, 2, 3, 4, 9]}))
+    results.append(cell_result("none", 1.0, "track", own={("bits", ""): [1.0]}))
+    results.append(cell_result("twice", 1.0, "track", own={("drift", ""): [0.8, 0.1]}))
+    run = run_of(*results)
+    usual, late = (Column(PluginSetting("evaluator", "track", "1"), DRIFT, stage, "median") for stage in ("", "late"))
+    assert values_of_repeats(run, usual) == {
+        ("s", "plain", "q=1.0"): [0.9, 0.4, 0.2],
+        ("s", "mine", "q=1.0"): [3.0],
+        ("s", "twice", "q=1.0"): [0.8, 0.1],
+    }
+    assert values_of_repeats(run, late) == {("s", "plain", "q=1.0"): [9.0, 4.0, 2.0]}
+
+
+def test_limits_of_a_run_need_its_rate() -> None:
+    sizes = [cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in RATES]
+    held = [cell_result("plain", rate, "track", own={("held", ""): [float(rate > 0.5)]}) for rate in RATES]
+    run = run_of(*sizes, *held)
+    (limit,) = limits(run, run.columns["track.held.mean"]).values()
+    assert (limit.point, limit.rate, limit.next_failing, limit.reason) == ("q=1.0", 1.0, "q=0.5", "")
+    (refused,) = limits(run_of(*held), run.columns["track.held.mean"]).values()
+    assert refused.reason.startswith("no rate was measured")
+    assert refused.point == ""
+
+
+def test_settings_are_compared_in_rate_and_headlines_that_have_a_direction() -> None:
+    own: Values = {(name, ""): [1.0] for name in METRICS}
+    names = [column.metric.name for column in pareto_criteria(run_of(cell_result("plain", 1.0, "all", own=own)))]
+    assert names == ["bits", "score", "blur", "drift", "work", "speed"]
+    del own["bits", ""]
+    names = [column.metric.name for column in pareto_criteria(run_of(cell_result("plain", 1.0, "all", own=own)))]
+    assert names == ["score", "blur", "drift", "work", "speed"]
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [([1, 2, np.nan, 3, 4], "2.5 [1.75, 3.25]"), ([2, 2, 2], "2"), ([1234.5], "1.23e+03"), ([np.nan], "–"), ([], "–")],
+)
+def test_a_spread_is_median_and_quartiles(values: list[float], text: str) -> None:
+    assert spread(np.array(values, float)) == text
