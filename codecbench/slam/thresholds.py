@@ -47,7 +47,8 @@ INIT_MIN_FEATURES: Final = 100
 INIT_MIN_MATCHES: Final = 100
 """Matches: fewer between the two frames and the reference frame is replaced (ORB-SLAM IV)."""
 INIT_WINDOW_PX: Final = 100.0
-"""Pixels: half side of the window in which a match is searched between the two frames (own)."""
+"""Pixels: half side of the window in which a match is searched between the two frames (own; measured at a width of 640
+and used at every one)."""
 INIT_RATIO: Final = 0.9
 """Best over second-best distance of such a match (own)."""
 INIT_RANSAC_ITERATIONS: Final = 200
@@ -75,13 +76,15 @@ too bent to grow from: planes seen from nearly one place (own)."""
 INIT_MAX_COSINE: Final = 0.99998
 """Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90
-"""Frames: age at which the reference frame is replaced though it still matches (own)."""
+"""Frames: age at which the reference frame is replaced though it still matches (own). In frames because it only bounds
+the wait of a camera that hardly moves; one that moves loses its matches, and the reference with them, at any rate."""
 
 # Tracking -----------------------------------------------------------------------------------------------------------
 TRACK_WINDOW_PX: Final = 15.0
-"""Pixels at the finest level: search radius round a position that the motion model predicts (own)."""
+"""Pixels at the finest level: search radius round a position that the motion model predicts (own; measured at a width
+of 640 and used at every one)."""
 TRACK_WINDOW_WIDE_PX: Final = 30.0
-"""Pixels at the finest level: second try."""
+"""Pixels at the finest level: second try (own; as TRACK_WINDOW_PX)."""
 TRACK_RATIO: Final = 0.9
 """Best over second-best distance, where both lie on one level, of a match in those windows (own)."""
 TRACK_MIN_MATCHES: Final = 20
@@ -111,21 +114,24 @@ LOCAL_MIN_INLIERS: Final = 30
 RELOCALIZED_MIN_INLIERS: Final = 50
 """Points: the same for the frame that relocalises (ORB-SLAM V-C)."""
 MAX_VELOCITY_GAP: Final = 5.0
-"""Frame intervals: beyond this gap the motion model is not trusted (own)."""
+"""Times the last frame interval: beyond this gap the motion model is not trusted (own)."""
 LOST_FOR_GOOD_S: Final = 3.0
-"""Seconds: lost this long, a new map is started (own)."""
+"""Seconds: lost this long, a new map is started (own). In seconds because it bounds how long whoever steers by the
+poses goes without one, which no frame rate changes."""
 SMALL_MAP_KEYFRAMES: Final = 5
 """Keyframes: a map with no more is abandoned the moment it is lost (own)."""
 
 # Keyframe decision --------------------------------------------------------------------------------------------------
-KEYFRAME_MIN_INTERVAL_S: Final = 0.13
-"""Seconds: between two keyframes, unless tracking weakens (own; stands for a mapper that is still busy)."""
-KEYFRAME_URGENT_SHARE: Final = 0.6
-"""Of the reference keyframe's points: a frame with fewer makes a keyframe at once (own)."""
-KEYFRAME_FEW_INLIERS: Final = 120
-"""Points: a frame with fewer asks for a keyframe whatever its share (own; the map is thin there)."""
+KEYFRAME_NEXT_SHARE: Final = 0.7
+"""Of the reference keyframe's points: a keyframe is needed where the next frame would see fewer (own; a street whose
+turns lose the camera without this is tracked whole with 0.6 and with 0.8, too)."""
 KEYFRAME_MAX_SHARE: Final = 0.9
-"""Of the reference keyframe's points: a frame with more makes no keyframe (ORB-SLAM V-E)."""
+"""Of the reference keyframe's points: a frame with more is not welcome as a keyframe (ORB-SLAM V-E)."""
+KEYFRAME_BUDGET: Final = 0.25
+"""Keyframes a frame: no more where they are welcome and not needed; mapping one costs about as much as tracking four
+frames, and so takes at most half of the time (own)."""
+KEYFRAME_FULL_SHARE: Final = 2.0 / 15.0
+"""Of a frame's features: a reference keyframe with fewer points counts as one with so many: the map is thin (own)."""
 KEYFRAME_REFERENCE_OBSERVATIONS: Final = 3
 """Keyframes: a reference point counts in that share once so many keyframes see it (own)."""
 

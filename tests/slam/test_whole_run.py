@@ -28,13 +28,29 @@ def command(folder: Path, *words: str) -> str:
     return done.stdout
 
 
+def medians(folder: Path, matrix: str) -> dict[str, float]:
+    """Medians of the trajectory's metrics in the only row of a run."""
+    (folder / "matrix.yaml").write_text(matrix)
+    assert "cells: 1 ok" in command(folder, "run", "matrix.yaml", "--quiet")
+    (row,) = csv.DictReader(io.StringIO(command(folder, "table", "runs/whole", "--format", "csv")))
+    return {name.removeprefix("trajectory."): float(value) for name, value in row.items() if name.endswith(".median")}
+
+
 def test_the_room_is_tracked_whole_and_its_loop_closed(tmp_path: Path) -> None:
-    (tmp_path / "matrix.yaml").write_text(MATRIX)
-    assert "cells: 1 ok" in command(tmp_path, "run", "matrix.yaml", "--quiet")
-    (row,) = csv.DictReader(io.StringIO(command(tmp_path, "table", "runs/whole", "--format", "csv")))
-    found = {name.removeprefix("trajectory."): float(value) for name, value in row.items() if name.endswith(".median")}
+    found = medians(tmp_path, MATRIX)
     assert found["tracked_fraction.median"] > 0.95
     assert found["loops_closed.median"] >= 1
     assert found["maps.median"] == 1
     assert found["ate_rmse_m.median"] == pytest.approx(0.002, abs=0.002)
     assert (found["ate_before_loops_m.median"]) > found["ate_rmse_m.median"]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("stride", [2, 3])
+def test_so_it_is_at_half_and_a_third_of_the_rate(tmp_path: Path, stride: int) -> None:
+    sequence = f"{{use: synthetic, params: {{stride: {stride}}}}}"
+    found = medians(tmp_path, MATRIX.replace("synthetic", sequence))
+    assert found["tracked_fraction.median"] > 0.95
+    assert found["loops_closed.median"] >= 1
+    assert found["maps.median"] == 1
+    assert found["ate_rmse_m.median"] < 0.006

@@ -9,34 +9,42 @@ from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 
-_TIME_SLACK_S = 1e-3  # timestamps are rounded
-
 
 @dataclass(frozen=True)
 class KeyframeEvidence:
     """What is known of a tracked frame when it is decided whether it becomes a keyframe.
 
-    `inliers`: map points that its pose rests on; `reference_observations` (N,): how many keyframes see each point of
-    its reference keyframe; `map_keyframes`: keyframes alive in the map; `since_keyframe_s`: seconds since the last
-    frame that became one.
+    `inliers`: map points that its pose rests on; `features`: those of its image; `reference_observations` (N,): how
+    many keyframes see each point of its reference keyframe; `map_keyframes`: keyframes alive in the map;
+    `since_keyframe_frames`: frames since the last one that became a keyframe, 1 for the next.
     """
 
     inliers: int
+    features: int
     reference_observations: NDArray[np.int64]
     map_keyframes: int
-    since_keyframe_s: float
+    since_keyframe_frames: int
 
 
 def wants_keyframe(evidence: KeyframeEvidence) -> bool:
-    """Whether the frame should become a keyframe: it sees much less than its reference does, or the map is thin here.
+    """Whether the frame should become a keyframe: the next one would see too little, or it is welcome and affordable.
 
-    Source: ORB-SLAM V-E. Deviation: mapping is in step with tracking, so a shortest interval stands for the busy
-    mapper, and a frame that has lost most of its reference's points does not wait for it.
+    Source: ORB-SLAM V-E, the share of the reference's points. Deviations: a keyframe is needed as soon as that share,
+    falling on as it has since the last one, would be too small in the next frame; a thin reference counts as a full
+    one; and, as mapping is in step with tracking, a budget stands for the busy mapper where a keyframe is welcome and
+    not needed. Nothing here is in seconds: in a fast turn, or at a low rate, a frame just loses more.
     """
+    share = _share(evidence)
+    loss = max(1.0 - share, 0.0) / evidence.since_keyframe_frames
+    if share - loss < thresholds.KEYFRAME_NEXT_SHARE:
+        return True
+    affordable = evidence.since_keyframe_frames * thresholds.KEYFRAME_BUDGET >= 1.0
+    return affordable and share < thresholds.KEYFRAME_MAX_SHARE
+
+
+def _share(evidence: KeyframeEvidence) -> float:
+    """The frame's inliers as a share of what its reference, or a full one, would give it."""
     enough = min(thresholds.KEYFRAME_REFERENCE_OBSERVATIONS, evidence.map_keyframes)
     reference_points = int((evidence.reference_observations >= enough).sum())
-    share = evidence.inliers / max(reference_points, 1)
-    if share < thresholds.KEYFRAME_URGENT_SHARE:
-        return True
-    waited = evidence.since_keyframe_s >= thresholds.KEYFRAME_MIN_INTERVAL_S - _TIME_SLACK_S
-    return waited and (share < thresholds.KEYFRAME_MAX_SHARE or evidence.inliers < thresholds.KEYFRAME_FEW_INLIERS)
+    full = thresholds.KEYFRAME_FULL_SHARE * evidence.features
+    return evidence.inliers / max(reference_points, full, 1.0)
