@@ -97,6 +97,15 @@ def test_a_lossless_curve_is_refused_without_a_warning_of_numpy() -> None:
             assert result.overlap == 0.0
 
 
+def test_units_do_not_matter() -> None:
+    """Rates below one (bits a pixel) and qualities that differ by less (SSIM) are as good as others."""
+    small = [np.array(values) / 20_000 for values in (*ANCHOR, *TEST)]
+    result, again = bd_rate(*ANCHOR, *TEST), bd_rate(*small)
+    assert again.percent == pytest.approx(result.percent, abs=1e-9)
+    assert again.overlap == pytest.approx(result.overlap)
+    assert result.overlap > 0.9
+
+
 def test_settings_are_taken_in_any_order() -> None:
     given, order = [np.array(values) for values in TEST], [2, 0, 3, 1]
     assert bd_rate(*ANCHOR, *(values[order] for values in given)) == bd_rate(*ANCHOR, *given)
@@ -128,6 +137,7 @@ def test_the_hull_leaves_out_equal_qualities_and_counts_for_each_curve() -> None
     result = bd_rate(*level, [50, 60, *clean[0]], [30, 29, 30, 33, 36, 39], hull=True)
     assert result.dropped == (2, 2)
     assert bd_rate(*level, *clean, hull=True).dropped == (2, 0)
+    assert bd_rate(*level, [100, 200, 800], [30, 33, 39], hull=True).dropped == (2, 0)
     assert bd_rate(*clean, *level, hull=True).percent == pytest.approx(0.0, abs=1e-9)
 
 
