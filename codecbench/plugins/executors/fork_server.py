@@ -16,10 +16,13 @@ import types
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing.context import ForkServerContext, ForkServerProcess
+from multiprocessing.context import BaseContext, ForkServerContext, ForkServerProcess, SpawnContext, SpawnProcess
 from typing import Any, Final
 
-_LOADED: Final = ("cv2", "numba", "pyarrow.parquet", "scipy.optimize", "codecbench.plugins.executors.isolation")
+_LOADED: Final = (
+    "cv2", "numba", "pyarrow.parquet", "scipy.optimize",
+    "codecbench.plugins.executors.isolation", "codecbench.plugins.executors.fork_server_exit",
+)  # fmt: skip
 """What nearly every worker imports. None of these starts a thread when it is imported, so that forking is safe."""
 
 _main_lock = threading.Lock()
@@ -37,22 +40,42 @@ def hidden_main() -> Iterator[None]:
             sys.modules["__main__"] = main
 
 
-class _Process(ForkServerProcess):
+def worker_context(*modules: str) -> BaseContext:
+    """A multiprocessing context whose processes are forked from a server that has loaded `_LOADED` and `modules`.
+
+    They are spawned, each loading all of it, where the server gets no socket: the name of one has at most 107
+    characters, and it lies in the folder for temporary files, which may have a long name.
+    """
+    try:
+        return _ForkServer(*modules)
+    except OSError:
+        return _Spawned()
+
+
+class _ForkedProcess(ForkServerProcess):
     def start(self) -> None:
         with hidden_main():
             super().start()
 
 
-class ForkServer(ForkServerContext):
-    """A multiprocessing context whose processes are forked from a server that has loaded `_LOADED` and `modules`."""
-
-    Process = _Process
+class _ForkServer(ForkServerContext):
+    Process = _ForkedProcess
 
     def __init__(self, *modules: str) -> None:
         super().__init__()
         self.set_forkserver_preload([*_LOADED, *modules])
         with hidden_main(), _safe_path():
             multiprocessing.forkserver.ensure_running()
+
+
+class _SpawnedProcess(SpawnProcess):
+    def start(self) -> None:
+        with hidden_main():
+            super().start()
+
+
+class _Spawned(SpawnContext):
+    Process = _SpawnedProcess
 
 
 @dataclass(frozen=True)
@@ -77,9 +100,7 @@ class Surroundings:
         os.environ.clear()
         os.environ.update(self.variables)
         os.umask(self.umask)
-        server: Any = getattr(
-            multiprocessing.forkserver, "_forkserver", None
-        )  # there is no public way to the descriptor
+        server: Any = getattr(multiprocessing.forkserver, "_forkserver", None)  # nothing public has the descriptor
         with suppress(AttributeError, TypeError, OSError):
             os.close(server._forkserver_alive_fd)
             server._forkserver_alive_fd = None

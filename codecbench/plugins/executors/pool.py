@@ -27,7 +27,7 @@ from pebble import ProcessExpired, ProcessPool
 from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.confined_context import ConfinedContext
-from codecbench.plugins.executors.fork_server import ForkServer, Surroundings
+from codecbench.plugins.executors.fork_server import Surroundings, worker_context
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 
@@ -69,8 +69,8 @@ class WorkerPool:
 
     def __init__(self, workers: int, prepare: Callable[[], None], folder: str | None = None) -> None:
         self._prepare, self._workers = prepare, workers
-        self._server = ForkServer(prepare.__module__)
         self._folder = WorkerFolder(folder)
+        self._context = worker_context(prepare.__module__)
         self._slots = [_Slot(self._folder.files(n)) for n in range(workers)]
         self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
 
@@ -144,7 +144,7 @@ class WorkerPool:
                 max_workers=1,
                 initializer=enter_worker,
                 initargs=(slot.files, self._prepare, None if slot.confined else Surroundings.now()),
-                context=ConfinedContext(slot.files) if slot.confined else self._server,
+                context=ConfinedContext(slot.files) if slot.confined else self._context,
             )
         future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
         slot.future = future

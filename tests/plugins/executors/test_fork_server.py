@@ -86,7 +86,9 @@ def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path
         f"executor.submit(Task('a', write_pid_and_hang, {str(note)!r}))\n"
         "while True: executor.next_finished(1.0)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", program]) as other:
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    with subprocess.Popen([sys.executable, "-c", program], env={**os.environ, "TMPDIR": str(scratch)}) as other:
         while not (note.exists() and note.read_text()):
             assert other.poll() is None
             time.sleep(0.05)
@@ -96,3 +98,18 @@ def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path
     gone, left = psutil.wait_procs(started, timeout=20)
     assert not left
     assert gone
+    assert not list(scratch.glob("pymp-*")), "the folder of the server's socket goes with it"
+
+
+def test_workers_start_where_the_folder_for_temporary_files_has_a_long_name(tmp_path: Path) -> None:
+    folder = tmp_path / ("long" * 30)
+    folder.mkdir()
+    program = (
+        f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}]\n"
+        "from test_fork_server import value, variable; print(value(variable))\n"
+    )
+    environment = {**os.environ, "TMPDIR": str(folder), "CODECBENCH_TEST_VARIABLE": "there"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "there", done.stderr
+    assert list(folder.iterdir()) == []
