@@ -171,8 +171,21 @@ def test_no_new_frames_are_shown_beside_old_bitstreams(run: Path, place: Path, t
 @pytest.mark.parametrize(
     "what",
     [
-        *("lock", "report", "page", "run.log", "plan.json", "matrix.yaml", "coded", "file", "environment"),
-        *("records", "records/index.jsonl", "shard", "record"),
+        *("lock", "report", "coded", "record"),
+        *(
+            pytest.param(what, marks=pytest.mark.slow)
+            for what in (
+                "page",
+                "run.log",
+                "plan.json",
+                "matrix.yaml",
+                "file",
+                "environment",
+                "records",
+                "index",
+                "shard",
+            )
+        ),
     ],
 )
 def test_no_link_is_followed_out_of_a_run_folder(what: str, run: Path, place: Path, tmp_path: Path) -> None:
@@ -180,7 +193,12 @@ def test_no_link_is_followed_out_of_a_run_folder(what: str, run: Path, place: Pa
     outside.mkdir()
     record = next(run.glob("records/*/*"))
     (run / "report").mkdir(exist_ok=True)
-    places = {"record": record, "shard": record.parent, "page": run / "report" / "report.html"}
+    places = {
+        "record": record,
+        "shard": record.parent,
+        "page": run / "report" / "report.html",
+        "index": run / "records" / "index.jsonl",
+    }
     path = {**places, "file": next(run.glob("coded/*.bits"))}.get(what, run / what)
     is_file = what == "page" or path.is_file()
     if path.is_dir():
