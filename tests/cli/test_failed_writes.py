@@ -78,7 +78,7 @@ OUTPUTS = [
 
 
 @pytest.mark.parametrize("words", OUTPUTS)
-@pytest.mark.parametrize("there_before", [False, True])
+@pytest.mark.parametrize("there_before", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_output_that_does_not_fit_leaves_what_was_there(place: Place, words: str, there_before: bool) -> None:
     new = place.folder / "new"
     shutil.rmtree(new, ignore_errors=True)
@@ -105,7 +105,9 @@ def test_figures_and_corpora_that_do_not_fit_leave_no_part(place: Place, words: 
     assert [path for path in new.rglob("*") if path.is_file()] == []
 
 
-@pytest.mark.parametrize("words", [*OUTPUTS, *(words for words, _ in FOLDERS)])
+@pytest.mark.parametrize(
+    "words", [OUTPUTS[0], *(pytest.param(words, marks=pytest.mark.slow) for words in [*OUTPUTS[1:], *dict(FOLDERS)])]
+)
 def test_an_output_on_a_full_disk_leaves_no_part(place: Place, full_disk: Path, words: str) -> None:
     done = place.call(*words.replace(" new", f" {full_disk}/new", 1).split())
     is_refused(done, f"{full_disk}/new", "No space left on device; make room on that disk")

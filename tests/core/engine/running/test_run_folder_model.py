@@ -224,7 +224,7 @@ def drive(machine: type[RunFolder], examples: int, steps: int) -> None:
 
 
 def test_whatever_is_done_to_a_run_folder_it_has_what_it_must_and_mends(machine: type[RunFolder]) -> None:
-    drive(machine, examples=12, steps=12)
+    drive(machine, examples=6, steps=12)
 
 
 @pytest.mark.slow

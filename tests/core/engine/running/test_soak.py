@@ -1,6 +1,6 @@
 """Many short runs, in one process and in many, some of them killed: nothing may grow with their number.
 
-The short form takes half a minute, the long one (--slow) as many minutes as SOAK_MINUTES says, 30 if it says nothing.
+The short form takes half a minute, the long one as many minutes as SOAK_MINUTES says, 30 if it says nothing.
 Both log what was done and held:
 pytest tests/core/engine/running/test_soak.py --slow -n 0 -o log_cli=true -o log_cli_level=INFO
 """
@@ -34,7 +34,7 @@ from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.run import run_plan
 
-pytestmark = pytest.mark.thorough
+pytestmark = pytest.mark.slow
 
 log = logging.getLogger("soak")
 
@@ -225,7 +225,6 @@ def test_nothing_grows_in_half_a_minute_of_short_runs(soak: Soak) -> None:
     soaked(soak, 0.5, memory_mb=16)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(25 * 3600)
 def test_nothing_grows_in_many_minutes_of_short_runs(soak: Soak) -> None:
     soaked(soak, float(os.environ.get("SOAK_MINUTES", "30")), memory_mb=32)

@@ -156,7 +156,7 @@ def test_a_cell_that_was_waited_for_is_there_after_a_cut_at_any_moment(
     assert cuts.check() > 80
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_quick_cells_are_there_when_the_run_has_ended(cuts: Cuts) -> None:
     cuts.run()
     cuts.finished = [(len(cuts.disk.moments) - 1, id_) for _, id_ in cuts.finished]
@@ -169,7 +169,7 @@ def damage(paths: Iterable[Path]) -> None:
         path.write_bytes(path.read_bytes()[:-20])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_what_was_there_before_a_run_that_mends_is_there_after_a_cut_at_any_moment(
     cuts: Cuts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
