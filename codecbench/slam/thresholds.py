@@ -122,13 +122,14 @@ SMALL_MAP_KEYFRAMES: Final = 5
 """Keyframes: a map with no more is abandoned the moment it is lost (own)."""
 
 # Keyframe decision --------------------------------------------------------------------------------------------------
-KEYFRAME_URGENT_SHARE: Final = 0.6
-"""Of the reference keyframe's points: a keyframe is needed where the next frame would see fewer (own)."""
+KEYFRAME_NEXT_SHARE: Final = 0.7
+"""Of the reference keyframe's points: a keyframe is needed where the next frame would see fewer (own; a street whose
+turns lose the camera without this is tracked whole with 0.6 and with 0.8, too)."""
 KEYFRAME_MAX_SHARE: Final = 0.9
 """Of the reference keyframe's points: a frame with more is not welcome as a keyframe (ORB-SLAM V-E)."""
-KEYFRAME_BUDGET_S: Final = 0.13
-"""Seconds: between two keyframes that are welcome and not needed (own). In seconds because it is the mapper's time, of
-which a camera with fewer frames leaves more a frame; no frame that tracking needs waits for it."""
+KEYFRAME_BUDGET: Final = 0.25
+"""Keyframes a frame: no more where they are welcome and not needed; mapping one costs about as much as tracking four
+frames, and so takes at most half of the time (own)."""
 KEYFRAME_FULL_SHARE: Final = 2.0 / 15.0
 """Of a frame's features: a reference keyframe with fewer points counts as one with so many: the map is thin (own)."""
 KEYFRAME_REFERENCE_OBSERVATIONS: Final = 3

@@ -30,7 +30,7 @@ class TrackedMap:
         self._mapper = mapper
         self._tracker = Tracker(slam_map, camera)
         self._detector = LoopDetector(slam_map, camera, mapper.places, rng)
-        self._last_keyframe_frame, self._last_keyframe_s = 0, 0.0
+        self._last_keyframe_frame = 0
         self._last_loop_keyframe = -thresholds.LOOP_MIN_GAP_KEYFRAMES
         self._uncorrected_from_map = np.eye(4)  # similarity: to the coordinates that no loop closing has moved
 
@@ -38,7 +38,7 @@ class TrackedMap:
         """Go on from `frame`, the map's newest keyframe."""
         frame.synchronise(self.map)
         self._tracker.start(frame)
-        self._last_keyframe_frame, self._last_keyframe_s = frame.index, frame.timestamp_s
+        self._last_keyframe_frame = frame.index
         self.record(frame)
 
     def track(self, frame: TrackingFrame) -> int:
@@ -59,7 +59,6 @@ class TrackedMap:
                 reference_observations=self.map.points.observation_counts[points[points >= 0]],
                 map_keyframes=len(self.map.alive_keyframes),
                 since_keyframe_frames=frame.index - self._last_keyframe_frame,
-                since_keyframe_s=frame.timestamp_s - self._last_keyframe_s,
             )
         )
 
@@ -67,7 +66,7 @@ class TrackedMap:
         """Make `frame` a keyframe, which gives it the pose and points that it has there; returns the loop that it
         closes, if it does."""
         keyframe = self._mapper.insert(frame)
-        self._last_keyframe_frame, self._last_keyframe_s = frame.index, frame.timestamp_s
+        self._last_keyframe_frame = frame.index
         loop = self._close_loop(keyframe) if loop_closing else None
         frame.synchronise(self.map)
         return loop

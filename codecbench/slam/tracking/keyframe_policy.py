@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 
-_TIME_SLACK_S = 1e-3  # timestamps are rounded
-
 
 @dataclass(frozen=True)
 class KeyframeEvidence:
@@ -18,8 +16,7 @@ class KeyframeEvidence:
 
     `inliers`: map points that its pose rests on; `features`: those of its image; `reference_observations` (N,): how
     many keyframes see each point of its reference keyframe; `map_keyframes`: keyframes alive in the map;
-    `since_keyframe_frames`, `since_keyframe_s`: frames, 1 for the next, and seconds since the last one that became a
-    keyframe.
+    `since_keyframe_frames`: frames since the last one that became a keyframe, 1 for the next.
     """
 
     inliers: int
@@ -27,22 +24,21 @@ class KeyframeEvidence:
     reference_observations: NDArray[np.int64]
     map_keyframes: int
     since_keyframe_frames: int
-    since_keyframe_s: float
 
 
 def wants_keyframe(evidence: KeyframeEvidence) -> bool:
     """Whether the frame should become a keyframe: the next one would see too little, or it is welcome and affordable.
 
     Source: ORB-SLAM V-E, the share of the reference's points. Deviations: a keyframe is needed as soon as that share,
-    falling on as it has since the last one, would be too small in the next frame, so that the need is seen at any rate:
-    in a fast turn a frame just loses more; a thin reference counts as a full one; and, as mapping is in step with
-    tracking, a budget of time stands for the busy mapper where a keyframe is welcome and not needed.
+    falling on as it has since the last one, would be too small in the next frame; a thin reference counts as a full
+    one; and, as mapping is in step with tracking, a budget stands for the busy mapper where a keyframe is welcome and
+    not needed. Nothing here is in seconds: in a fast turn, or at a low rate, a frame just loses more.
     """
     share = _share(evidence)
     loss = max(1.0 - share, 0.0) / evidence.since_keyframe_frames
-    if share - loss < thresholds.KEYFRAME_URGENT_SHARE:
+    if share - loss < thresholds.KEYFRAME_NEXT_SHARE:
         return True
-    affordable = evidence.since_keyframe_s >= thresholds.KEYFRAME_BUDGET_S - _TIME_SLACK_S
+    affordable = evidence.since_keyframe_frames * thresholds.KEYFRAME_BUDGET >= 1.0
     return affordable and share < thresholds.KEYFRAME_MAX_SHARE
 
 
