@@ -128,7 +128,7 @@ turns lose the camera without this is tracked whole with 0.6 and with 0.8, too).
 KEYFRAME_MAX_SHARE: Final = 0.9
 """Of the reference keyframe's points: a frame with more is not welcome as a keyframe (ORB-SLAM V-E)."""
 KEYFRAME_BUDGET: Final = 0.25
-"""Keyframes a frame: no more where they are welcome and not needed; mapping one costs about as much as tracking four
+"""Keyframes a frame: no more where they are welcome and not needed; mapping one costs as much as tracking two to four
 frames, and so takes at most half of the time (own)."""
 KEYFRAME_FULL_SHARE: Final = 2.0 / 15.0
 """Of a frame's features: a reference keyframe with fewer points counts as one with so many: the map is thin (own)."""
