@@ -95,10 +95,13 @@ def plugins_told(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin
     """
     if "value" not in answer:
         raise PluginError(str(answer.get("text", "it answered nonsense")))
+    plugins: list[tuple[Plugin, str]] = []
     try:
-        value, plugins = answer["value"], []
-        problems = [Problem(origin, **{name: str(problem[name]) for name in ("entry_point", "reason")},
-                            nameless=bool(problem["nameless"])) for problem in value["problems"]]  # fmt: skip
+        value = answer["value"]
+        problems = [
+            Problem(origin, str(problem["entry_point"]), str(problem["reason"]), bool(problem["nameless"]))
+            for problem in value["problems"]
+        ]
         for values in value["plugins"]:
             spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
             missing = None if values["missing"] is None else str(values["missing"])

@@ -166,7 +166,8 @@ def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
         [setting.name, setting.version, of_repeat, repeat, [identity for _, identity, _ in used]]
         for repeat, of_repeat in enumerate(description.identities)
     ]
-    reasons = (reason for *_, reason in used if reason is not None)
+    owner = f"{setting.full_name}: " if setting.distribution else ""
+    reasons = (f"{owner}{reason}" for *_, reason in used if reason is not None)
     setting = replace(setting, uses=tuple(plugin for plugin, *_ in used))
     return _Side(setting, tuple(identities), description, next(reasons, None))
 

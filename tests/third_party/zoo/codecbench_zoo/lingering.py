@@ -72,7 +72,7 @@ class WarnsOfEverything(_Lingering):
 
 class LowersTheStack(_Lingering):
     def leave(self) -> None:
-        threading.Timer(0.2, sys.setrecursionlimit, [60]).start()
+        sys.setrecursionlimit(400)
 
 
 class SetsTimers(_Lingering):
