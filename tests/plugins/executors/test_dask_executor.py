@@ -186,8 +186,9 @@ def hanging(executor: DaskExecutor, path: Path) -> psutil.Process:
 
 def spawned(earlier: list[psutil.Process]) -> list[psutil.Process]:
     """The processes below this one that are not among the earlier ones, without Python's own resource tracker."""
+    kinds = re.compile("spawn_main|multiprocessing.forkserver|^dask worker")
     new = [one for one in psutil.Process().children(recursive=True) if one not in earlier]
-    return [one for one in new if re.search("spawn_main|multiprocessing.forkserver|^dask worker", " ".join(_command(one)))]
+    return [one for one in new if kinds.search(" ".join(_command(one)))]
 
 
 def gone(*processes: psutil.Process) -> bool:
