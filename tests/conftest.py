@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,12 @@ TIERS = ("thorough", "slow")
 def pytest_addoption(parser: pytest.Parser) -> None:
     for tier in TIERS:
         parser.addoption(f"--{tier}", action="store_true", help=f"also run the tests marked {tier}")
+
+
+def pytest_configure() -> None:
+    """Commands that the tests start can be interrupted, also where a shell started pytest in the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -116,7 +116,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "reproduce nowhere", "is not a run folder"),
     (ExitStatus.WRONG_USE, "reproduce empty", "has no results yet"),
     (ExitStatus.NOT_POSSIBLE, "reproduce damaged", "is damaged"),
-    (ExitStatus.NOT_POSSIBLE, "reproduce runs/tiny --out file/page.md", "a file is where a folder is wanted"),
+    (ExitStatus.NOT_POSSIBLE, "reproduce runs/tiny --out file/page.md", "a file is where a folder is expected"),
     (ExitStatus.SUCCESS, "data list", "kodak"),
     (ExitStatus.WRONG_USE, "data path kodack", "did you mean kodak?"),
     (ExitStatus.SUCCESS, "warm-up tiny.yaml", "0 failed"),
