@@ -139,6 +139,7 @@ def full_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_a_manifest_of_kernels_that_cannot_be_written_stays_as_it_was(place: Place, tmp_path: Path) -> None:
     package = place.site / "kernelled"
     package.mkdir()
@@ -164,7 +165,7 @@ def test_a_manifest_of_kernels_that_cannot_be_written_stays_as_it_was(place: Pla
         ("mkdir", "EDQUOT", "Disk quota exceeded; your quota is used up"),
     ],
 )
-@pytest.mark.parametrize("words", OUTPUTS[:1] + OUTPUTS[4:5])
+@pytest.mark.parametrize("words", [OUTPUTS[0], pytest.param(OUTPUTS[4], marks=pytest.mark.slow)])
 def test_a_refusal_of_the_system_names_the_file_and_the_next_step(
     place: Place, tmp_path: Path, words: str, call: str, error: str, said: str
 ) -> None:
@@ -179,10 +180,10 @@ def test_a_refusal_of_the_system_names_the_file_and_the_next_step(
     ("call", "inside"),
     [
         ("mkdir", "fresh"),
-        ("mkdir", "records"),
-        ("replace", "matrix.yaml"),
+        pytest.param("mkdir", "records", marks=pytest.mark.slow),
+        pytest.param("replace", "matrix.yaml", marks=pytest.mark.slow),
         ("replace", "plan.json"),
-        ("replace", "environment"),
+        pytest.param("replace", "environment", marks=pytest.mark.slow),
         ("rename", "records"),
     ],
 )
@@ -199,7 +200,9 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
     assert list(out.rglob(".new-*")) == []
 
 
-@pytest.mark.parametrize("size", [0, 40, 200])
+@pytest.mark.parametrize(
+    "size", [0, pytest.param(40, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.slow)]
+)
 def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
     done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), limits=small_files(size))
     if size == 0:  # not even a temporary file can be made, which comes before the run folder

@@ -65,7 +65,7 @@ def test_a_module_gets_its_own_entries_and_a_stranger_none() -> None:
         listed("json")
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_after_warming_up_a_whole_slam_run_compiles_nothing(tmp_path: Path) -> None:
     (tmp_path / "matrix.yaml").write_text(MATRIX)
     environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "cache")}

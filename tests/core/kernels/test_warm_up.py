@@ -136,17 +136,23 @@ def test_a_run_compiles_ahead_and_says_so(place: Place) -> None:
     assert not list((place.cache / "kernels").glob("*.lock"))
 
 
+def entry(kernel: str, arguments: str) -> str:
+    """A manifest of one kernel."""
+    return json.dumps(
+        [{"kernel": f"halving.kernels:{kernel}", "build": "fast", "arguments": arguments, "seconds": 1.0}]
+    )
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     "content",
     [
-        "{not json",
-        '[{"kernel": "halving.kernels:gone", "build": "fast", "arguments": "int64", "seconds": 1.0}]',
-        '[{"kernel": "halving.kernels:halve", "build": "fast", "arguments": "float99", "seconds": 1.0}]',
-        '[{"kernel": "halving.kernels:halve", "build": "fast", "arguments": "int64, int64", "seconds": 1.0}]',
-        None,
+        pytest.param("{not json", id="not JSON"),
+        pytest.param(entry("gone", "int64"), id="no such kernel", marks=pytest.mark.slow),
+        pytest.param(entry("halve", "float99"), id="no such type", marks=pytest.mark.slow),
+        pytest.param(entry("halve", "int64, int64"), id="does not compile"),
+        pytest.param(None, id="no manifest", marks=pytest.mark.slow),
     ],
-    ids=["not JSON", "no such kernel", "no such type", "does not compile", "no manifest"],
 )
 def test_a_bad_manifest_fails_no_run(place: Place, content: str | None) -> None:
     if content is None:

@@ -195,7 +195,7 @@ def test_every_flipped_bit_of_bitstreams_is_noticed_where_they_are_read(folder: 
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=() if kind == "record" else pytest.mark.thorough) for kind in KINDS]
+    "kind", [pytest.param(kind, marks=() if kind == "record" else pytest.mark.slow) for kind in KINDS]
 )
 def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Path, plan: Plan, site: Path) -> None:
     expected = table(whole)
@@ -272,7 +272,7 @@ def test_a_record_of_another_shape_is_damage_though_its_checksum_is_right(
         record_from_bytes(reshaped(folder, change)[1])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @OTHER_SHAPES
 def test_a_table_leaves_out_a_record_of_another_shape_and_a_run_makes_it_again(
     change: Callable[[dict[str, object]], object], words: str, folder: Path, plan: Plan, site: Path
