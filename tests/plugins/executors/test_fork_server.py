@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -99,6 +100,23 @@ def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path
     assert not left
     assert gone
     assert not list(scratch.glob("pymp-*")), "the folder of the server's socket goes with it"
+
+
+def test_a_server_that_ends_leaves_the_socket_of_another_in_the_same_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CODECBENCH_TEST_VARIABLE", "there")
+    assert value(variable) == "there"
+    spawned = multiprocessing.get_context("spawn").Process(target=value, args=(variable,))
+    spawned.start()
+    children = psutil.Process(spawned.pid).children
+    servers = []
+    while spawned.is_alive():
+        servers += [child for child in children(recursive=True) if child not in servers]
+        time.sleep(0.02)
+    spawned.join()
+    assert spawned.exitcode == 0
+    assert servers
+    assert not psutil.wait_procs(servers, timeout=20)[1]
+    assert value(variable) == "there"
 
 
 def test_workers_start_where_the_folder_for_temporary_files_has_a_long_name(tmp_path: Path) -> None:
