@@ -20,4 +20,9 @@ def codecbench_evaluators() -> list[PluginSpec]:
             "what SLAM on the decoded frames makes of the camera's path",
             requires=("evo",),
         ),
+        PluginSpec(
+            "relative_pose",
+            _HERE + "relative_pose:RelativePose",
+            "the motion between two decoded frames, from their matches, pair by pair",
+        ),
     ]
