@@ -21,6 +21,12 @@ def codecbench_evaluators() -> list[PluginSpec]:
             requires=("evo",),
         ),
         PluginSpec(
+            "localization",
+            _HERE + "localization:Localization",
+            "where each decoded frame is in a map of the raw frames, from the previous pose and from nothing",
+            requires=("evo",),
+        ),
+        PluginSpec(
             "relative_pose",
             _HERE + "relative_pose:RelativePose",
             "the motion between two decoded frames, from their matches, pair by pair",
