@@ -31,4 +31,9 @@ def codecbench_evaluators() -> list[PluginSpec]:
             _HERE + "relative_pose:RelativePose",
             "the motion between two decoded frames, from their matches, pair by pair",
         ),
+        PluginSpec(
+            "place_recognition",
+            _HERE + "place_recognition:PlaceRecognition",
+            "whether decoded frames find the places that they revisit among raw ones",
+        ),
     ]
