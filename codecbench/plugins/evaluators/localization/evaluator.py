@@ -61,7 +61,13 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         sequence = coded.sequence
         backend = context.plugins.create("slam_backend", _BACKEND, self.params.backend_params)
-        key = ("localization", self.version, backend.version, backend.params.model_dump_json(), str(self.params))
+        key = (
+            "localization",
+            self.version,
+            backend.version,
+            backend.params.model_dump_json(),
+            self.params.model_dump_json(),
+        )
         survey = sequence.read(0).cached(
             (*key, "survey"),
             lambda _: survey_of(sequence, backend, self.params.association_s, self.params.limit_share),

@@ -74,7 +74,10 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         _task("pose_auc_20deg", "1", "higher", "area under the curve of solved pairs up to 20 degrees",
               "pose AUC to 20°"),
         _task("pose_inliers", "1", "higher", "matches that obey the motion that was found", "matches behind the pose"),
-        _task("correct_matches", "1", "higher", "matches that obey the true motion", "correct matches"),
+        Metric(
+            "correct_matches", "1", "higher", "matches that obey the true motion",
+            role="task", headline=True, label="correct matches", brief="matches",
+        ),
         _task("matches_lost", "1", "lower", "share of the raw pair's correct matches that is missing", "matches lost"),
     )  # fmt: skip
 
