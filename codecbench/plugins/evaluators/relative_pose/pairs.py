@@ -93,7 +93,8 @@ def overlap(second_from_first: Floats, camera: Camera, distance_m: float) -> flo
     seen = distance_m * rays @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx, camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
-    inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1) & (seen[:, 2] > 0)
+    inside = (np.abs(u - 0.5 * (camera.width - 1)) < 0.5 * camera.width) & (seen[:, 2] > 0)
+    inside &= np.abs(v - 0.5 * (camera.height - 1)) < 0.5 * camera.height
     return float(inside.mean())
 
 
