@@ -134,7 +134,5 @@ def test_what_a_sequence_lacks_is_said(tmp_path: Path) -> None:
     ):
         with pytest.raises(Unsupported, match=words):
             measured(lacking, tmp_path)
-    with pytest.raises(
-        Unsupported, match="memory comes back to no place: no two frames 5 s apart are within 0.5 m and 30"
-    ):
+    with pytest.raises(Unsupported, match=r"memory comes back to no place: no two frames 5 s apart"):
         list(PlaceRecognition.create().evaluate(CodedInMemory(sequence), context(tmp_path)))
