@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import FeatureExtractor, Features
@@ -37,7 +38,7 @@ class BuiltMap:
 
     localizer: Localizer
     trajectory: FrameTrajectory
-    keyframe_indices: Array
+    keyframe_indices: NDArray[np.int64]
 
 
 class Localizer:

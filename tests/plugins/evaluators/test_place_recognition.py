@@ -52,7 +52,7 @@ def test_an_empty_ranking_finds_nothing() -> None:
 def poses_at(x: list[float], yaw_deg: list[float]) -> np.ndarray:
     poses = np.tile(np.eye(4), (len(x), 1, 1))
     poses[:, 0, 3] = x
-    poses[:, :3, :3] = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
+    poses[:, :3, :3] = Rotation.from_rotvec(np.radians(yaw_deg)[:, None] * [0.0, 1.0, 0.0]).as_matrix()
     return poses
 
 

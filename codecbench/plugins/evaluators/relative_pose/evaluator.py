@@ -12,7 +12,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Better, Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.plugins.evaluators.relative_pose.matching import NO_KEYPOINTS, Detector, KeypointSet, Matcher
@@ -47,8 +47,8 @@ class RelativePoseParams(Params):
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
 
 
-def _task(name: str, unit: str, better: str, summary: str, label: str, *aggregates: str) -> Metric:
-    return Metric(name, unit, better, summary, aggregates or ("mean",), role="task", label=label)  # type: ignore[arg-type]
+def _task(name: str, unit: str, better: Better, summary: str, label: str, *aggregates: str) -> Metric:
+    return Metric(name, unit, better, summary, aggregates or ("mean",), role="task", label=label)
 
 
 class RelativePose(SequenceEvaluator[RelativePoseParams]):

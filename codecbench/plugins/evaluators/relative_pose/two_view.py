@@ -94,7 +94,9 @@ def curve_area(error_deg: float, threshold_deg: float) -> float:
     return max(0.0, 1.0 - error_deg / threshold_deg)
 
 
-def near_epipolar_lines(first: Floats, second: Floats, matrix: Floats, second_from_first: Floats, px: float) -> Floats:
+def near_epipolar_lines(
+    first: Floats, second: Floats, matrix: Floats, second_from_first: Floats, px: float
+) -> NDArray[np.bool_]:
     """(M,) whether matched pixels (M, 2) lie within `px` of their epipolar lines under a motion, in both views."""
     x, y, z = second_from_first[:3, 3]
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
