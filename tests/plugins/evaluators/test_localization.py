@@ -118,7 +118,11 @@ def test_a_film_of_nothing_makes_no_map(tmp_path: Path) -> None:
 
 
 def test_what_a_sequence_lacks_is_said(tmp_path: Path) -> None:
-    for lacking, words in ((Film(truth=False), "no ground truth"), (Film(camera=None), "no camera")):
+    gray = [np.full((240, 320), 90, np.uint8)] * FRAMES
+    for lacking, words in (
+        (Film(truth=False, images=gray), "no ground truth"),
+        (Film(camera=None, images=gray), "no camera"),
+    ):
         with pytest.raises(Unsupported, match=words):
             measured(lacking, tmp_path)
 
