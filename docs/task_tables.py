@@ -1,35 +1,62 @@
-"""Codecs in order at equal rates, by the headlines of role `task` that are measured frame by frame."""
+"""Tables of tasks that are asked frame by frame: two settings beside each other, and codecs in order at equal rates."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Final
 
+from codecbench.core.results.blocks import PairedDifference, paired_difference
 from codecbench.core.results.columns import Column
 from codecbench.core.results.markdown import table
-from codecbench.core.results.matched_rates import Standing, order_at_rate
+from codecbench.core.results.matched_rates import order_at_rate
 from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import frame_matrix
 
+Heads = tuple[str, ...]
 RATES_BPP: Final = (0.35, 0.6, 1.0)
-"""The rates at which examples/tasks.yaml has settings of most codecs on both sides."""
+"""Rates at which examples/tasks.yaml has settings of most codecs on both sides."""
+KNOWN: Final = ("quality=30", "quality=25")
+"""Settings of `jpeg` whose order is known."""
 
 
-def orders(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
+def known_order(run: RunResult, heads: Heads) -> Iterator[str]:
+    """What each headline of role `task` says of two settings of JPEG, frame by frame."""
+    rows = []
+    for column in run.headlines("task"):
+        members = [result for result in run.of(column.evaluator.title) if result.cell.codec.name == "jpeg"]
+        labels, values = frame_matrix(members, column.metric.name, column.stage)
+        better, worse = (values[labels.index(setting)] for setting in KNOWN)
+        found = paired_difference(better, worse)
+        kept = (better == better) & (worse == worse)
+        means = [f"{series[kept].mean():.4g}" for series in (better, worse)]
+        name = f"`{column.evaluator.name}.{column.metric.name}`"
+        rows.append([name, *means, shown(found), chance(found.p_value), f"{found.detectable:.2g}",
+                     str(found.frames), str(found.block)])  # fmt: skip
+    yield table(heads, rows)
+
+
+def orders(run: RunResult, heads: Heads) -> Iterator[str]:
     """A table for each headline of role `task`: the codecs of each rate in order, and what separates them."""
     (entry,) = run.plan.sequences
     for column in run.headlines("task"):
         yield f"**{column.label}** (`{column.evaluator.name}.{column.metric.name}`)\n"
-        rows = [row for rate in RATES_BPP for row in _rows(column, rate, order_at_rate(run, column, entry.name, rate))]
+        rows = [row for rate in RATES_BPP for row in _rows(run, column, entry.name, rate)]
         yield table(heads, rows)
 
 
-def _rows(column: Column, rate: float, order: list[Standing]) -> Iterator[list[str]]:
-    for standing in order:
-        lead = standing.ahead
-        words = ["", "", ""]
-        if lead is not None:
-            low, high = sorted((abs(lead.interval[0]), abs(lead.interval[1])))
-            sides = "" if lead.interval[0] * lead.interval[1] > 0 else "-"
-            chance = "< 0.001" if standing.p_value < 0.001 else f"{standing.p_value:.3f}"
-            words = [f"{abs(lead.mean):.3g} [{sides}{low:.3g}, {high:.3g}]", chance, f"{lead.detectable:.2g}"]
-        yield [f"{rate:g}", f"{standing.group + 1}", standing.curve, f"{standing.mean:.4g}", *words]
+def _rows(run: RunResult, column: Column, sequence: str, rate: float) -> Iterator[list[str]]:
+    for place in order_at_rate(run, column, sequence, rate):
+        lead = place.ahead
+        words = ["", "", ""] if lead is None else [shown(lead), chance(place.p_value), f"{lead.detectable:.2g}"]
+        yield [f"{rate:g}", f"{place.group + 1}", place.curve, f"{place.mean:.4g}", *words]
+
+
+def shown(difference: PairedDifference) -> str:
+    """A difference with its 95 % interval."""
+    low, high = difference.interval
+    return f"{difference.mean:+.3g} [{low:+.3g}, {high:+.3g}]"
+
+
+def chance(p_value: float) -> str:
+    """A p-value as tables show it."""
+    return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"
