@@ -66,12 +66,12 @@ def values(found: list[Measurement], metric: str) -> np.ndarray:
 def test_raw_frames_are_where_they_were_and_worse_ones_are_not(tmp_path: Path) -> None:
     film = Film()
     raw = measured(film, tmp_path)
-    asked = np.isfinite(values(raw, "tracked"))
+    asked = np.isfinite(values(raw, "tracked_located"))
     assert {m.metric for m in raw} == {metric.name for metric in Localization.metrics}
-    assert sorted(m.frame or 0 for m in raw if m.metric == "tracked") == list(range(FRAMES))
+    assert sorted(m.frame or 0 for m in raw if m.metric == "tracked_located") == list(range(FRAMES))
     assert asked.sum() >= 10
     for way in ("tracked", "relocalized"):
-        assert np.nanmean(values(raw, way)) > 0.9
+        assert np.nanmean(values(raw, f"{way}_located")) > 0.9
         assert np.nanmedian(values(raw, f"{way}_position_error_mm")) < 200.0  # of a walk of 16 m
         assert np.nanmedian(values(raw, f"{way}_rotation_error_deg")) < 1.0
         assert np.nanmax(values(raw, f"{way}_position_to_raw_mm")) == 0.0
@@ -80,7 +80,7 @@ def test_raw_frames_are_where_they_were_and_worse_ones_are_not(tmp_path: Path) -
     means = []
     for quality in (60, 15, 4):
         worse = measured(film, tmp_path, FunctionCodec(lambda image, q=quality: jpeg(image, q)))
-        np.testing.assert_array_equal(np.isfinite(values(worse, "tracked")), asked)
+        np.testing.assert_array_equal(np.isfinite(values(worse, "tracked_located")), asked)
         means.append([np.nanmean(values(worse, name)) for name in ("located_auc", "tracked_inliers")])
     assert np.all(np.diff(means, axis=0) < 0)
     assert [(m.metric, m.frame, str(m.value)) for m in measured(Film(), tmp_path)] == [
@@ -94,7 +94,7 @@ def test_the_frames_that_the_map_is_made_of_are_not_asked(tmp_path: Path) -> Non
     built = Orb.create(features=600).map_of(film, CAMERA, seed=0)
     assert built is not None
     reasons: dict[int | None, str | None] = {
-        m.frame: m.reason for m in measured(film, tmp_path) if m.metric == "tracked" and math.isnan(m.value)
+        m.frame: m.reason for m in measured(film, tmp_path) if m.metric == "tracked_located" and math.isnan(m.value)
     }
     assert {frame for frame, reason in reasons.items() if "a keyframe" in str(reason)} == set(
         built.keyframe_indices.tolist()
@@ -105,7 +105,7 @@ def test_the_frames_that_the_map_is_made_of_are_not_asked(tmp_path: Path) -> Non
 @pytest.mark.thorough
 def test_pictures_with_nothing_in_them_are_nowhere(tmp_path: Path) -> None:
     found = measured(Film(), tmp_path, FunctionCodec(np.zeros_like))
-    for name in ("tracked", "tracked_inliers", "relocalized", "relocalized_inliers", "located_auc"):
+    for name in ("tracked_located", "tracked_inliers", "relocalized_located", "relocalized_inliers", "located_auc"):
         assert np.nanmax(values(found, name)) == 0.0
     reasons = {m.reason for m in found if m.metric.endswith("_mm") and "located" in str(m.reason)}
     assert reasons == {"the frame is not located"}
@@ -149,9 +149,10 @@ def judged(tracked: Sighting | None, raw: Sighting | None, truth: np.ndarray) ->
 def test_distances_and_angles_are_those_made_by_hand() -> None:
     found = judged(sighting(0.012, 3.0), sighting(0.007, 1.0), np.eye(4))
     expected = {
-        "tracked": 1.0, "tracked_inliers": 80.0, "tracked_position_error_mm": 12.0, "tracked_rotation_error_deg": 3.0,
+        "tracked_located": 1.0, "tracked_inliers": 80.0,
+        "tracked_position_error_mm": 12.0, "tracked_rotation_error_deg": 3.0,
         "tracked_position_to_raw_mm": 5.0, "tracked_rotation_to_raw_deg": 2.0, "located_auc": 0.75,
-        "relocalized": 0.0, "relocalized_inliers": 0.0,
+        "relocalized_located": 0.0, "relocalized_inliers": 0.0,
     }  # fmt: skip
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value), name
@@ -162,7 +163,7 @@ def test_distances_and_angles_are_those_made_by_hand() -> None:
 
 def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
     lost = judged(None, sighting(0.0, 0.0), np.eye(4))
-    assert (lost["tracked"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
+    assert (lost["tracked_located"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
     unknown = judged(sighting(0.0, 0.0), None, np.full((4, 4), np.nan))
     assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
     assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"

@@ -89,7 +89,7 @@ def _measured(
 ) -> Iterator[Measurement]:
     """All metrics of one frame."""
     for way, sighting in found.items():
-        yield Measurement(way, float(sighting is not None), frame=index)
+        yield Measurement(f"{way}_located", float(sighting is not None), frame=index)
         yield Measurement(f"{way}_inliers", float(sighting.inliers if sighting else 0), frame=index)
         true = survey.truth[index]
         yield from _distance(way, "error", sighting, true, index, "the frame has no true pose")

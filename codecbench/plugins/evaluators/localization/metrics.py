@@ -16,7 +16,10 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
         return Metric(f"{way}_{name}", unit, "lower", summary, spread, role="task", label=label, scale="log")
 
     return (
-        Metric(way, "1", "higher", f"1 where the frame is located {how}, else 0", role="task", label=f"located {how}"),
+        Metric(
+            f"{way}_located", "1", "higher", f"1 where the frame is located {how}, else 0",
+            role="task", label=f"located {how}",
+        ),
         Metric(
             f"{way}_inliers", "1", "higher", f"map points behind the pose, 0 where there is none, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
