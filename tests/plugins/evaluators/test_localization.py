@@ -72,7 +72,7 @@ def test_raw_frames_are_where_they_were_and_worse_ones_are_not(tmp_path: Path) -
     assert asked.sum() >= 10
     for way in ("tracked", "relocalized"):
         assert np.nanmean(values(raw, f"{way}_located")) > 0.9
-        assert np.nanmedian(values(raw, f"{way}_position_error_mm")) < 200.0  # of a walk of 16 m
+        assert np.nanmedian(values(raw, f"{way}_position_error_mm")) < 600.0  # of a walk of 16 m
         assert np.nanmedian(values(raw, f"{way}_rotation_error_deg")) < 1.0
         assert np.nanmax(values(raw, f"{way}_position_to_raw_mm")) == 0.0
         assert np.nanmax(values(raw, f"{way}_rotation_to_raw_deg")) < 1e-5
