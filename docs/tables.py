@@ -59,10 +59,6 @@ BLOCKS = {
         ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames", "block"),
         task_tables.known_order,
     ),
-    "tasks": Block(
-        "docs/task-metrics.md", "run", "tasks",
-        ("bit/px", "place", "codec", "mean", "ahead of the next [95 %]", "p", "smallest shown"), task_tables.orders,
-    ),
     "sizes": Block(
         "docs/multilevel.md", "pictures", "",
         ("QF", "KiB", "of which tables", "the paper, KiB", "two levels", "two levels, by frequency", "without header"),

@@ -1,4 +1,4 @@
-"""Tables of tasks that are asked frame by frame: two settings beside each other, and codecs in order at equal rates."""
+"""The table of a known order, by tasks that are asked frame by frame."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ from collections.abc import Iterator
 from typing import Final
 
 from codecbench.core.results.blocks import PairedDifference, paired_difference
-from codecbench.core.results.columns import Column
 from codecbench.core.results.markdown import table
-from codecbench.core.results.matched_rates import order_at_rate
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import frame_matrix
 
 Heads = tuple[str, ...]
-RATES_BPP: Final = (0.35, 0.6, 1.0)
-"""Rates at which examples/tasks.yaml has settings of most codecs on both sides."""
 KNOWN: Final = ("quality=30", "quality=25")
 """Settings of `jpeg` whose order is known."""
 
@@ -33,22 +29,6 @@ def known_order(run: RunResult, heads: Heads) -> Iterator[str]:
         rows.append([name, *means, shown(found), chance(found.p_value), f"{found.detectable:.2g}",
                      str(found.frames), str(found.block)])  # fmt: skip
     yield table(heads, rows)
-
-
-def orders(run: RunResult, heads: Heads) -> Iterator[str]:
-    """A table for each headline of role `task`: the codecs of each rate in order, and what separates them."""
-    (entry,) = run.plan.sequences
-    for column in run.headlines("task"):
-        yield f"**{column.label}** (`{column.evaluator.name}.{column.metric.name}`)\n"
-        rows = [row for rate in RATES_BPP for row in _rows(run, column, entry.name, rate)]
-        yield table(heads, rows)
-
-
-def _rows(run: RunResult, column: Column, sequence: str, rate: float) -> Iterator[list[str]]:
-    for place in order_at_rate(run, column, sequence, rate):
-        lead = place.ahead
-        words = ["", "", ""] if lead is None else [shown(lead), chance(place.p_value), f"{lead.detectable:.2g}"]
-        yield [f"{rate:g}", f"{place.group + 1}", place.curve, f"{place.mean:.4g}", *words]
 
 
 def shown(difference: PairedDifference) -> str:
