@@ -13,7 +13,7 @@ from codecbench.slam.features.extractor import FeatureExtractor, Features
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.frame import TrackingFrame
-from codecbench.slam.map.map import Map
+from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.map.projection import project_map_points
 from codecbench.slam.options import Options
 from codecbench.slam.places.recognition import PlaceRecognition
@@ -69,7 +69,7 @@ class Localizer:
         points = self.map.keyframes.points[self._nearest_keyframe(camera_from_world)]
         points = points[points >= 0]
         for window_px in (thresholds.TRACK_WINDOW_PX, thresholds.TRACK_WINDOW_WIDE_PX):
-            frame.points[:] = -1
+            frame.points[:] = NONE
             frame.camera_from_world = camera_from_world.copy()
             projections = project_map_points(
                 self.map, points, camera_from_world, self._camera, thresholds.VIEWING_COSINE

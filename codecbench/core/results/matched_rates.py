@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from codecbench.core.results.blocks import SIGNIFICANCE, PairedDifference, paired_difference
 from codecbench.core.results.columns import Column
 from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.table import CellResult
 from codecbench.core.results.verdicts import frame_matrix
 
 Values = NDArray[np.float64]
@@ -81,7 +82,7 @@ def at_rate(rates: Values, values: Values, rate: float) -> Values | None:
 
 def curves_of_frames(run: RunResult, column: Column, sequence: str) -> dict[str, tuple[Values, Values]]:
     """Mean rates (S,) and per-frame values (S, N) of each curve of several settings on a sequence."""
-    members = defaultdict(list)
+    members: dict[str, list[CellResult]] = defaultdict(list)
     for result in run.of(column.evaluator.title):
         cell = result.cell
         if cell.sequence.name == sequence:

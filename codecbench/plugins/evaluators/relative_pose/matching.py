@@ -62,7 +62,8 @@ class Matcher:
             return NO_KEYPOINTS
         pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64)
         if self._distortion.any():
-            pixels = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)[:, 0]
+            straight = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)
+            pixels = np.asarray(straight[:, 0], dtype=np.float64)
         return KeypointSet(pixels, np.ascontiguousarray(descriptors).view(np.uint64) if self._binary else descriptors)
 
     def match(self, first: KeypointSet, second: KeypointSet) -> NDArray[np.int64]:

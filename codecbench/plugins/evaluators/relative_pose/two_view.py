@@ -56,8 +56,9 @@ def _in_front(essential: Floats, first: Floats, second: Floats) -> TwoViewMotion
 
     Rays (M, 3) in both cameras: d1 R r1 + t = d2 r2, crossed with r2 and with R r1, gives the signs of the depths.
     """
-    one_turn, other_turn, translation = cv2.decomposeEssentialMat(essential)
-    direction, best = translation.ravel(), (-1, one_turn, translation.ravel())
+    one_turn, other_turn, translation = (np.asarray(part, float) for part in cv2.decomposeEssentialMat(essential))
+    direction = translation.ravel()
+    best, found = -1, TwoViewMotion(one_turn, direction, len(first))
     for rotation in (one_turn, other_turn):
         turned = first @ rotation.T
         normals = np.cross(turned, second)
@@ -65,9 +66,9 @@ def _in_front(essential: Floats, first: Floats, second: Floats) -> TwoViewMotion
         other_depths = -np.sum(np.cross(direction, turned) * normals, axis=1)
         for sign in (1.0, -1.0):
             ahead = int(np.count_nonzero((sign * depths > 0) & (sign * other_depths > 0)))
-            if ahead > best[0]:
-                best = (ahead, rotation, sign * direction)
-    return TwoViewMotion(best[1], best[2], len(first))
+            if ahead > best:
+                best, found = ahead, TwoViewMotion(rotation, sign * direction, len(first))
+    return found
 
 
 def pose_error_deg(found: TwoViewMotion | None, second_from_first: Floats) -> float:
