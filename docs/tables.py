@@ -20,6 +20,7 @@ from typing import Any, Literal
 import benchmark_tables
 import multilevel_table
 import run_tables
+import task_tables
 
 import codecbench
 
@@ -52,6 +53,11 @@ BLOCKS = {
     "slam": Block(
         TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),
         run_tables.slam_times,
+    ),
+    "known": Block(
+        "docs/task-metrics.md", "run", "tasks",
+        ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames", "block"),
+        task_tables.known_order,
     ),
     "sizes": Block(
         "docs/multilevel.md", "pictures", "",

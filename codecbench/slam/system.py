@@ -14,6 +14,7 @@ from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import FeatureExtractor, Features
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.decoded_keyframes import use_decoded
 from codecbench.slam.mapping.initialization import Initializer
 from codecbench.slam.options import Options
@@ -63,6 +64,11 @@ class System:
             cv2.setNumThreads(threads)
         self._frames.append(state)
         return state
+
+    @property
+    def maps(self) -> tuple[Map, ...]:
+        """The maps as they are now, in the order in which they were started."""
+        return tuple(tracked_map.map for tracked_map in self._maps)
 
     def finish(self) -> Result:
         """The result of all frames so far, after a last adjustment of each map where the options ask for it."""

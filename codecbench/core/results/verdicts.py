@@ -16,6 +16,7 @@ from scipy.stats import binomtest
 
 from codecbench.core.engine.aggregate import percentile
 from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
+from codecbench.core.results.blocks import longest_block
 from codecbench.core.results.columns import Column
 from codecbench.core.results.curves import CurvePoint
 from codecbench.core.results.pareto import pareto_front
@@ -64,10 +65,10 @@ def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tup
 def bd_rates(run: RunResult, column: Column, *, resamples: int = 200) -> dict[SequenceCurve, BdRate]:
     """BD-rate of every curve against the anchor at equal values of a column, with an interval.
 
-    The interval is over frames where the metric is measured a frame, else over repeats; repeats are noisy, so that
-    their curves are first reduced to monotone hulls. A metric that is better when lower counts as its negative, or as
-    minus its logarithm where its scale is logarithmic, so that halving an error counts the same everywhere. Nothing
-    where the run has no rate.
+    The interval is over frames where the metric is measured a frame, drawn in blocks as neighbours are alike, else over
+    repeats; repeats are noisy, so that their curves are first reduced to monotone hulls. A metric that is better when
+    lower counts as its negative, or as minus its logarithm where its scale is logarithmic, so that halving an error
+    counts the same everywhere. Nothing where the run has no rate.
     """
     if run.rate is None:
         return {}
@@ -116,9 +117,9 @@ def _bd_rates_over_frames(
             if curve != anchor and len(members) > 1:
                 test = arrays(members)
                 there = ~(np.isnan(base[1]).all(axis=0) | np.isnan(test[1]).all(axis=0))
-                four = (array[:, there] for array in (*base, *test))
-                rng = np.random.default_rng(0)
-                found[sequence, curve] = bd_rate_with_interval(*four, rng=rng, resamples=resamples)
+                four = [array[:, there] for array in (*base, *test)]
+                rng, block = np.random.default_rng(0), longest_block(np.concatenate([four[1], four[3]]))
+                found[sequence, curve] = bd_rate_with_interval(*four, rng=rng, resamples=resamples, block=block)
     return found
 
 

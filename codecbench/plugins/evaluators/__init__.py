@@ -20,4 +20,20 @@ def codecbench_evaluators() -> list[PluginSpec]:
             "what SLAM on the decoded frames makes of the camera's path",
             requires=("evo",),
         ),
+        PluginSpec(
+            "localization",
+            _HERE + "localization:Localization",
+            "where each decoded frame is in a map of the raw frames, from the previous pose and from nothing",
+            requires=("evo",),
+        ),
+        PluginSpec(
+            "relative_pose",
+            _HERE + "relative_pose:RelativePose",
+            "the motion between two decoded frames, from their matches, pair by pair",
+        ),
+        PluginSpec(
+            "place_recognition",
+            _HERE + "place_recognition:PlaceRecognition",
+            "whether decoded frames find the places that they revisit among raw ones",
+        ),
     ]

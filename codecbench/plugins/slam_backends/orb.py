@@ -27,6 +27,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
+from codecbench.slam.localizer import BuiltMap, build_map
 
 
 class OrbParams(Params):
@@ -74,6 +75,11 @@ class Orb(SlamBackend[OrbParams]):
             # The last frame bears what finishing takes, so that the mean over frames is the cost of the run.
             elapsed_ms[-1] += clock.ms() - started
         return _run(result, np.array(indices, dtype=np.int64), elapsed_ms)
+
+    def map_of(self, frames: Iterable[Frame], camera: Camera, *, seed: int) -> BuiltMap | None:
+        """The map that `run` makes of these frames, in which other frames can be located; None where it makes none."""
+        images = ((gray_from_image(frame.image), frame.timestamp_s) for frame in frames)
+        return build_map(images, _camera(camera), self._options(), seed)
 
     def _options(self) -> slam.Options:
         return slam.Options(

@@ -232,3 +232,20 @@ def test_a_falling_curve_is_refused_unless_its_hull_is_asked_for(rng: np.random.
     assert reduced.percent == pytest.approx(0.0, abs=1e-9)
     assert reduced.dropped == (0, 1)
     assert reduced.interval == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_samples_that_resemble_their_neighbours_are_drawn_together() -> None:
+    """Forty frames of five scenes: resampled one by one they would seem to know eight times as much as they do."""
+    rng = np.random.default_rng(3)
+    scenes = np.repeat(rng.normal(0.0, 1.0, (4, 5)), 8, axis=1)
+    rates = np.tile(np.array([[100.0], [200.0], [400.0], [800.0]]), (1, 40))
+    qualities = np.array([[30.0], [36.0], [42.0], [48.0]]) + np.zeros((4, 40))
+    widths = []
+    for block in (1, 8):
+        found = bd_rate_with_interval(
+            rates, qualities, rates, qualities + scenes, rng=np.random.default_rng(0), resamples=300, block=block
+        )
+        assert found.interval is not None
+        assert found.interval[0] <= found.percent <= found.interval[1]
+        widths.append(found.interval[1] - found.interval[0])
+    assert 1.5 < widths[1] / widths[0] < 4.0

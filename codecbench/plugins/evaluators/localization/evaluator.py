@@ -1,0 +1,126 @@
+"""The `localization` evaluator: where decoded frames are in a map of the raw ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.evaluator import (
+    CodedSequence,
+    Context,
+    Measurement,
+    PluginUse,
+    SequenceEvaluator,
+)
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Frame
+from codecbench.plugins.evaluators.localization.metrics import METRICS
+from codecbench.plugins.evaluators.localization.survey import Sighting, Survey, Way, survey_of
+from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
+
+_BACKEND = "orb"
+
+
+class LocalizationParams(Params):
+    """Settings of `localization`.
+
+    backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
+    limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing.
+    association_s: how far apart in time a frame and its ground truth may be.
+    """
+
+    backend_params: dict[str, Any] = Field(default_factory=dict)
+    limit_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
+    association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+
+
+class Localization(SequenceEvaluator[LocalizationParams]):
+    """Each frame is located by itself, so that what becomes of it depends on no other frame.
+
+    The map is made once of raw frames and kept beside them, under all that it depends on. Nothing is drawn at random,
+    so equal frames give equal values whatever the codec is called.
+    """
+
+    name = "localization"
+    version = "1"
+    params_type = LocalizationParams
+    needs = frozenset({"camera", "ground_truth"})
+    kernels = ("codecbench.slam",)
+    typical_ms_per_frame = 25.0
+    metrics: ClassVar[tuple[Metric, ...]] = METRICS
+
+    @property
+    def uses(self) -> tuple[PluginUse, ...]:
+        return (PluginUse("slam_backend", _BACKEND, self.params.backend_params),)
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        sequence = coded.sequence
+        backend = context.plugins.create("slam_backend", _BACKEND, self.params.backend_params)
+        key = (
+            "localization",
+            self.version,
+            backend.version,
+            backend.params.model_dump_json(),
+            self.params.model_dump_json(),
+        )
+        survey = sequence.read(0).cached(
+            (*key, "survey"),
+            lambda _: survey_of(sequence, backend, self.params.association_s, self.params.limit_share),
+        )
+        for index, reason in survey.reasons.items():
+            yield from (Measurement(metric.name, math.nan, frame=index, reason=reason) for metric in METRICS)
+        for index in survey.predictions:
+            frame = coded.frame(index)
+            raw = _raw_sightings(survey, frame.original, key)
+            yield from _measured(survey, index, survey.sightings(frame.decoded, index), raw)
+
+
+def _raw_sightings(survey: Survey, frame: Frame, key: tuple[object, ...]) -> dict[Way, Sighting | None]:
+    return frame.cached((*key, "raw"), lambda image: survey.sightings(image, frame.index))
+
+
+def _measured(
+    survey: Survey, index: int, found: dict[Way, Sighting | None], raw: dict[Way, Sighting | None]
+) -> Iterator[Measurement]:
+    """All metrics of one frame."""
+    for way, sighting in found.items():
+        yield Measurement(f"{way}_located", float(sighting is not None), frame=index)
+        yield Measurement(f"{way}_inliers", float(sighting.inliers if sighting else 0), frame=index)
+        true = survey.truth[index]
+        yield from _distance(way, "error", sighting, true, index, "the frame has no true pose")
+        other = raw[way]
+        beside = np.full((4, 4), np.nan) if other is None else other.world_from_camera
+        yield from _distance(way, "to_raw", sighting, beside, index, "the raw frame is not located itself")
+    yield _area(survey, index, found["tracked"], raw["tracked"])
+
+
+def _distance(
+    way: Way, what: str, sighting: Sighting | None, reference: np.ndarray, index: int, unknown: str
+) -> Iterator[Measurement]:
+    """Distance in millimetres and angle in degrees of a sighting from a pose, both missing where one of them is."""
+    names = (f"{way}_position_{what}_mm", f"{way}_rotation_{what}_deg")
+    reason = "the frame is not located" if sighting is None else unknown if np.isnan(reference).any() else None
+    if sighting is None or reason:
+        yield from (Measurement(name, math.nan, frame=index, reason=reason) for name in names)
+        return
+    pose = sighting.world_from_camera
+    values = (
+        1e3 * float(np.linalg.norm(pose[:3, 3] - reference[:3, 3])),
+        float(rotation_angles_deg(pose[:3, :3].T @ reference[:3, :3])),
+    )
+    yield from (Measurement(name, value, frame=index) for name, value in zip(names, values, strict=True))
+
+
+def _area(survey: Survey, index: int, found: Sighting | None, raw: Sighting | None) -> Measurement:
+    """What the frame adds to the area under the curve of located frames over the distance: 0 to 1."""
+    if raw is None:
+        return Measurement("located_auc", math.nan, frame=index, reason="the raw frame is not located itself")
+    if found is None:
+        return Measurement("located_auc", 0.0, frame=index)
+    distance_m = np.linalg.norm(found.world_from_camera[:3, 3] - raw.world_from_camera[:3, 3])
+    return Measurement("located_auc", max(0.0, 1.0 - float(distance_m) / survey.limit_m), frame=index)

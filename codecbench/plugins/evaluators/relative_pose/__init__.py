@@ -1,0 +1,5 @@
+"""The `relative_pose` evaluator: the motion between two decoded frames, from their matches."""
+
+from codecbench.plugins.evaluators.relative_pose.evaluator import RelativePose
+
+__all__ = ["RelativePose"]

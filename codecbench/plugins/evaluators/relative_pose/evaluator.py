@@ -1,0 +1,169 @@
+"""The `relative_pose` evaluator: the motion between two decoded frames, from their matches."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
+from codecbench.core.contracts.metric import Better, Metric
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.plugins.evaluators.relative_pose.matching import NO_KEYPOINTS, Detector, KeypointSet, Matcher
+from codecbench.plugins.evaluators.relative_pose.pairs import Pair, pair_of, scene_distance_m
+from codecbench.plugins.evaluators.relative_pose.two_view import (
+    curve_area,
+    estimate_motion,
+    near_epipolar_lines,
+    pose_error_deg,
+)
+from codecbench.plugins.evaluators.true_poses import true_poses
+
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class RelativePoseParams(Params):
+    """Settings of `relative_pose`.
+
+    detector: `orb` or `sift`. keypoints: kept in a frame. ratio: of the best descriptor distance to the second best, up
+    to which a match counts. inlier_px: MAGSAC's threshold, and the distance from the true epipolar lines up to which a
+    match is right. baselines: translations between the frames of a pair, in distances of the scene; frames take them
+    in turn. min_overlap: share of a frame that the other must show. association_s: how far apart in time a frame and
+    its true pose may be.
+    """
+
+    detector: Detector = "orb"
+    keypoints: Annotated[int, Field(ge=50, le=10_000)] = 1000
+    ratio: Share = 0.8
+    inlier_px: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5
+    baselines: Annotated[tuple[Annotated[float, Field(gt=0.0, le=2.0)], ...], Field(min_length=1)] = (0.04, 0.08, 0.16)
+    min_overlap: Share = 0.5
+    association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+
+
+def _task(name: str, unit: str, better: Better, summary: str, label: str, *aggregates: str) -> Metric:
+    return Metric(name, unit, better, summary, aggregates or ("mean",), role="task", label=label)
+
+
+class RelativePose(SequenceEvaluator[RelativePoseParams]):
+    """One pair for each frame that has one: the frame, and a later one at a baseline. docs/task-metrics.md says which.
+
+    Nothing is drawn at random, so equal frames give equal values whatever the codec is called.
+    """
+
+    name = "relative_pose"
+    version = "1"
+    params_type = RelativePoseParams
+    needs = frozenset({"camera", "ground_truth"})
+    kernels = ("codecbench.plugins.evaluators.relative_pose",)
+    typical_ms_per_frame = 25.0
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        _task("pose_error_deg", "deg", "lower", "larger of rotation and translation-direction error", "pose error",
+              "median", "p95"),
+        _task("pose_auc_5deg", "1", "higher", "area under the curve of solved pairs up to 5 degrees", "pose AUC to 5°"),
+        Metric(
+            "pose_auc_10deg", "1", "higher", "area under the curve of solved pairs up to 10 degrees",
+            role="task", headline=True, label="pose AUC to 10°", brief="pose AUC",
+        ),
+        _task("pose_auc_20deg", "1", "higher", "area under the curve of solved pairs up to 20 degrees",
+              "pose AUC to 20°"),
+        _task("pose_inliers", "1", "higher", "matches that obey the motion that was found", "matches behind the pose"),
+        Metric(
+            "correct_matches", "1", "higher", "matches that obey the true motion",
+            role="task", headline=True, label="correct matches", brief="matches",
+        ),
+        _task("matches_lost", "1", "lower", "share of the raw pair's correct matches that is missing", "matches lost"),
+    )  # fmt: skip
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        sequence = coded.sequence
+        if sequence.camera is None:
+            raise Unsupported(
+                f"sequence {sequence.name} has no camera; the motion between frames needs its calibration"
+            )
+        matcher = Matcher(self.params.detector, self.params.keypoints, self.params.ratio, sequence.camera)
+        pairs: dict[int, list[Pair]] = defaultdict(list)
+        firsts: dict[int, KeypointSet] = {}
+        for index, pair in enumerate(self._pairs(sequence, matcher)):
+            if isinstance(pair, Pair):
+                pairs[pair.second].append(pair)
+                firsts[index] = NO_KEYPOINTS
+            else:
+                yield from (Measurement(m.name, math.nan, frame=index, reason=pair) for m in self.metrics)
+        if not pairs:
+            raise Unsupported(f"no two frames of {sequence.name} are far enough apart and overlap; see baselines")
+        for frame in coded:
+            index = frame.original.index
+            if index not in firsts and index not in pairs:
+                continue
+            found = matcher.detect(frame.decoded)
+            if index in firsts:
+                firsts[index] = found
+            for pair in pairs.pop(index, ()):
+                yield from self._judged(
+                    pair, firsts.pop(pair.first), found, self._raw(pair, sequence, matcher), matcher
+                )
+
+    def _key(self, what: str) -> tuple[object, ...]:
+        """Names what is kept beside raw frames, with all that it depends on."""
+        return ("relative_pose", what, self.version, *self.params.model_dump().values())
+
+    def _pairs(self, sequence: Sequence, matcher: Matcher) -> list[Pair | str]:
+        """For each frame its pair, or why it has none: the same for all settings of a codec, so that they pair."""
+        camera = sequence.camera
+        assert camera is not None
+
+        def chosen() -> list[Pair | str]:
+            poses = true_poses(sequence, self.params.association_s)
+            distance_m = scene_distance_m(sequence, poses, matcher)
+            baselines, least = self.params.baselines, self.params.min_overlap
+            return [
+                pair_of(first, poses, camera, distance_m, baselines[first % len(baselines)], least)
+                for first in range(len(sequence))
+            ]
+
+        return sequence.read(0).cached(self._key("pairs"), lambda _: chosen())
+
+    def _raw(self, pair: Pair, sequence: Sequence, matcher: Matcher) -> int:
+        """Correct matches of the pair's raw frames."""
+
+        def features(frame: Frame) -> KeypointSet:
+            return frame.cached(self._key("features"), matcher.detect)
+
+        def counted() -> int:
+            second = features(sequence.read(pair.second))
+            return int(self._correct(pair, *_matched(matcher, features(first), second), matcher).sum())
+
+        first = sequence.read(pair.first)
+        return first.cached(self._key("correct matches"), lambda _: counted())
+
+    def _correct(self, pair: Pair, first: np.ndarray, second: np.ndarray, matcher: Matcher) -> np.ndarray:
+        return near_epipolar_lines(first, second, matcher.matrix, pair.second_from_first, self.params.inlier_px)
+
+    def _judged(
+        self, pair: Pair, first: KeypointSet, second: KeypointSet, raw_correct: int, matcher: Matcher
+    ) -> Iterator[Measurement]:
+        matched = _matched(matcher, first, second)
+        motion = estimate_motion(*matched, matcher.matrix, self.params.inlier_px)
+        error_deg = pose_error_deg(motion, pair.second_from_first)
+        correct = int(self._correct(pair, *matched, matcher).sum())
+        values = {"pose_error_deg": error_deg, "pose_inliers": motion.inliers if motion else 0}
+        values |= {f"pose_auc_{limit}deg": curve_area(error_deg, limit) for limit in (5, 10, 20)}
+        values |= {"correct_matches": correct}
+        for name, value in values.items():
+            yield Measurement(name, float(value), frame=pair.first)
+        lost = 1.0 - correct / raw_correct if raw_correct else math.nan
+        reason = None if raw_correct else "the raw frames have no correct match"
+        yield Measurement("matches_lost", lost, frame=pair.first, reason=reason)
+
+
+def _matched(matcher: Matcher, first: KeypointSet, second: KeypointSet) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (M, 2) of the matches in both images."""
+    matches = matcher.match(first, second)
+    return first.pixels[matches[:, 0]], second.pixels[matches[:, 1]]

@@ -1,0 +1,108 @@
+"""Features of an image, and matches between two images, as the matching literature uses them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.sequence import Camera
+from codecbench.core.kernels.compiled import compiled
+from codecbench.slam.features.hamming import hamming
+
+Detector = Literal["orb", "sift"]
+
+_LEVELS: Final = 8
+_SCALE_FACTOR: Final = 1.2
+_SMALLEST_SIDE: Final = 64
+"""Pixels: on a smaller image ORB's patches of 31 pixels leave no room, and OpenCV's pyramid runs out of levels."""
+
+
+@dataclass(frozen=True)
+class KeypointSet:
+    """Keypoints of an image: `pixels` (N, 2) undistorted, `descriptors` (N, 4) uint64 of ORB or (N, 128) float32."""
+
+    pixels: NDArray[np.float64]
+    descriptors: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+NO_KEYPOINTS: Final = KeypointSet(np.empty((0, 2)), np.empty((0, 0)))
+
+
+class Matcher:
+    """Detects `keypoints` ORB or SIFT features an image, and matches two images by nearest descriptors.
+
+    A match is mutual, and its distance below `ratio` times that of the second best in the second image (Lowe, IJCV
+    60(2), 2004, doi:10.1023/B:VISI.0000029664.99615.94).
+    """
+
+    def __init__(self, detector: Detector, keypoints: int, ratio: float, camera: Camera) -> None:
+        self._ratio = ratio
+        self._binary = detector == "orb"
+        self._detector: Any = (
+            cv2.ORB.create(keypoints, _SCALE_FACTOR, _LEVELS) if self._binary else cv2.SIFT.create(keypoints)
+        )
+        self.matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+        self._distortion = np.array(camera.distortion)
+
+    def detect(self, image: Image) -> KeypointSet:
+        """The features of an image, colour or gray."""
+        gray = gray_from_image(image)
+        found, descriptors = (
+            self._detector.detectAndCompute(gray, None) if min(gray.shape) >= _SMALLEST_SIDE else ((), None)
+        )
+        if not found:
+            return NO_KEYPOINTS
+        pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64)
+        if self._distortion.any():
+            straight = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)
+            pixels = np.asarray(straight[:, 0], dtype=np.float64)
+        return KeypointSet(pixels, np.ascontiguousarray(descriptors).view(np.uint64) if self._binary else descriptors)
+
+    def match(self, first: KeypointSet, second: KeypointSet) -> NDArray[np.int64]:
+        """(M, 2) indices of matching keypoints, in order of the first."""
+        if min(len(first), len(second)) < 2:
+            return np.empty((0, 2), np.int64)
+        nearest = _nearest_bits if self._binary else _nearest_vectors
+        partners, back, clear = nearest(first.descriptors, second.descriptors, self._ratio)
+        kept = np.flatnonzero(clear & (back[partners] == np.arange(len(first))))
+        return np.column_stack([kept, partners[kept]]).astype(np.int64)
+
+
+def _nearest_vectors(first: Any, second: Any, ratio: float) -> tuple[Any, Any, Any]:
+    """As `_nearest_bits`, for vectors (N, D) and (M, D) at their Euclidean distance."""
+    squares = np.sum(first**2, axis=1)[:, None] + np.sum(second**2, axis=1) - 2.0 * first @ second.T
+    best, runner_up = np.partition(np.maximum(squares, 0.0), 1, axis=1)[:, :2].T
+    return squares.argmin(axis=1), squares.argmin(axis=0), best < ratio**2 * runner_up
+
+
+@compiled
+def _nearest_bits(first: Any, second: Any, ratio: float) -> tuple[Any, Any, Any]:
+    """For binary descriptors (N, 4) and (M, 4): the nearest second of each first (N,) and the other way round (M,).
+
+    Last whether the best Hamming distance is below `ratio` times the second best (N,). The lowest index wins among
+    equals.
+    """
+    count, other_count = len(first), len(second)
+    nearest, back = np.zeros(count, np.int64), np.zeros(other_count, np.int64)
+    back_best = np.full(other_count, 257, np.int64)
+    clear = np.zeros(count, np.bool_)
+    for i in range(count):
+        best, runner_up = 257, 257
+        for j in range(other_count):
+            bits = hamming(first, i, second, j)
+            if bits < best:
+                runner_up, best, nearest[i] = best, bits, j
+            elif bits < runner_up:
+                runner_up = bits
+            if bits < back_best[j]:
+                back_best[j], back[j] = bits, i
+        clear[i] = best < ratio * runner_up
+    return nearest, back, clear

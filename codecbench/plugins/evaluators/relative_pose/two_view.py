@@ -1,0 +1,111 @@
+"""The motion between two views, from matches: found with MAGSAC, compared with the true one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
+
+Floats = NDArray[np.float64]
+
+MIN_MATCHES: Final = 5
+"""Matches that an essential matrix needs at the least."""
+CONFIDENCE: Final = 0.999
+ITERATIONS: Final = 1000
+WORST_ERROR_DEG: Final = 180.0
+"""The error of a pair for which no motion is found: the largest that there is."""
+
+
+@dataclass(frozen=True)
+class TwoViewMotion:
+    """`rotation` (3, 3) and unit `translation` (3,) of second_from_first, and the number of inliers behind them."""
+
+    rotation: Floats
+    translation: Floats
+    inliers: int
+
+
+def estimate_motion(first: Floats, second: Floats, matrix: Floats, threshold_px: float) -> TwoViewMotion | None:
+    """The motion between two views from matched pixels (M, 2), or None where there is none to be found.
+
+    MAGSAC++ (Barath, Noskova, Ivashechkin, Matas, CVPR 2020, doi:10.1109/CVPR42600.2020.00138) in OpenCV's USAC, which
+    draws from a fixed seed: equal matches give equal motions. `matrix` (3, 3) is the calibration.
+    """
+    if len(first) < MIN_MATCHES:
+        return None
+    try:
+        essential, mask = cv2.findEssentialMat(
+            first, second, matrix, method=cv2.USAC_MAGSAC, prob=CONFIDENCE, threshold=threshold_px, maxIters=ITERATIONS
+        )
+    except cv2.error:  # of matches that leave every sample degenerate
+        return None
+    if essential is None or essential.shape != (3, 3) or mask is None:
+        return None
+    obeying = mask.ravel() > 0
+    rays = [np.column_stack([p[obeying], np.ones(obeying.sum())]) @ np.linalg.inv(matrix).T for p in (first, second)]
+    return _in_front(essential, rays[0], rays[1])
+
+
+def _in_front(essential: Floats, first: Floats, second: Floats) -> TwoViewMotion:
+    """Of the four motions behind an essential matrix the one with most points ahead of both cameras.
+
+    Rays (M, 3) in both cameras: d1 R r1 + t = d2 r2, crossed with r2 and with R r1, gives the signs of the depths.
+    """
+    one_turn, other_turn, translation = (np.asarray(part, float) for part in cv2.decomposeEssentialMat(essential))
+    direction = translation.ravel()
+    best, found = -1, TwoViewMotion(one_turn, direction, len(first))
+    for rotation in (one_turn, other_turn):
+        turned = first @ rotation.T
+        normals = np.cross(turned, second)
+        depths = -np.sum(np.cross(direction, second) * normals, axis=1)
+        other_depths = -np.sum(np.cross(direction, turned) * normals, axis=1)
+        for sign in (1.0, -1.0):
+            ahead = int(np.count_nonzero((sign * depths > 0) & (sign * other_depths > 0)))
+            if ahead > best:
+                best, found = ahead, TwoViewMotion(rotation, sign * direction, len(first))
+    return found
+
+
+def pose_error_deg(found: TwoViewMotion | None, second_from_first: Floats) -> float:
+    """The larger of two angles, degrees: of the rotation error, and between found and true direction of translation.
+
+    As in Sarlin et al., "SuperGlue", CVPR 2020, doi:10.1109/CVPR42600.2020.00499: a direction and its opposite count
+    as one. Deviation: WORST_ERROR_DEG, not infinity, where no motion was found.
+    """
+    if found is None:
+        return WORST_ERROR_DEG
+    turn = float(rotation_angles_deg(found.rotation @ second_from_first[:3, :3].T))
+    true = second_from_first[:3, 3]
+    sine = np.linalg.norm(np.cross(found.translation, true))
+    slant = float(np.degrees(np.arctan2(sine, abs(found.translation @ true))))
+    return max(turn, slant)
+
+
+def curve_area(error_deg: float, threshold_deg: float) -> float:
+    """What one pair adds to the area under the curve of solved pairs over the error, up to a threshold: 0 to 1.
+
+    The mean over pairs is that area divided by the threshold, the curve being the share of pairs with an error up to
+    each angle. SuperGlue's trapezoids between the sorted errors give the same up to about one pair's share.
+    """
+    return max(0.0, 1.0 - error_deg / threshold_deg)
+
+
+def near_epipolar_lines(
+    first: Floats, second: Floats, matrix: Floats, second_from_first: Floats, px: float
+) -> NDArray[np.bool_]:
+    """(M,) whether matched pixels (M, 2) lie within `px` of their epipolar lines under a motion, in both views."""
+    x, y, z = second_from_first[:3, 3]
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    inverse = np.linalg.inv(matrix)
+    fundamental = inverse.T @ skew @ second_from_first[:3, :3] @ inverse
+    ones = np.ones((len(first), 1))
+    first_h, second_h = np.hstack([first, ones]), np.hstack([second, ones])
+    lines_second, lines_first = first_h @ fundamental.T, second_h @ fundamental
+    residuals = np.abs(np.sum(second_h * lines_second, axis=1))
+    lengths = np.minimum(np.hypot(*lines_second[:, :2].T), np.hypot(*lines_first[:, :2].T))
+    return np.asarray(residuals <= px * lengths)

@@ -1,0 +1,42 @@
+"""The table of a known order, by tasks that are asked frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from codecbench.core.results.blocks import PairedDifference, paired_difference
+from codecbench.core.results.markdown import table
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import frame_matrix
+
+Heads = tuple[str, ...]
+KNOWN: Final = ("quality=30", "quality=25")
+"""Settings of `jpeg` whose order is known."""
+
+
+def known_order(run: RunResult, heads: Heads) -> Iterator[str]:
+    """What each headline of role `task` says of two settings of JPEG, frame by frame."""
+    rows = []
+    for column in run.headlines("task"):
+        members = [result for result in run.of(column.evaluator.title) if result.cell.codec.name == "jpeg"]
+        labels, values = frame_matrix(members, column.metric.name, column.stage)
+        better, worse = (values[labels.index(setting)] for setting in KNOWN)
+        found = paired_difference(better, worse)
+        kept = (better == better) & (worse == worse)
+        means = [f"{series[kept].mean():.4g}" for series in (better, worse)]
+        name = f"`{column.evaluator.name}.{column.metric.name}`"
+        rows.append([name, *means, shown(found), chance(found.p_value), f"{found.detectable:.2g}",
+                     str(found.frames), str(found.block)])  # fmt: skip
+    yield table(heads, rows)
+
+
+def shown(difference: PairedDifference) -> str:
+    """A difference with its 95 % interval."""
+    low, high = difference.interval
+    return f"{difference.mean:+.3g} [{low:+.3g}, {high:+.3g}]"
+
+
+def chance(p_value: float) -> str:
+    """A p-value as tables show it."""
+    return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"

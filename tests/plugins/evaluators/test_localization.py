@@ -1,0 +1,173 @@
+"""Localisation: a filmed room whose frames are located in a map of itself, and answers made by hand."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, Plugins, context, jpeg
+from rendered_scenes import CAMERA as VIEW
+from rendered_scenes import Room, path_pose
+from scipy.spatial.transform import Rotation
+
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
+from codecbench.plugins.evaluators.localization import Localization
+from codecbench.plugins.evaluators.localization.evaluator import _measured
+from codecbench.plugins.evaluators.localization.survey import Sighting
+from codecbench.plugins.slam_backends.orb import Orb
+
+CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
+FRAMES = 45
+STEP_S = 1.0 / 15.0
+
+
+class Film(MemorySequence):
+    """A walk through the room, 10 metres to a unit; what is kept beside frames stays, as in a worker."""
+
+    def __init__(self, camera: Camera | None = CAMERA, truth: bool = True, images: list[Image] | None = None) -> None:
+        poses = np.linalg.inv([path_pose(step) for step in range(FRAMES)])
+        poses[:, :3, 3] *= 10.0
+        stamps_s = STEP_S * np.arange(FRAMES)
+        super().__init__(images or list(room()), camera, Trajectory(stamps_s, poses) if truth else None)
+        self.timestamps_s = stamps_s
+        self.frames = [Frame(i, float(stamps_s[i]), image) for i, image in enumerate(self.images)]
+
+    def read(self, index: int) -> Frame:
+        return self.frames[index]
+
+
+@cache
+def room() -> tuple[Image, ...]:
+    view = Room()
+    return tuple(view.image(path_pose(step)) for step in range(FRAMES))
+
+
+def plugins() -> Plugins:
+    return Plugins(orb=lambda params: Orb.create(**{"features": 600, **params}))
+
+
+def measured(sequence: MemorySequence, folder: Path, codec: FunctionCodec | None = None) -> list[Measurement]:
+    return list(Localization.create().evaluate(CodedInMemory(sequence, codec), context(folder, 0, plugins())))
+
+
+def values(found: list[Measurement], metric: str) -> np.ndarray:
+    return np.array([m.value for m in found if m.metric == metric])
+
+
+@pytest.mark.thorough
+def test_raw_frames_are_where_they_were_and_worse_ones_are_not(tmp_path: Path) -> None:
+    film = Film()
+    raw = measured(film, tmp_path)
+    asked = np.isfinite(values(raw, "tracked_located"))
+    assert {m.metric for m in raw} == {metric.name for metric in Localization.metrics}
+    assert sorted(m.frame or 0 for m in raw if m.metric == "tracked_located") == list(range(FRAMES))
+    assert asked.sum() >= 10
+    for way in ("tracked", "relocalized"):
+        assert np.nanmean(values(raw, f"{way}_located")) > 0.9
+        assert np.nanmedian(values(raw, f"{way}_position_error_mm")) < 600.0  # of a walk of 16 m
+        # The path is nearly straight, which leaves the map's turn about it open, but the same for all frames.
+        assert np.nanstd(values(raw, f"{way}_rotation_error_deg")) < 1.0
+        assert np.nanmax(values(raw, f"{way}_position_to_raw_mm")) == 0.0
+        assert np.nanmax(values(raw, f"{way}_rotation_to_raw_deg")) < 1e-5
+    assert np.nanmin(values(raw, "located_auc")) == 1.0
+    means = []
+    for quality in (60, 15, 4):
+        worse = measured(film, tmp_path, FunctionCodec(lambda image, q=quality: jpeg(image, q)))
+        np.testing.assert_array_equal(np.isfinite(values(worse, "tracked_located")), asked)
+        means.append([np.nanmean(values(worse, name)) for name in ("located_auc", "tracked_inliers")])
+    areas, points = zip(*means, strict=True)
+    assert 1.0 > areas[0] > max(areas[1:])
+    assert np.nanmean(values(raw, "tracked_inliers")) > points[0] > points[1] > points[2]
+    assert [(m.metric, m.frame, str(m.value)) for m in measured(Film(), tmp_path)] == [
+        (m.metric, m.frame, str(m.value)) for m in raw
+    ]
+
+
+@pytest.mark.thorough
+def test_the_frames_that_the_map_is_made_of_are_not_asked(tmp_path: Path) -> None:
+    film = Film()
+    built = Orb.create(features=600).map_of(film, CAMERA, seed=0)
+    assert built is not None
+    reasons: dict[int | None, str | None] = {
+        m.frame: m.reason for m in measured(film, tmp_path) if m.metric == "tracked_located" and math.isnan(m.value)
+    }
+    assert {frame for frame, reason in reasons.items() if "a keyframe" in str(reason)} == set(
+        built.keyframe_indices.tolist()
+    )
+    assert {0, 1} <= reasons.keys()
+
+
+@pytest.mark.thorough
+def test_pictures_with_nothing_in_them_are_nowhere(tmp_path: Path) -> None:
+    found = measured(Film(), tmp_path, FunctionCodec(np.zeros_like))
+    for name in ("tracked_located", "tracked_inliers", "relocalized_located", "relocalized_inliers", "located_auc"):
+        assert np.nanmax(values(found, name)) == 0.0
+    reasons = {m.reason for m in found if m.metric.endswith("_mm") and "located" in str(m.reason)}
+    assert reasons == {"the frame is not located"}
+
+
+@pytest.mark.thorough
+def test_a_film_of_nothing_makes_no_map(tmp_path: Path) -> None:
+    with pytest.raises(Unsupported, match="the raw frames of memory make no map"):
+        measured(Film(images=[np.full((240, 320), 90, np.uint8)] * FRAMES), tmp_path)
+
+
+def test_what_a_sequence_lacks_is_said(tmp_path: Path) -> None:
+    gray = [np.full((240, 320), 90, np.uint8)] * FRAMES
+    for lacking, words in (
+        (Film(truth=False, images=gray), "no ground truth"),
+        (Film(camera=None, images=gray), "no camera"),
+    ):
+        with pytest.raises(Unsupported, match=words):
+            measured(lacking, tmp_path)
+
+
+def test_the_backend_is_part_of_what_a_cell_is() -> None:
+    evaluator = Localization.create(backend_params={"features": 500})
+    (use,) = evaluator.uses
+    assert (use.kind, use.name, use.params) == ("slam_backend", "orb", {"features": 500})
+
+
+def sighting(x_m: float, turn_deg: float, inliers: int = 80) -> Sighting:
+    pose = np.eye(4)
+    pose[0, 3] = x_m
+    pose[:3, :3] = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
+    return Sighting(pose, inliers)
+
+
+def judged(tracked: Sighting | None, raw: Sighting | None, truth: np.ndarray) -> dict[str, Measurement]:
+    survey: Any = SimpleNamespace(truth=truth[None], limit_m=0.02)
+    found = _measured(survey, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw})
+    return {m.metric: m for m in found}
+
+
+def test_distances_and_angles_are_those_made_by_hand() -> None:
+    found = judged(sighting(0.012, 3.0), sighting(0.007, 1.0), np.eye(4))
+    expected = {
+        "tracked_located": 1.0, "tracked_inliers": 80.0,
+        "tracked_position_error_mm": 12.0, "tracked_rotation_error_deg": 3.0,
+        "tracked_position_to_raw_mm": 5.0, "tracked_rotation_to_raw_deg": 2.0, "located_auc": 0.75,
+        "relocalized_located": 0.0, "relocalized_inliers": 0.0,
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert found[name].value == pytest.approx(value), name
+    assert set(found) == {metric.name for metric in Localization.metrics}
+    assert {m.reason for m in found.values() if math.isnan(m.value)} == {"the frame is not located"}
+    assert judged(sighting(0.03, 0.0), sighting(0.0, 0.0), np.eye(4))["located_auc"].value == 0.0
+
+
+def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
+    lost = judged(None, sighting(0.0, 0.0), np.eye(4))
+    assert (lost["tracked_located"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
+    unknown = judged(sighting(0.0, 0.0), None, np.full((4, 4), np.nan))
+    assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
+    assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"
+    assert unknown["located_auc"].reason == "the raw frame is not located itself"
