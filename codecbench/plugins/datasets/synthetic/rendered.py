@@ -31,7 +31,7 @@ class RenderedSequence(Sequence):
     """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
 
     frames, rate_hz: how long the whole is and how often it is seen, before a selection. picture: what determines the
-    pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames see their first place again.
+    pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
     """
 
     def __init__(

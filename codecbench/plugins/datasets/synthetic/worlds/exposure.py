@@ -20,7 +20,7 @@ Pose = Callable[[float], Floats]
 MOST_SAMPLES = 8
 """Sums of more sub-frames would not fit into the 21 bits of a channel."""
 
-_FEWEST_SAMPLES = 3
+_FEWEST_SAMPLES = 2
 _KNOT_ROWS = 60
 _STRIP_ROWS = 4
 
@@ -82,11 +82,11 @@ class Exposure:
 
 
 def samples_for(pose: Pose, time_s: float, open_s: float, focal_px: float, view_m: float) -> int:
-    """How many sub-frames a picture needs: about one for two pixels of motion blur, within limits."""
+    """How many sub-frames a picture needs: about one for three pixels of motion blur, within limits."""
     first, last = pose(time_s - open_s / 2), pose(time_s + open_s / 2)
     turned = np.abs(first[:3, :3] - last[:3, :3]).max()
     moved = np.abs(first[:3, 3] - last[:3, 3]).max() / view_m
-    return int(min(max(ceil((turned + moved) * focal_px / 2), _FEWEST_SAMPLES), MOST_SAMPLES))
+    return int(min(max(ceil((turned + moved) * focal_px / 3), _FEWEST_SAMPLES), MOST_SAMPLES))
 
 
 def offsets_px(samples: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import pi
 from typing import Literal, get_args
 
 from codecbench.plugins.datasets.synthetic.path import HandheldPath
@@ -56,7 +57,8 @@ class World:
             return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
         if self.place == "street":
             route = Route(STREET_CORNERS_M, conditions.radius_m)
-            return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M)
+            cut_m = (8 - 2 * pi) * conditions.radius_m
+            return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
         if self.place == "field":
             return Flight(conditions, seed)
         if conditions.turn_deg_s:
@@ -71,6 +73,7 @@ class World:
 CORRIDOR_CORNERS_M = ((0.0, 0.0), (9.0, 0.0), (9.0, 6.5), (0.0, 6.5))
 STREET_CORNERS_M = ((0, 0), (80, 0), (80, 60), (0, 60), (0, 0), (240, 0), (240, 120), (80, 120), (80, 60), (0, 60))
 STREET_LOOP_M = 280.0
+"""From the first crossing over three others back to it, without what arcs cut off its four corners."""
 
 _ROOM = Conditions(speed_m_s=0.6)
 _CORRIDOR = Conditions(speed_m_s=0.8, radius_m=1.0, tremor=0.6)

@@ -27,9 +27,15 @@ class WorldSequence(RenderedSequence):
     """A world at one severity; conditions are those of all its frames."""
 
     def __init__(
-        self, world: WorldName, severity: float, selection: Selection, frames: int, rate_hz: float, size: tuple[int, int],
+        self,
+        world: WorldName,
+        severity: float,
+        selection: Selection,
+        frames: int,
+        rate_hz: float,
+        size: tuple[int, int],
         seed: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._world = WORLDS[world]
         self._seed = seed
         self.conditions = self._world.at(severity)
