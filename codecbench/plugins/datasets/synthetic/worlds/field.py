@@ -30,14 +30,15 @@ def farmland() -> list[Panel]:
     rng = np.random.default_rng(_ARRANGEMENT)
     fields = _divided((-_HALF, -_HALF, _HALF, _HALF), rng)
     panels = [_field(field, rng) for field in fields]
+    leaves = [_leaves(rng) for _ in range(16)]
     for left, low, right, high in fields:
         if rng.random() < 0.5:
-            panels += _hedge((left, low), (right - left, 0.0), rng)
+            panels += _hedge((left, low), (right - left, 0.0), leaves, rng)
         if rng.random() < 0.5:
-            panels += _hedge((left, low), (0.0, high - low), rng)
+            panels += _hedge((left, low), (0.0, high - low), leaves, rng)
     for _ in range(150):
         x, y = (float(value) for value in rng.uniform(-_HALF, _HALF, 2))
-        panels += placed(_tree(rng), (x, y, 0.0), float(rng.uniform(0, 90)))
+        panels += placed(_tree(leaves, rng), (x, y, 0.0), float(rng.uniform(0, 90)))
     for _ in range(26):
         x, y = (float(value) for value in rng.uniform(-_HALF * 0.9, _HALF * 0.9, 2))
         panels += placed(_barn(rng), (x, y, 0.0), float(rng.uniform(0, 180)))
@@ -78,24 +79,32 @@ def _field(area: Rectangle, rng: Rng) -> Panel:
     return Panel(corner, np.array([right - left, 0.0, 0.0]), np.array([0.0, low - high, 0.0]), top)
 
 
-def _leaves(rng: Rng, color: tuple[float, float, float]) -> Skin:
-    def skin(face: str, width: float, height: float) -> Image:
-        rows, columns = (max(8, round(side * _DENSITY * 1.3)) for side in (height, width))
-        return toned(crop("grass", rows, columns, rng, 0.5), color, 1.2)
-
-    return skin
+def _leaves(rng: Rng) -> Image:
+    green = float(rng.uniform(0.75, 1.25))
+    return toned(crop("grass", 96, 96, rng, 0.5), (66.0 * green, 90.0 * green, 46.0 * green), 1.2)
 
 
-def _hedge(start: tuple[float, float], along: tuple[float, float], rng: Rng) -> list[Panel]:
-    middle = start[0] + along[0] / 2, start[1] + along[1] / 2, 0.0
-    size = max(along[0] - 4.0, 1.4), max(along[1] - 4.0, 1.4), float(rng.uniform(1.4, 2.6))
-    return box(middle, size, _leaves(rng, (64.0, 86.0, 46.0)), leave_out=("bottom",))
+def _any(images: list[Image], rng: Rng) -> Skin:
+    """One of the images, the same on every face."""
+    image = images[int(rng.integers(len(images)))]
+    return lambda face, width, height: image
 
 
-def _tree(rng: Rng) -> list[Panel]:
+def _hedge(start: tuple[float, float], along: tuple[float, float], leaves: list[Image], rng: Rng) -> list[Panel]:
+    """Bushes in a row."""
+    panels: list[Panel] = []
+    count = max(1, round((along[0] + along[1]) / 6.0))
+    for number in range(count):
+        share = (number + 0.5) / count
+        foot = start[0] + share * along[0], start[1] + share * along[1], 0.0
+        size = max(along[0] / count - 0.6, 1.4), max(along[1] / count - 0.6, 1.4), float(rng.uniform(1.4, 2.6))
+        panels += box(foot, size, _any(leaves, rng), leave_out=("bottom",))
+    return panels
+
+
+def _tree(leaves: list[Image], rng: Rng) -> list[Panel]:
     size = float(rng.uniform(2.2, 5.0))
-    green = float(rng.uniform(0.8, 1.25))
-    skin = _leaves(rng, (66.0 * green, 92.0 * green, 44.0 * green))
+    skin = _any(leaves, rng)
     panels = box((0.0, 0.0, 0.5), (size, size, size * 0.9), skin, leave_out=("bottom",))
     panels += box((0.2 * size, 0.0, 0.5), (size * 0.8, size * 0.8, size * 1.15), skin, 45.0, ("bottom",))
     return [*panels, _shadow(size * 1.1, size * 1.1)]

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.datasets.synthetic.furniture import Rng, covered
+from codecbench.plugins.datasets.synthetic.furniture import Rng
 from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, placed
-from codecbench.plugins.datasets.synthetic.textures import crop, rounded, strewn, toned
+from codecbench.plugins.datasets.synthetic.textures import Color, crop, rounded, strewn, toned
 
 _ARRANGEMENT = 20250704
 _BLOCK_X, _BLOCK_Y, _COLUMNS, _ROWS = 80.0, 60.0, 3, 2
@@ -18,17 +18,20 @@ _HALF_STREET = 7.0
 _DENSITY = 40.0
 _FRONT = (8.8, 11.0)
 _FACADES = 36
-_WALL_COLORS = (
+_WALL_COLORS: tuple[Color, ...] = (
     (196.0, 176.0, 146.0), (176.0, 120.0, 98.0), (206.0, 200.0, 186.0), (150.0, 146.0, 138.0), (186.0, 150.0, 104.0),
     (160.0, 170.0, 172.0), (132.0, 92.0, 76.0),
 )  # fmt: skip
-_PAINT = ((150, 36, 34), (44, 62, 104), (196, 196, 198), (58, 60, 64), (116, 122, 128), (40, 84, 66))
+_PAINT: tuple[Color, ...] = (
+    (150.0, 36.0, 34.0), (44.0, 62.0, 104.0), (196.0, 196.0, 198.0), (58.0, 60.0, 64.0), (116.0, 122.0, 128.0),
+    (40.0, 84.0, 66.0),
+)  # fmt: skip
 
 
 def town() -> list[Panel]:
     """All panels of the town; light is that of an overcast day."""
     rng = np.random.default_rng(_ARRANGEMENT)
-    fronts = [_facade(rng) for _ in range(_FACADES)]
+    stock = _Stock(rng)
     width, depth = _BLOCK_X - 2 * _HALF_STREET, _BLOCK_Y - 2 * _HALF_STREET
     panels = _sky(rng) + _streets(rng)
     for column in range(_COLUMNS):
@@ -36,29 +39,29 @@ def town() -> list[Panel]:
             middle = ((column + 0.5) * _BLOCK_X, (row + 0.5) * _BLOCK_Y, 0.0)
             for quarter in range(4):
                 along, across = (width, depth) if quarter % 2 == 0 else (depth, width)
-                panels += placed(placed(_row(along, fronts, rng), (0.0, -across / 2, 0.0)), middle, 90.0 * quarter)
+                panels += placed(placed(_row(along, stock, rng), (0.0, -across / 2, 0.0)), middle, 90.0 * quarter)
     middle = (_COLUMNS * _BLOCK_X / 2, _ROWS * _BLOCK_Y / 2, 0.0)
     for quarter in range(4):
         along, across = _COLUMNS * _BLOCK_X, _ROWS * _BLOCK_Y
         along, across = (along, across) if quarter % 2 == 0 else (across, along)
-        row = _row(along + 2 * _HALF_STREET, fronts, rng)
+        row = _row(along + 2 * _HALF_STREET, stock, rng)
         panels += placed(placed(row, (0.0, across / 2 + _HALF_STREET, 0.0)), middle, 90.0 * quarter)
     return panels
 
 
-def _row(length: float, fronts: list[Image], rng: Rng) -> list[Panel]:
+def _row(length: float, stock: _Stock, rng: Rng) -> list[Panel]:
     """House fronts along x about the origin, facing -y, and what stands before them."""
     count = round(length / _FRONT[0])
     panels: list[Panel] = []
     for number in range(count):
         x = ((number + 0.5) / count - 0.5) * length
-        panels += placed(_house(length / count, fronts[int(rng.integers(len(fronts)))], rng), (x, 0.0, 0.0))
-        if 0 < number < count - 1 and rng.random() < 0.45:
-            panels += placed(_car(rng), (x, -3.6 + float(rng.uniform(-0.2, 0.2)), 0.0))
-        if number > 0 and rng.random() < 0.35:
-            panels += placed(_tree(rng), (x - length / count / 2, -1.7, 0.0), float(rng.uniform(0, 90)))
+        panels += placed(_house(length / count, stock.any(stock.fronts)("front", 0.0, 0.0), rng), (x, 0.0, 0.0))
+        if 0 < number < count - 1 and rng.random() < 0.4:
+            panels += placed(_car(stock), (x, -3.6 + float(rng.uniform(-0.2, 0.2)), 0.0))
+        if number > 0 and rng.random() < 0.25:
+            panels += placed(_tree(stock), (x - length / count / 2, -1.7, 0.0), float(rng.uniform(0, 90)))
         elif number > 0 and rng.random() < 0.3:
-            panels += placed(_post(rng), (x - length / count / 2, -2.2, 0.0))
+            panels += placed(_post(stock), (x - length / count / 2, -2.2, 0.0))
     return panels
 
 
@@ -70,7 +73,7 @@ def _house(width: float, front: Image, rng: Rng) -> list[Panel]:
     panels = box((0.0, 3.0 - juts, 0.0), (width, 6.0, height), skin, leave_out=("back", "top", "bottom"))
     cornice = (front[-30:, :200] * 0.8).astype(np.uint8)
     panels += box((0.0, -juts - 0.15, height - 0.7), (width, 0.3, 0.4), lambda *_: cornice, leave_out=("back", "top"))
-    for _ in range(int(rng.integers(3))):
+    for _ in range(int(rng.integers(2))):
         place = float(rng.uniform(-0.3, 0.3)) * width, -juts - 0.4, 3.2 * int(rng.integers(1, 3)) + 0.1
         balcony = (front[40:80, :80] * 0.7).astype(np.uint8)
         panels += box(place, (1.8, 0.8, 0.95), lambda *_, b=balcony: b, leave_out=("back",))  # type: ignore[misc]
@@ -108,30 +111,46 @@ def _opening(wall: Image, top: int, left: int, tall: int, wide: int, rng: Rng, b
     wall[top : top + rows, left : left + wide] = rounded(pane[:rows, : wall.shape[1] - left])
 
 
-def _car(rng: Rng) -> list[Panel]:
-    paint = tuple(float(value) for value in _PAINT[int(rng.integers(len(_PAINT)))])
-    metal = covered("motorcycle", rng, 60.0, 1.0, (paint[0], paint[1], paint[2]))
-    glass = covered("camera", rng, 60.0, 0.8, (70.0, 76.0, 84.0))
-    body = box((0.0, 0.0, 0.3), (4.2, 1.7, 0.55), metal, leave_out=("bottom",))
-    wheels = covered("coins", rng, 60.0, 0.8, (36.0, 36.0, 38.0))
-    under = box((0.0, 0.0, 0.0), (3.4, 1.6, 0.3), wheels, leave_out=("top", "bottom"))
-    return body + under + box((0.1, 0.0, 0.85), (2.2, 1.5, 0.55), glass, leave_out=("bottom",))
+class _Stock:
+    """The surfaces that houses, cars and trees are made of: many things share one, in ever new combinations."""
+
+    def __init__(self, rng: Rng) -> None:
+        self._rng = rng
+        self.fronts = [_facade(rng) for _ in range(_FACADES)]
+        self.paints = [_patch("motorcycle", rng, paint) for paint in _PAINT for _ in range(2)]
+        self.glass = [_patch("camera", rng, (70.0, 76.0, 84.0)) for _ in range(4)]
+        self.wheels = [_patch("coins", rng, (36.0, 36.0, 38.0)) for _ in range(2)]
+        self.bark = [_patch("gravel", rng, (84.0, 70.0, 56.0)) for _ in range(3)]
+        self.leaves = [_patch("grass", rng, (70.0, 92.0, 52.0)) for _ in range(6)]
+        self.metal = [_patch("gravel", rng, (70.0, 74.0, 76.0))]
+        self.signs = [crop(name, 40, 40, rng) for name in ("text", "page", "rocket", "colors")]
+
+    def any(self, images: list[Image]) -> Skin:
+        """One of the images, the same on every face."""
+        image = images[int(self._rng.integers(len(images)))]
+        return lambda face, width, height: image
 
 
-def _tree(rng: Rng) -> list[Panel]:
-    bark = covered("gravel", rng, 60.0, 0.5, (84.0, 70.0, 56.0))
-    leaves = covered("grass", rng, 60.0, 0.6, (70.0, 92.0, 52.0))
-    panels = box((0.0, 0.0, 0.0), (0.3, 0.3, 3.2), bark, leave_out=("top", "bottom"))
-    for turn, size, foot in ((0.0, 2.4, 2.8), (40.0, 2.0, 3.6), (70.0, 1.5, 2.4)):
-        panels += box((0.0, 0.0, foot), (size, size, size), leaves, turn)
+def _patch(name: str, rng: Rng, color: Color) -> Image:
+    return toned(crop(name, 100, 140, rng, 0.8), color)
+
+
+def _car(stock: _Stock) -> list[Panel]:
+    body = box((0.0, 0.0, 0.3), (4.2, 1.7, 0.55), stock.any(stock.paints), leave_out=("bottom",))
+    under = box((0.0, 0.0, 0.0), (3.4, 1.6, 0.3), stock.any(stock.wheels), leave_out=("top", "bottom"))
+    return body + under + box((0.1, 0.0, 0.85), (2.2, 1.5, 0.55), stock.any(stock.glass), leave_out=("bottom",))
+
+
+def _tree(stock: _Stock) -> list[Panel]:
+    panels = box((0.0, 0.0, 0.0), (0.3, 0.3, 3.2), stock.any(stock.bark), leave_out=("top", "bottom"))
+    for turn, size, foot in ((0.0, 2.4, 2.8), (40.0, 2.0, 3.6)):
+        panels += box((0.0, 0.0, foot), (size, size, size), stock.any(stock.leaves), turn)
     return panels
 
 
-def _post(rng: Rng) -> list[Panel]:
-    metal = covered("gravel", rng, 60.0, 0.5, (70.0, 74.0, 76.0))
-    sign = crop("text", 40, 40, rng)
-    panels = box((0.0, 0.0, 0.0), (0.14, 0.14, 6.0), metal, leave_out=("bottom",))
-    return panels + box((0.0, -0.05, 2.2), (0.7, 0.05, 0.7), lambda *_: sign)
+def _post(stock: _Stock) -> list[Panel]:
+    panels = box((0.0, 0.0, 0.0), (0.14, 0.14, 6.0), stock.any(stock.metal), leave_out=("top", "bottom"))
+    return panels + box((0.0, -0.05, 2.2), (0.7, 0.05, 0.7), stock.any(stock.signs), leave_out=("top", "bottom"))
 
 
 def _streets(rng: Rng) -> list[Panel]:
