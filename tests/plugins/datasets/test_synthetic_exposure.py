@@ -9,9 +9,15 @@ from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.synthetic.atlas import make_atlas
 from codecbench.plugins.datasets.synthetic.path import looking_pose
 from codecbench.plugins.datasets.synthetic.photographs import photograph
-from codecbench.plugins.datasets.synthetic.render import LANE, TEXEL_WEIGHT, Renderer
+from codecbench.plugins.datasets.synthetic.render import LANE, Renderer
 from codecbench.plugins.datasets.synthetic.scene import box, upright
-from codecbench.plugins.datasets.synthetic.worlds.exposure import MOST_SAMPLES, Exposure, offsets_px, samples_for
+from codecbench.plugins.datasets.synthetic.worlds.exposure import (
+    MOST_SAMPLES,
+    SAMPLE_WEIGHT,
+    Exposure,
+    offsets_px,
+    samples_for,
+)
 from codecbench.plugins.datasets.synthetic.worlds.sensor import CORNER_LOSS, READ_NOISE_ELECTRONS, Sensor
 
 CAMERA = Camera(320, 240, 262.0, 258.0, 158.5, 121.0)
@@ -33,7 +39,7 @@ def moving(time_s):
 def levels(total, samples):
     """Gray levels (H, W, 3) of a packed sum."""
     lanes = [(total >> np.uint64(21 * k)) & LANE for k in range(3)]
-    return np.stack(lanes, axis=2).astype(float) / (TEXEL_WEIGHT * samples)
+    return np.stack(lanes, axis=2).astype(float) / (SAMPLE_WEIGHT * samples)
 
 
 def test_a_still_picture_is_that_of_the_other_renderer(scene):
@@ -57,7 +63,7 @@ def test_each_row_of_a_rolling_shutter_is_that_of_a_still_camera_at_its_time(sce
 
 def test_the_frame_s_time_is_the_middle_of_the_exposure(scene):
     exposure = Exposure(scene, CAMERA)
-    blurred = levels(exposure.total(moving, 0.0, 0.03, 0.0, 8), 8)
+    blurred = levels(exposure.total(moving, 0.0, 0.03, 0.0, 16), 16)
     shares = (np.arange(32) + 0.5) / 32 - 0.5
 
     def difference(shift_s):
@@ -86,7 +92,7 @@ def test_sub_frames_grow_with_the_blur_and_their_offsets_are_balanced():
 
 def flat(value, height=201, width=301):
     """The packed sum of one sample of an evenly gray picture."""
-    word = sum(int(value * TEXEL_WEIGHT) << (21 * k) for k in range(3))
+    word = sum(int(value * SAMPLE_WEIGHT) << (21 * k) for k in range(3))
     return np.full((height, width), word, np.uint64)
 
 

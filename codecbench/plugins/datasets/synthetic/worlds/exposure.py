@@ -12,13 +12,27 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.sequence import Camera
 from codecbench.core.kernels.compiled import compiled
 from codecbench.plugins.datasets.synthetic.atlas import Atlas
-from codecbench.plugins.datasets.synthetic.render import candidate_rows, cover, plane_equations, texel, texture_level
+from codecbench.plugins.datasets.synthetic.render import (
+    LANE,
+    TEXEL_WEIGHT,
+    candidate_rows,
+    cover,
+    plane_equations,
+    texel,
+    texture_level,
+)
 
 Floats = NDArray[np.float64]
 Pose = Callable[[float], Floats]
 
-MOST_SAMPLES = 8
+MOST_SAMPLES = 16
 """Sums of more sub-frames would not fit into the 21 bits of a channel."""
+
+SAMPLE_WEIGHT = TEXEL_WEIGHT // 2
+"""What a sub-frame of gray level 1 adds to a sum."""
+
+_HALVES = np.uint64((LANE >> np.uint64(1)) * np.uint64(1 + (1 << 21) + (1 << 42)))
+"""The bits that stay when a colour's three numbers are halved."""
 
 _FEWEST_SAMPLES = 2
 _KNOT_ROWS = 60
@@ -37,7 +51,7 @@ class Exposure:
         self._panels = np.empty(shape, np.int32)
 
     def total(self, pose: Pose, time_s: float, open_s: float, readout_s: float, samples: int) -> NDArray[np.uint64]:
-        """The sum (H, W) of sub-frames, three channels of 21 bits in a word, TEXEL_WEIGHT a sample and gray level.
+        """The sum (H, W) of sub-frames, three channels of 21 bits in a word, SAMPLE_WEIGHT a sample and gray level.
 
         pose: world_from_camera (4, 4) at a time. time_s: the middle of the middle row's exposure. open_s: how long a
         row is exposed. readout_s: from the first row's exposure to the last row's.
@@ -131,4 +145,4 @@ def _add_run(plane: Any, y: int, begin: int, end: int, sharper: float, levels: A
             level, share = texture_level(plane, along, below, depth, levels)
             if share > sharper:
                 level += 1
-        total[y, x] += texel(texels, levels, level, along, below)
+        total[y, x] += (texel(texels, levels, level, along, below) >> np.uint64(1)) & _HALVES

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.kernels.compiled import compiled
-from codecbench.plugins.datasets.synthetic.render import LANE, TEXEL_WEIGHT
+from codecbench.plugins.datasets.synthetic.render import LANE
+from codecbench.plugins.datasets.synthetic.worlds.exposure import SAMPLE_WEIGHT
 
 READ_NOISE_ELECTRONS = 6.0
 CORNER_LOSS = 0.30
@@ -40,7 +41,7 @@ class Sensor:
         """
         height, width = total.shape
         light = np.empty((height, 3 * width), np.float32)
-        _develop(total, 1.0 / (255.0 * TEXEL_WEIGHT * samples), light)
+        _develop(total, 1.0 / (255.0 * SAMPLE_WEIGHT * samples), light)
         blurred = np.empty_like(light)
         for _ in range(2):
             _blur_rows(light, self._side, blurred)
