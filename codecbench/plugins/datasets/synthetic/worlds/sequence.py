@@ -42,7 +42,7 @@ class WorldSequence(RenderedSequence):
         width, height = size
         focal_px = self._world.focal * width
         camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
-        picture = ["world", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
+        picture = ["worlds", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
         path = self._world.path(self.conditions, seed)
         super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, camera, path, picture)
 
