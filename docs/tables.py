@@ -61,6 +61,9 @@ BLOCKS = {
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
         benchmark_tables.printed,
     ),
+    "rendering": Block(
+        WORLDS, "printed", "rendering", ("world at severity 0.5", "processor time a frame"), benchmark_tables.printed
+    ),
     "realism": Block(
         WORLDS, "printed", "realism",
         ("sequence", "severity", "power spectrum slope", "JPEG 50, bit/px", "ORB keypoints on 640 x 480"),

@@ -2,16 +2,18 @@
 
 python docs/world_tables.py sheet                 writes docs/images/worlds.jpg
 python docs/world_tables.py conditions            prints what severity moves in each world
+python docs/world_tables.py rendering             prints the time that a frame takes
 python docs/world_tables.py realism               prints statistics of the worlds' frames beside those of real ones
 
-The last reads the folder that CODECBENCH_DATA names. `docs/tables.py --printed conditions=FILE --printed realism=FILE`
-puts what was printed into the page.
+The last reads the folder that CODECBENCH_DATA names. What was printed, together or apart, goes into the page by
+`docs/tables.py --printed conditions=FILE --printed rendering=FILE --printed realism=FILE`.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from codecbench.core.contracts.sequence import Sequence
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
+from codecbench.plugins.datasets.synthetic.worlds.sequence import WorldSequence
 from codecbench.plugins.datasets.tum import Tum
 
 SHEET = Path(__file__).parent / "images" / "worlds.jpg"
@@ -82,6 +85,19 @@ def _row(name: str, severity: str, values: NDArray[np.float64]) -> str:
     return f"| {name} | {severity} | {shown[0]} | {shown[1]} | {shown[2]} |"
 
 
+def rendering() -> Iterator[str]:
+    """Processor time a frame, the median of twelve, after the first."""
+    for world in WORLDS:
+        sequence = Synthetic.create(world=world, severity=0.5).open()
+        assert isinstance(sequence, WorldSequence)
+        times_ms = []
+        for source in np.linspace(0, len(sequence) - 1, 13).astype(int):
+            before_s = time.process_time()
+            sequence.render(int(source))
+            times_ms.append(1000 * (time.process_time() - before_s))
+        yield f"| `{world}` | {np.median(times_ms[1:]):.0f} ms |"
+
+
 def conditions() -> Iterator[str]:
     for name, world in WORLDS.items():
         scaled = ", ".join(
@@ -116,7 +132,7 @@ def sheet() -> Iterator[str]:
 
 
 def main() -> None:
-    made = {"sheet": sheet, "realism": realism, "conditions": conditions}
+    made = {"sheet": sheet, "rendering": rendering, "realism": realism, "conditions": conditions}
     if not sys.argv[1:] or not set(sys.argv[1:]) <= set(made):
         raise SystemExit(__doc__)
     for name in sys.argv[1:]:

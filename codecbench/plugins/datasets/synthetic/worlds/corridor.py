@@ -10,7 +10,7 @@ import numpy as np
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, Rng, covered, texels, wooden
 from codecbench.plugins.datasets.synthetic.lighting import lit
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, placed, upright
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed, upright
 from codecbench.plugins.datasets.synthetic.textures import matted, rounded, strewn, toned
 from codecbench.plugins.datasets.synthetic.worlds.presets import CORRIDOR_CORNERS_M
 
@@ -104,7 +104,7 @@ def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[
     lamps = [
         Panel(panel.corner, panel.right, panel.down, glass, glows=True)
         for x, y in _lamps(length, depth)
-        for panel in box((x, y, _HEIGHT - 0.05), (0.5, 0.5, 0.05), lambda *_: glass, leave_out=("top",))
+        for panel in box((x, y, _HEIGHT - 0.05), (0.5, 0.5, 0.05), everywhere(glass), leave_out=("top",))
     ]
     return [
         Panel(west_south + north, east, -north, floor),

@@ -9,7 +9,7 @@ import numpy as np
 
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.furniture import Rng
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, placed
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed
 from codecbench.plugins.datasets.synthetic.textures import crop, resized, rounded, strewn, toned
 
 _ARRANGEMENT = 20250922
@@ -86,8 +86,7 @@ def _leaves(rng: Rng) -> Image:
 
 def _any(images: list[Image], rng: Rng) -> Skin:
     """One of the images, the same on every face."""
-    image = images[int(rng.integers(len(images)))]
-    return lambda face, width, height: image
+    return everywhere(images[int(rng.integers(len(images)))])
 
 
 def _hedge(start: tuple[float, float], along: tuple[float, float], leaves: list[Image], rng: Rng) -> list[Panel]:
@@ -116,7 +115,7 @@ def _barn(rng: Rng) -> list[Panel]:
     wall = toned(crop("brick", 60, 200, rng, 0.6), (176.0, 160.0, 140.0), 0.8)
     tint = ((150.0, 82.0, 62.0), (112.0, 108.0, 106.0), (128.0, 70.0, 58.0))[int(rng.integers(3))]
     tiles = toned(strewn("brick", round(width * _DENSITY), round(length * _DENSITY), rng, 60, 0.4), tint, 0.9)
-    panels = box((0.0, 0.0, 0.0), (length, width, height), lambda *_: wall, leave_out=("top", "bottom"))
+    panels = box((0.0, 0.0, 0.0), (length, width, height), everywhere(wall), leave_out=("top", "bottom"))
     rise = 0.35 * width
     for sign in (-1.0, 1.0):
         ridge = np.array([sign * length / 2, 0.0, height + rise])

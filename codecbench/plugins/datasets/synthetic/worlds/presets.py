@@ -132,10 +132,10 @@ WORLDS: dict[WorldName, World] = {
         view_m=2.0,
     ),
     "repetitive_corridor": World(
-        "the corridor with every bay like the next",
+        "the corridor with its bays more and more alike",
         "corridor",
         replace(_CORRIDOR, speed_m_s=1.3),
-        replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.3),
+        replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.5),
         rate_hz=15.0,
         focal=0.62,
         view_m=2.0,

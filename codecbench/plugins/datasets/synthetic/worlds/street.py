@@ -9,7 +9,7 @@ import numpy as np
 
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.furniture import Rng
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, placed
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed
 from codecbench.plugins.datasets.synthetic.textures import Color, crop, rounded, strewn, toned
 
 _ARRANGEMENT = 20250704
@@ -72,11 +72,11 @@ def _house(width: float, front: Image, rng: Rng) -> list[Panel]:
     skin: Skin = lambda face, w, h: front if face == "front" else side  # noqa: E731
     panels = box((0.0, 3.0 - juts, 0.0), (width, 6.0, height), skin, leave_out=("back", "top", "bottom"))
     cornice = (front[-30:, :200] * 0.8).astype(np.uint8)
-    panels += box((0.0, -juts - 0.15, height - 0.7), (width, 0.3, 0.4), lambda *_: cornice, leave_out=("back", "top"))
+    panels += box((0.0, -juts - 0.15, height - 0.7), (width, 0.3, 0.4), everywhere(cornice), leave_out=("back", "top"))
     for _ in range(int(rng.integers(2))):
         place = float(rng.uniform(-0.3, 0.3)) * width, -juts - 0.4, 3.2 * int(rng.integers(1, 3)) + 0.1
         balcony = (front[40:80, :80] * 0.7).astype(np.uint8)
-        panels += box(place, (1.8, 0.8, 0.95), lambda *_, b=balcony: b, leave_out=("back",))  # type: ignore[misc]
+        panels += box(place, (1.8, 0.8, 0.95), everywhere(balcony), leave_out=("back",))
     return panels
 
 
@@ -127,8 +127,7 @@ class _Stock:
 
     def any(self, images: list[Image]) -> Skin:
         """One of the images, the same on every face."""
-        image = images[int(self._rng.integers(len(images)))]
-        return lambda face, width, height: image
+        return everywhere(images[int(self._rng.integers(len(images)))])
 
 
 def _patch(name: str, rng: Rng, color: Color) -> Image:
