@@ -36,12 +36,18 @@ def edges_of(panels: Sequence[Panel]) -> NDArray[np.float64]:
 
 
 def make_atlas(panels: Sequence[Panel]) -> Atlas:
-    """Reduce every texture down to one texel and lay them end to end."""
+    """Reduce every texture down to one texel and lay them end to end; one array on several panels is kept once."""
     blocks: list[NDArray[np.uint32]] = []
     levels: list[tuple[int, int, int]] = []
     first_level, level_count = [], []
     offset = 0
+    known: dict[int, tuple[int, int]] = {}
     for panel in panels:
+        if id(panel.texture) in known:
+            first, count = known[id(panel.texture)]
+            first_level.append(first)
+            level_count.append(count)
+            continue
         first_level.append(len(levels))
         pixels = panel.texture.astype(np.float32)
         while True:
@@ -53,6 +59,7 @@ def make_atlas(panels: Sequence[Panel]) -> Atlas:
                 break
             pixels = halved(pixels)
         level_count.append(len(levels) - first_level[-1])
+        known[id(panel.texture)] = first_level[-1], level_count[-1]
     return Atlas(
         edges=edges_of(panels),
         texels=np.concatenate(blocks),

@@ -1,33 +1,41 @@
-"""The dataset `synthetic`: a sequence that is always there, with a loop and with exact ground truth."""
+"""The dataset `synthetic`: sequences that are always there, with loops and with exact ground truth."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from functools import cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
-from codecbench.core.kernels.cache_folder import cache_folder
-from codecbench.plugins.datasets.selection import Selection, converted
-from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
+from codecbench.core.contracts.sequence import Camera, Dataset, Sequence
+from codecbench.plugins.datasets.selection import Selection
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
+from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
+from codecbench.plugins.datasets.synthetic.worlds.presets import WORLD_NAMES, WORLDS, WorldName
+from codecbench.plugins.datasets.synthetic.worlds.sequence import WorldSequence
 
 _OFFSETS_PX = ((-1 / 3, 0.0), (0.0, 1 / 3), (1 / 3, -1 / 3))
 """Where in the pixel the samples of a frame lie; the k-th of n is taken in the k-th n-th of the exposure."""
 
 
 class SyntheticParams(Selection):
-    """Parameters of `synthetic`. A round takes 340 / speed frames; the default adds 60 that see the start again."""
+    """Parameters of `synthetic`; a world brings its own length, size, rate and conditions.
 
-    frames: Annotated[int, Field(ge=1, le=100_000, description="length at 30 Hz")] = 400
+    Without a world a round takes 340 / speed frames; the default adds 60 that see the start again.
+    """
+
+    world: Annotated[WorldName | None, Field(description="a named world; default: the room as it always was")] = None
+    severity: Annotated[
+        float | None, Field(ge=0.0, le=1.0, description="of the world's conditions, 0 calm to 1 hard; 0.5 with a world")
+    ] = None
+    frames: Annotated[int, Field(ge=1, le=100_000, description="length; a world's default is a loop and a seventh")] = (
+        400
+    )
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0, description="frames a second; 30 without a world")] = 30.0
     width: Annotated[int, Field(ge=16, le=4096, description="pixels")] = 640
     height: Annotated[int, Field(ge=16, le=4096, description="pixels")] = 480
     seed: Annotated[int, Field(ge=0, description="of the hand's tremor and the sensor's noise")] = 0
@@ -35,13 +43,38 @@ class SyntheticParams(Selection):
     noise: Annotated[float, Field(ge=0.0, le=20.0, description="factor on the sensor's noise")] = 1.0
     motion_blur: Annotated[float, Field(ge=0.0, le=1.0, description="exposure as a share of the frame interval")] = 0.25
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_the_world(cls, values: Any) -> Any:
+        """Fill in what a world brings, so that two spellings of a setting are one."""
+        if not isinstance(values, dict) or values.get("world") not in WORLD_NAMES:
+            return values
+        world = WORLDS[values["world"]]
+        given = {name: value for name, value in values.items() if (name, value) != ("severity", None)}
+        filled = {"severity": 0.5, "rate_hz": world.rate_hz, "width": world.width, "height": world.height, **given}
+        severity, rate_hz = filled["severity"], filled["rate_hz"]
+        if "frames" not in filled and isinstance(severity, int | float) and isinstance(rate_hz, int | float):
+            filled["frames"] = world.frames(min(max(severity, 0.0), 1.0), rate_hz)
+        return filled
+
+    @model_validator(mode="after")
+    def _either_way(self) -> Self:
+        """A world has severity instead of single conditions, and only worlds have severity and rate."""
+        names = ("severity", "rate_hz") if self.world is None else ("speed", "noise", "motion_blur")
+        for name in names:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                if self.world is None:
+                    raise ValueError(f"{name} belongs to a world; name one: world: {', '.join(WORLD_NAMES)}")
+                raise ValueError(f"{name} is part of world {self.world}; set its severity, or leave out the world")
+        return self
+
     def picture(self) -> dict[str, Any]:
-        """What determines the pixels of frame i, whichever frames are asked for."""
+        """What determines the pixels of frame i of the room without a world, whichever frames are asked for."""
         return self.model_dump(include={"width", "height", "seed", "speed", "noise", "motion_blur"})
 
 
 class Synthetic(Dataset[SyntheticParams]):
-    """A furnished room with scikit-image's photographs, seen by a hand-held camera that walks round its table."""
+    """Rendered sequences with exact truth: a room walked round by hand, or a named world at a severity."""
 
     name: ClassVar[str] = "synthetic"
     version: ClassVar[str] = "1"
@@ -49,40 +82,23 @@ class Synthetic(Dataset[SyntheticParams]):
     params_type = SyntheticParams
 
     def open(self) -> Sequence:
-        return SyntheticSequence(self.params)
+        p = self.params
+        if p.world is None or p.severity is None:
+            return SyntheticSequence(p)
+        return WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed)
 
 
-class SyntheticSequence(Sequence):
-    """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480."""
+class SyntheticSequence(RenderedSequence):
+    """The furnished room with scikit-image's photographs, seen by a hand-held camera that walks round its table."""
 
     def __init__(self, params: SyntheticParams) -> None:
-        self.name = "synthetic"
-        self.frame_rate_hz = FRAME_RATE_HZ / params.stride
-        self.channels = 1 if params.color == "gray" else 3
         self._params = params
-        self._indices = params.indices(params.frames, "synthetic")
-        self._path = HandheldPath(params.seed, params.speed)
-        self.timestamps_s = np.array(self._indices) / FRAME_RATE_HZ
-        self.camera = room_camera(params.width, params.height)
-        poses = np.array([self._path.world_from_camera(time_s) for time_s in self.timestamps_s])
-        self.ground_truth = Trajectory(self.timestamps_s, poses)
-        identity = [Synthetic.version, params.picture(), photographs_digest()]
-        picture = _digest(identity)
-        self.fingerprint = _digest([picture, list(self._indices), self.channels])
-        folder = cache_folder() / "synthetic" / picture[:16]
-        self._store = FrameStore(folder, (params.height, params.width, 3))
+        picture = [Synthetic.version, params.picture(), photographs_digest()]
+        path = HandheldPath(params.seed, params.speed)
+        camera = room_camera(params.width, params.height)
+        super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, picture)
 
-    def read(self, index: int) -> Frame:
-        if not 0 <= index < len(self):
-            raise DatasetError(f"synthetic: frame {index} is not in 0..{len(self) - 1}")
-        source = self._indices[index]
-        image = self._store.load(source)
-        if image is None:
-            image = self._render(source)
-            self._store.save(source, image)
-        return Frame(index, float(self.timestamps_s[index]), converted(image, self._params.color))
-
-    def _render(self, source: int) -> Image:
+    def render(self, source: int) -> Image:
         from codecbench.plugins.datasets.synthetic.sensor import sensed
 
         params = self._params
@@ -96,7 +112,7 @@ class SyntheticSequence(Sequence):
         count = len(_OFFSETS_PX)
         shares = (np.arange(count) + 0.5) / count - 0.5
         times_s = time_s + shares * self._params.motion_blur / FRAME_RATE_HZ
-        return np.array([self._path.world_from_camera(time_s) for time_s in times_s])
+        return np.array([self.path.world_from_camera(time_s) for time_s in times_s])
 
 
 def room_camera(width: int, height: int) -> Camera:
@@ -111,7 +127,3 @@ def _renderer(width: int, height: int) -> Any:
     from codecbench.plugins.datasets.synthetic.room import room_atlas
 
     return Renderer(room_atlas(), room_camera(width, height))
-
-
-def _digest(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

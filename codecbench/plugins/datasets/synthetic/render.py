@@ -54,10 +54,10 @@ class Renderer:
 
     def _find_visible(self, world_from_camera: Floats, offset_px: Floats) -> Floats:
         planes = plane_equations(self.atlas.edges, world_from_camera, self._intrinsics, offset_px)
-        rows = _candidate_rows(planes, self.camera.width, self.camera.height)
+        rows = candidate_rows(planes, self.camera.width, self.camera.height)
         self._nearness[:] = 0.0
         self._panels[:] = -1
-        _cover(planes, rows, self._nearness, self._panels)
+        cover(planes, rows, self._nearness, self._panels)
         return planes
 
 
@@ -83,7 +83,7 @@ def plane_equations(edges: Floats, world_from_camera: Floats, intrinsics: Floats
     return planes
 
 
-def _candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64]:
+def candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64]:
     """First row and one past the last (P, 2) in which a panel may show; safe, not tight.
 
     The inverse of a panel's matrix gives its corners: (x, y, 1) z at s, t in {0, 1}.
@@ -123,7 +123,7 @@ def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
 
 
 @compiled
-def _cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
+def cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
     """Keep, in every pixel, the panel with the largest 1/z."""
     width = nearness.shape[1]
     for panel in range(len(planes)):
@@ -163,17 +163,17 @@ def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: An
         depth = 1.0 / (nx * x + n1)
         along, below = (sx * x + s1) * depth, (tx * x + t1) * depth
         if (x - begin) & 7 == 0:
-            level, share = _level(plane, along, below, depth, levels)
-        color = np.uint64(8 - share) * _texel(texels, levels, level, along, below)
+            level, share = texture_level(plane, along, below, depth, levels)
+        color = np.uint64(8 - share) * texel(texels, levels, level, along, below)
         if share > 0:
-            color += np.uint64(share) * _texel(texels, levels, level + 1, along, below)
-        total[y, x, 0] += np.float32(color & _LANE)
-        total[y, x, 1] += np.float32((color >> np.uint64(21)) & _LANE)
+            color += np.uint64(share) * texel(texels, levels, level + 1, along, below)
+        total[y, x, 0] += np.float32(color & LANE)
+        total[y, x, 1] += np.float32((color >> np.uint64(21)) & LANE)
         total[y, x, 2] += np.float32(color >> np.uint64(42))
 
 
 @compiled
-def _level(plane: Any, along: float, below: float, depth: float, levels: Any) -> tuple[int, int]:
+def texture_level(plane: Any, along: float, below: float, depth: float, levels: Any) -> tuple[int, int]:
     """The reduction of a texture that suits a pixel, and the share in eighths that the next one gets."""
     reach = 0.0
     for axis in range(2):
@@ -190,13 +190,16 @@ def _level(plane: Any, along: float, below: float, depth: float, levels: Any) ->
     return level, int((reach - 1.0) * (8.0 / 3.0) + 0.5)
 
 
-_LANE = np.uint64((1 << 21) - 1)
-_FULL_WEIGHT = 8 * 32 * 32
-"""What the weights of the texels in a colour add up to: 255 times this fits into 21 bits."""
+LANE = np.uint64((1 << 21) - 1)
+TEXEL_WEIGHT = 32 * 32
+"""What the weights of the four texels in a bilinear colour add up to."""
+
+_FULL_WEIGHT = 8 * TEXEL_WEIGHT
+"""What the weights of the texels in a blend of two levels add up to: 255 times this fits into 21 bits."""
 
 
 @compiled(inline="always")
-def _texel(texels: Any, levels: Any, level: int, along: float, below: float) -> Any:
+def texel(texels: Any, levels: Any, level: int, along: float, below: float) -> Any:
     """1024 times the bilinear colour of one level at (along, below) in 0..1: three numbers of 21 bits in one word.
 
     One multiplication weighs all three channels; weights are multiples of 1/32 in each direction.

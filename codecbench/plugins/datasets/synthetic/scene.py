@@ -42,6 +42,11 @@ class Panel:
         return np.asarray(outward / np.sqrt(outward @ outward))
 
 
+def everywhere(texture: Image) -> Skin:
+    """The same texture on every face."""
+    return lambda face, width, height: texture
+
+
 def upright(center: Point, facing_deg: float, width: float, height: float, texture: Image) -> Panel:
     """A vertical panel about `center` whose front faces the horizontal direction `facing_deg` (0 is +x)."""
     angle = radians(facing_deg)

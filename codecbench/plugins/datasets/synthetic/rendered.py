@@ -1,0 +1,73 @@
+"""A sequence that is rendered at first use: its poses come from a path, its frames from a renderer and the cache."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from abc import abstractmethod
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.plugins.datasets.selection import Selection, converted
+from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
+
+
+class Path(Protocol):
+    """A camera's way. loop_s: when it first comes to see its beginning again."""
+
+    loop_s: float
+
+    def world_from_camera(self, time_s: float) -> NDArray[np.float64]:
+        """The exact pose (4, 4) at a time in seconds: x right, y down, z forward in the camera, metres."""
+
+
+class RenderedSequence(Sequence):
+    """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
+
+    frames, rate_hz: how long the whole is and how often it is seen, before a selection. picture: what determines the
+    pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
+    """
+
+    def __init__(
+        self, name: str, selection: Selection, frames: int, rate_hz: float, camera: Camera, path: Path, picture: Any
+    ) -> None:
+        self.name = name
+        self.frame_rate_hz = rate_hz / selection.stride
+        self.channels = 1 if selection.color == "gray" else 3
+        self.camera = camera
+        self.path = path
+        self._color = selection.color
+        self._rate_hz = rate_hz
+        self._indices = selection.indices(frames, "synthetic")
+        self.timestamps_s = np.array(self._indices) / rate_hz
+        poses = np.array([path.world_from_camera(time_s) for time_s in self.timestamps_s])
+        self.ground_truth = Trajectory(self.timestamps_s, poses)
+        self.has_loop = bool(self.timestamps_s[-1] - self.timestamps_s[0] >= path.loop_s)
+        digest = _digest(picture)
+        self.fingerprint = _digest([digest, list(self._indices), self.channels])
+        folder = cache_folder() / "synthetic" / digest[:16]
+        self._store = FrameStore(folder, (camera.height, camera.width, 3))
+
+    def read(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise DatasetError(f"synthetic: frame {index} is not in 0..{len(self) - 1}")
+        source = self._indices[index]
+        image = self._store.load(source)
+        if image is None:
+            image = self.render(source)
+            self._store.save(source, image)
+        return Frame(index, float(self.timestamps_s[index]), converted(image, self._color))
+
+    @abstractmethod
+    def render(self, source: int) -> Image:
+        """Frame `source` of the whole (H, W, 3), not from the cache."""
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

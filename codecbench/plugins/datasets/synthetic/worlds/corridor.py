@@ -1,0 +1,138 @@
+"""A corridor round a block of offices: bays with a door, a picture and something on the floor, alike or each its own.
+
+Metres; the floor is at 0, and the way through the middle is the rectangle of CORRIDOR_CORNERS_M.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codecbench.core.contracts.image import Image
+from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, Rng, covered, texels, wooden
+from codecbench.plugins.datasets.synthetic.lighting import lit
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed, upright
+from codecbench.plugins.datasets.synthetic.textures import matted, rounded, strewn, toned
+from codecbench.plugins.datasets.synthetic.worlds.presets import CORRIDOR_CORNERS_M
+
+_ARRANGEMENT = 20250311
+_HALF_WIDTH, _HEIGHT = 1.1, 2.6
+_BAY = 2.4
+_WALL_DENSITY = 220.0
+_GROUND_DENSITY = 150.0
+_PRINTS = ("motorcycle", "retina", "cat", "astronaut", "tissue", "coins", "rocket", "coffee", "galaxies", "camera")
+_PAINTS = ((206.0, 198.0, 182.0), (170.0, 184.0, 178.0), (202.0, 184.0, 156.0), (176.0, 172.0, 186.0))
+
+
+def corridor(distinctness: float) -> list[Panel]:
+    """All panels with the light in their textures. distinctness: 1 every bay its own, 0 all alike."""
+    rng = np.random.default_rng(_ARRANGEMENT)
+    length, depth = CORRIDOR_CORNERS_M[2]
+    panels: list[Panel] = []
+    for quarter in range(4):
+        side, half = (length, depth / 2) if quarter % 2 == 0 else (depth, length / 2)
+        outer = placed(_wall(side + 2 * _HALF_WIDTH, distinctness, rng), (0.0, half + _HALF_WIDTH, 0.0))
+        inner = placed(_wall(side - 2 * _HALF_WIDTH, distinctness, rng), (0.0, _HALF_WIDTH - half, 0.0))
+        panels += placed(outer + inner, (length / 2, depth / 2, 0.0), 90.0 * quarter)
+    return lit(panels + _ground(length, depth, distinctness, rng), _lamp_points(length, depth), rng)
+
+
+def _wall(width: float, distinctness: float, rng: Rng) -> list[Panel]:
+    """A wall along x about the origin, its front towards -y, as many bays as fit."""
+    count = max(1, round(width / _BAY))
+    panels: list[Panel] = []
+    for bay in range(count):
+        middle = ((bay + 0.5) / count - 0.5) * width
+        panels += placed(_bay(width / count, distinctness, rng), (middle, 0.0, 0.0))
+    return panels
+
+
+def _bay(width: float, distinctness: float, rng: Rng) -> list[Panel]:
+    """One bay: what all have in common, with a share of what this one has for itself."""
+    own, common = _Fittings(np.random.default_rng(rng.integers(2**32))), _Fittings(np.random.default_rng(7))
+
+    def mixed(name: str) -> Skin:
+        first, second = getattr(own, name), getattr(common, name)
+        return lambda face, w, h: _blend(first(face, w, h), second(face, w, h), distinctness)
+
+    shift = distinctness * float(rng.uniform(-0.12, 0.12))
+    size = 0.34 + distinctness * float(rng.uniform(-0.1, 0.2))
+    paint = mixed("paint")("front", width, _HEIGHT)
+    panels = [upright((0.0, 0.0, _HEIGHT / 2), -90.0, width, _HEIGHT, paint)]
+    panels += box((shift - width / 4, -0.03, 0.0), (0.9, 0.06, 2.05), mixed("door"), leave_out=("back", "bottom"))
+    panels += box((shift + width / 4, -0.02, 1.25), (0.62 + size / 2, 0.04, 0.85), mixed("poster"), leave_out=("back",))
+    carton = box((width / 4 - shift, -0.2, 0.0), (size, 0.3, size * 1.3), mixed("carton"), leave_out=("bottom",))
+    return panels + carton
+
+
+class _Fittings:
+    """The surfaces of one bay, each a texture for a face of given size, chosen by a generator of its own."""
+
+    def __init__(self, rng: Rng) -> None:
+        self._rng = rng
+        self._names = [str(name) for name in rng.permutation(_PRINTS)]
+        self.door = wooden(rng, (OAK, WALNUT, PALE)[int(rng.integers(3))])
+        self.carton = covered(self._names[0], rng, 420.0, 1.4)
+
+    def paint(self, face: str, width: float, height: float) -> Image:
+        name = ("moon", "gravel", "grass")[int(self._rng.integers(3))]
+        color = _PAINTS[int(self._rng.integers(len(_PAINTS)))]
+        return toned(
+            strewn(name, texels(height, _WALL_DENSITY), texels(width, _WALL_DENSITY), self._rng, 130, 0.9), color, 0.4
+        )
+
+    def poster(self, face: str, width: float, height: float) -> Image:
+        print_ = covered(self._names[1], self._rng, 500.0, 1.0)(face, width - 0.02, height - 0.02)
+        return matted(print_, 5) if face == "front" else print_
+
+
+def _blend(own: Image, common: Image, share: float) -> Image:
+    """share 1: the first; 0: the second. Their sizes may differ by a texel."""
+    rows, columns = min(own.shape[0], common.shape[0]), min(own.shape[1], common.shape[1])
+    pair = own[:rows, :columns].astype(np.float32), common[:rows, :columns].astype(np.float32)
+    return rounded(pair[0] * np.float32(share) + pair[1] * np.float32(1 - share))
+
+
+def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[Panel]:
+    """Floor and ceiling under and over everything, and the lamps."""
+    w, d = length + 2 * _HALF_WIDTH, depth + 2 * _HALF_WIDTH
+    east, north = np.array([w, 0.0, 0.0]), np.array([0.0, d, 0.0])
+    west_south = np.array([-_HALF_WIDTH, -_HALF_WIDTH, 0.0])
+    rows, columns = texels(d, _GROUND_DENSITY), texels(w, _GROUND_DENSITY)
+    floor = _tiled(toned(strewn("gravel", rows, columns, rng, 110, 0.7), (138, 122, 108), 0.5), distinctness)
+    ceiling = _tiled(toned(strewn("moon", rows, columns, rng, 110, 0.7), (222, 220, 214), 0.4), distinctness)
+    glass = np.full((8, 8, 3), 250, np.uint8)
+    lamps = [
+        Panel(panel.corner, panel.right, panel.down, glass, glows=True)
+        for x, y in _lamps(length, depth)
+        for panel in box((x, y, _HEIGHT - 0.05), (0.5, 0.5, 0.05), everywhere(glass), leave_out=("top",))
+    ]
+    return [
+        Panel(west_south + north, east, -north, floor),
+        Panel(west_south + np.array([0.0, 0.0, _HEIGHT]), east, north, ceiling),
+        *lamps,
+    ]
+
+
+def _tiled(surface: Image, distinctness: float) -> Image:
+    """Slabs of 60 cm with joints; at distinctness 0 all are the same slab."""
+    slab = round(0.6 * _GROUND_DENSITY)
+    rows, columns = -(-surface.shape[0] // slab), -(-surface.shape[1] // slab)
+    repeated = np.tile(surface[:slab, :slab], (rows, columns, 1))
+    blended = _blend(surface, repeated, distinctness)
+    for start in (0, 1):
+        blended[start::slab] = blended[start::slab] // 5 * 3
+        blended[:, start::slab] = blended[:, start::slab] // 5 * 3
+    return blended
+
+
+def _lamps(length: float, depth: float) -> list[tuple[float, float]]:
+    lamps = [(x, y) for x in np.linspace(0.0, length, 5) for y in (0.0, depth)]
+    lamps += [(x, y) for x in (0.0, length) for y in np.linspace(0.0, depth, 4)[1:-1]]
+    return [(float(x), float(y)) for x, y in lamps]
+
+
+def _lamp_points(length: float, depth: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Four points on each lamp."""
+    spread = ((-0.15, -0.15), (0.15, -0.15), (-0.15, 0.15), (0.15, 0.15))
+    points = [(x + dx, y + dy, _HEIGHT - 0.06) for x, y in _lamps(length, depth) for dx, dy in spread]
+    return np.array(points)

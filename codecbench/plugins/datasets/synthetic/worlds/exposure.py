@@ -1,0 +1,148 @@
+"""Exposing a picture: sub-frames over the time that the shutter is open, each row at its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import ceil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.sequence import Camera
+from codecbench.core.kernels.compiled import compiled
+from codecbench.plugins.datasets.synthetic.atlas import Atlas
+from codecbench.plugins.datasets.synthetic.render import (
+    LANE,
+    TEXEL_WEIGHT,
+    candidate_rows,
+    cover,
+    plane_equations,
+    texel,
+    texture_level,
+)
+
+Floats = NDArray[np.float64]
+Pose = Callable[[float], Floats]
+
+MOST_SAMPLES = 16
+"""Sums of more sub-frames would not fit into the 21 bits of a channel."""
+
+SAMPLE_WEIGHT = TEXEL_WEIGHT // 2
+"""What a sub-frame of gray level 1 adds to a sum."""
+
+_HALVES = np.uint64((LANE >> np.uint64(1)) * np.uint64(1 + (1 << 21) + (1 << 42)))
+"""The bits that stay when a colour's three numbers are halved."""
+
+_FEWEST_SAMPLES = 2
+_KNOT_ROWS = 60
+_STRIP_ROWS = 4
+
+
+class Exposure:
+    """Renders an atlas through a camera while both shutter and camera move; keeps its buffers between pictures."""
+
+    def __init__(self, atlas: Atlas, camera: Camera) -> None:
+        self._atlas = atlas
+        self._camera = camera
+        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        shape = (camera.height, camera.width)
+        self._nearness = np.empty(shape, np.float64)
+        self._panels = np.empty(shape, np.int32)
+
+    def total(self, pose: Pose, time_s: float, open_s: float, readout_s: float, samples: int) -> NDArray[np.uint64]:
+        """The sum (H, W) of sub-frames, three channels of 21 bits in a word, SAMPLE_WEIGHT a sample and gray level.
+
+        pose: world_from_camera (4, 4) at a time. time_s: the middle of the middle row's exposure. open_s: how long a
+        row is exposed. readout_s: from the first row's exposure to the last row's.
+        """
+        total = np.zeros((self._camera.height, self._camera.width), np.uint64)
+        a = self._atlas
+        for k, offset in enumerate(offsets_px(samples)):
+            middle_s = time_s + ((k + 0.5) / samples - 0.5) * open_s
+            self._nearness[:] = 0.0
+            self._panels[:] = -1
+            for first, last, planes, rows in self._strips(pose, middle_s, readout_s, offset):
+                cover(planes, rows, self._nearness, self._panels)
+                layout = (a.texels, a.first_level, a.level_count, a.levels)
+                _add_rows(planes, self._panels, first, last, 8 * (k + 0.5) / samples, *layout, total)
+        return total
+
+    def _strips(
+        self, pose: Pose, middle_s: float, readout_s: float, offset: Floats
+    ) -> Iterator[tuple[int, int, Floats, NDArray[np.int64]]]:
+        """First row, one past the last, plane equations and candidate rows of every strip with one pose.
+
+        Coefficients are computed at knots and linear between them, since they are smooth in time.
+        """
+        height, width = self._camera.height, self._camera.width
+        if readout_s == 0.0:
+            planes = plane_equations(self._atlas.edges, pose(middle_s), self._intrinsics, offset)
+            yield 0, height, planes, candidate_rows(planes, width, height)
+            return
+        knots = np.linspace(0, height, max(2, ceil(height / _KNOT_ROWS) + 1))
+        times = middle_s + (knots / height - 0.5) * readout_s
+        solved = [plane_equations(self._atlas.edges, pose(t), self._intrinsics, offset) for t in times]
+        candidates = [candidate_rows(planes, width, height) for planes in solved]
+        for first in range(0, height, _STRIP_ROWS):
+            last = min(first + _STRIP_ROWS, height)
+            place = (first + last) / 2 / height * (len(knots) - 1)
+            k = int(place)
+            share = place - k
+            rows = np.empty_like(candidates[k])
+            rows[:, 0] = np.clip(np.minimum(candidates[k][:, 0], candidates[k + 1][:, 0]) - 1, first, last)
+            rows[:, 1] = np.clip(np.maximum(candidates[k][:, 1], candidates[k + 1][:, 1]) + 1, first, last)
+            yield first, last, solved[k] * (1 - share) + solved[k + 1] * share, rows
+
+
+def samples_for(pose: Pose, time_s: float, open_s: float, focal_px: float, view_m: float) -> int:
+    """How many sub-frames a picture needs: about one for three pixels of motion blur, within limits."""
+    first, last = pose(time_s - open_s / 2), pose(time_s + open_s / 2)
+    turned = np.abs(first[:3, :3] - last[:3, :3]).max()
+    moved = np.abs(first[:3, 3] - last[:3, 3]).max() / view_m
+    return int(min(max(ceil((turned + moved) * focal_px / 3), _FEWEST_SAMPLES), MOST_SAMPLES))
+
+
+def offsets_px(samples: int) -> Floats:
+    """Where in the pixel each sub-frame is sampled (S, 2): no two in one row or column, their mean in the middle."""
+    rng = np.random.default_rng(samples)
+    places = (np.arange(samples) + 0.5) / samples - 0.5
+    return np.column_stack([places[rng.permutation(samples)], places[rng.permutation(samples)]])
+
+
+@compiled
+def _add_rows(
+    planes: Any, panels: Any, first: int, last: int, sharper: float,
+    texels: Any, first_level: Any, level_count: Any, levels: Any, total: Any,
+) -> None:  # fmt: skip
+    """Add the texture's colour at the covered pixels of some rows.
+
+    sharper: in eighths. Where the coarser of two reductions deserves a larger share it is taken, else the finer one;
+    over the sub-frames of a picture, which come with different numbers, that is a blend.
+    """
+    width = panels.shape[1]
+    for y in range(first, last):
+        x = 0
+        while x < width:
+            panel, begin = panels[y, x], x
+            while x < width and panels[y, x] == panel:
+                x += 1
+            if panel >= 0:
+                some = levels[first_level[panel] : first_level[panel] + level_count[panel]]
+                _add_run(planes[panel], y, begin, x, sharper, some, texels, total)
+
+
+@compiled
+def _add_run(plane: Any, y: int, begin: int, end: int, sharper: float, levels: Any, texels: Any, total: Any) -> None:
+    """Add one panel's colour to the pixels begin <= x < end of row y."""
+    sx, tx, nx = plane[0, 0], plane[1, 0], plane[2, 0]
+    s1, t1, n1 = plane[0, 1] * y + plane[0, 2], plane[1, 1] * y + plane[1, 2], plane[2, 1] * y + plane[2, 2]
+    level = 0
+    for x in range(begin, end):
+        depth = 1.0 / (nx * x + n1)
+        along, below = (sx * x + s1) * depth, (tx * x + t1) * depth
+        if (x - begin) & 7 == 0:
+            level, share = texture_level(plane, along, below, depth, levels)
+            if share > sharper:
+                level += 1
+        total[y, x] += (texel(texels, levels, level, along, below) >> np.uint64(1)) & _HALVES

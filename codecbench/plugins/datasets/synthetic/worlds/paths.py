@@ -1,0 +1,119 @@
+"""Ways through worlds: along a route with rounded corners, on the spot, over a field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan, cos, hypot, pi, radians, sin, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.plugins.datasets.synthetic.path import Tremor, looking_pose
+from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions
+
+Floats = NDArray[np.float64]
+
+
+class Route:
+    """A closed way on the ground: straight lines between corners, arcs of one radius round them.
+
+    length_m: of one round. It begins halfway between the first corner and the second.
+    """
+
+    def __init__(self, corners_m: Sequence[tuple[float, float]], radius_m: float) -> None:
+        self._pieces: list[tuple[float, Floats, float, float]] = []
+        self.length_m = 0.0
+        corners = [np.array(corner, float) for corner in corners_m]
+        position = (corners[0] + corners[1]) / 2
+        for k in range(len(corners)):
+            corner, following = corners[(k + 1) % len(corners)], corners[(k + 2) % len(corners)]
+            heading = np.arctan2(*(corner - position)[::-1])
+            turn = (np.arctan2(*(following - corner)[::-1]) - heading + pi) % (2 * pi) - pi
+            straight = hypot(*(corner - position)) - radius_m * tan(abs(turn) / 2)
+            self._add(straight, position, heading, 0.0)
+            position = position + straight * np.array([cos(heading), sin(heading)])
+            arc = radius_m * abs(turn)
+            self._add(arc, position, heading, turn / arc)
+            position = self.at(self.length_m)
+        end = (corners[0] + corners[1]) / 2
+        self._add(hypot(*(end - position)), position, np.arctan2(*(end - position)[::-1]), 0.0)
+
+    def _add(self, length: float, position: Floats, heading: float, bend: float) -> None:
+        self._pieces.append((self.length_m, position, heading, bend))
+        self.length_m += length
+
+    def at(self, distance_m: float) -> Floats:
+        """The point (2,) at a distance along the route, which goes round and round."""
+        if distance_m != self.length_m:
+            distance_m %= self.length_m
+        start, position, heading, bend = next(piece for piece in reversed(self._pieces) if piece[0] <= distance_m)
+        gone = distance_m - start
+        if bend == 0.0:
+            return position + gone * np.array([cos(heading), sin(heading)])
+        end = heading + bend * gone
+        return position + np.array([sin(end) - sin(heading), cos(heading) - cos(end)]) / bend
+
+
+class RouteWalk:
+    """A camera carried along a route, looking at the point of it that lies `ahead_m` further on.
+
+    loop_m: after how much of the route its beginning is seen again; loop_s is the time of that.
+    """
+
+    def __init__(
+        self, route: Route, conditions: Conditions, seed: int, *, height_m: float, ahead_m: float, loop_m: float
+    ) -> None:
+        self._route = route
+        self._speed_m_s = conditions.speed_m_s
+        self._tremor = Tremor(seed, conditions.tremor)
+        self._height_m = height_m
+        self._ahead_m = ahead_m
+        self.loop_s = loop_m / conditions.speed_m_s
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time."""
+        gone = self._speed_m_s * time_s
+        here, there = self._route.at(gone), self._route.at(gone + self._ahead_m)
+        tremor = self._tremor.at(time_s)
+        position = np.array([*here, self._height_m]) + tremor[:3]
+        return looking_pose(position, np.array([*(there - here), -0.02 * self._ahead_m]), tremor[3:])
+
+
+class Turning:
+    """A camera on the spot that looks outwards from a small circle, round and round."""
+
+    def __init__(self, conditions: Conditions, seed: int) -> None:
+        self._rate = radians(conditions.turn_deg_s)
+        self._radius_m = conditions.radius_m
+        self._tremor = Tremor(seed, conditions.tremor)
+        self.loop_s = 360.0 / conditions.turn_deg_s
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time."""
+        angle = self._rate * time_s
+        outwards = np.array([cos(angle), sin(angle), 0.0])
+        tremor = self._tremor.at(time_s)
+        position = self._radius_m * outwards + np.array([0.0, 0.0, 1.45 + 0.3 * self._radius_m * sin(3 * angle)])
+        return looking_pose(position + tremor[:3], outwards - np.array([0.0, 0.0, 0.08]), tremor[3:])
+
+
+class Flight:
+    """An aircraft's round over a field, thirty metres up, its camera pointing down and a little ahead."""
+
+    _RADIUS_M = 32.0
+    _HEIGHT_M = 30.0
+
+    def __init__(self, conditions: Conditions, seed: int) -> None:
+        self._turn_rate = conditions.speed_m_s / self._RADIUS_M
+        self._tremor = Tremor(seed, conditions.tremor)
+        self.loop_s = 2 * pi / self._turn_rate
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time."""
+        angle = self._turn_rate * time_s
+        radius = self._RADIUS_M * (1 + 0.12 * sin(2 * angle))
+        position = np.array([radius * cos(angle), radius * sin(angle), self._HEIGHT_M + 3.0 * sin(3 * angle)])
+        down = atan(2.2)
+        direction = np.array([-sin(angle) * cos(down), cos(angle) * cos(down), -sin(down)])
+        tremor = self._tremor.at(time_s)
+        return looking_pose(position + 4.0 * tremor[:3], direction, tremor[3:])

@@ -1,0 +1,46 @@
+"""The places of worlds as atlases, under given conditions; each takes some seconds to make and is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import numpy as np
+
+from codecbench.core.contracts.image import Image
+from codecbench.plugins.datasets.synthetic.atlas import Atlas, make_atlas
+from codecbench.plugins.datasets.synthetic.room import furnished_room, room_atlas
+from codecbench.plugins.datasets.synthetic.scene import Panel
+from codecbench.plugins.datasets.synthetic.textures import rounded
+from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
+from codecbench.plugins.datasets.synthetic.worlds.field import farmland
+from codecbench.plugins.datasets.synthetic.worlds.presets import Place
+from codecbench.plugins.datasets.synthetic.worlds.street import town
+
+
+@lru_cache(maxsize=2)
+def atlas_of(place: Place, contrast: float, distinctness: float) -> Atlas:
+    """A place with the contrast of its surfaces scaled, and the distinctness of its repetitions."""
+    if place == "room" and contrast == 1.0:
+        return room_atlas()
+    panels = _panels(place, distinctness)
+    return make_atlas(panels if contrast == 1.0 else faded(panels, contrast))
+
+
+@cache
+def _panels(place: Place, distinctness: float) -> list[Panel]:
+    if place == "room":
+        return furnished_room()
+    if place == "corridor":
+        return corridor(distinctness)
+    return town() if place == "street" else farmland()
+
+
+def faded(panels: list[Panel], contrast: float) -> list[Panel]:
+    """The panels with their textures' contrast about the mean colour scaled; lamps stay."""
+    made: dict[int, Image] = {}
+    for panel in panels:
+        if id(panel.texture) not in made:
+            mean = panel.texture.mean(axis=(0, 1), dtype=np.float64)
+            made[id(panel.texture)] = rounded(mean + contrast * (panel.texture - mean))
+    return [panel if panel.glows else replace(panel, texture=made[id(panel.texture)]) for panel in panels]

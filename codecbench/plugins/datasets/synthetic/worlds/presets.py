@@ -1,0 +1,163 @@
+"""The named worlds: where each is, how the camera moves, and what severity makes worse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Literal, get_args
+
+from codecbench.plugins.datasets.synthetic.path import HandheldPath
+from codecbench.plugins.datasets.synthetic.rendered import Path
+from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between
+from codecbench.plugins.datasets.synthetic.worlds.paths import Flight, Route, RouteWalk, Turning
+
+WorldName = Literal[
+    "room",
+    "fast_room",
+    "dim_room",
+    "poor_texture",
+    "exposure",
+    "rolling_shutter",
+    "rotation",
+    "corridor_loop",
+    "repetitive_corridor",
+    "street",
+    "field",
+]
+Place = Literal["room", "corridor", "street", "field"]
+WORLD_NAMES: tuple[WorldName, ...] = get_args(WorldName)
+
+
+@dataclass(frozen=True)
+class World:
+    """A named world.
+
+    about: one line. view_m: typical distance of what is seen. focal: focal length as a share of the image's width.
+    calm, hard: conditions at severity 0 and 1.
+    """
+
+    about: str
+    place: Place
+    calm: Conditions
+    hard: Conditions
+    width: int = 640
+    height: int = 480
+    rate_hz: float = 30.0
+    focal: float = 525.0 / 640.0
+    view_m: float = 1.8
+
+    def at(self, severity: float) -> Conditions:
+        """The conditions at a severity, 0 to 1."""
+        return between(self.calm, self.hard, severity)
+
+    def path(self, conditions: Conditions, seed: int) -> Path:
+        """The camera's path under these conditions."""
+        if self.place == "corridor":
+            route = Route(CORRIDOR_CORNERS_M, conditions.radius_m)
+            return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
+        if self.place == "street":
+            route = Route(STREET_CORNERS_M, conditions.radius_m)
+            cut_m = (8 - 2 * pi) * conditions.radius_m
+            return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
+        if self.place == "field":
+            return Flight(conditions, seed)
+        if conditions.turn_deg_s:
+            return Turning(conditions, seed)
+        return HandheldPath(seed, conditions.speed_m_s / 0.7, conditions.tremor)
+
+    def frames(self, severity: float, rate_hz: float) -> int:
+        """Frames of one loop and the beginning of the next, a seventh of it."""
+        return round(self.path(self.at(severity), 0).loop_s * rate_hz * 8 / 7)
+
+
+CORRIDOR_CORNERS_M = ((0.0, 0.0), (9.0, 0.0), (9.0, 6.5), (0.0, 6.5))
+STREET_CORNERS_M = ((0, 0), (80, 0), (80, 60), (0, 60), (0, 0), (240, 0), (240, 120), (80, 120), (80, 60), (0, 60))
+STREET_LOOP_M = 280.0
+"""From the first crossing over three others back to it, without what arcs cut off its four corners."""
+
+_ROOM = Conditions(speed_m_s=0.6)
+_CORRIDOR = Conditions(speed_m_s=0.8, radius_m=1.0, tremor=0.6)
+
+WORLDS: dict[WorldName, World] = {
+    "room": World(
+        "a furnished room, hand-held, round its table: faster, shakier, longer exposed, noisier",
+        "room",
+        Conditions(speed_m_s=0.4, tremor=0.5, exposure=0.1, electrons=12000),
+        Conditions(speed_m_s=1.3, tremor=2.0, exposure=0.6, electrons=1200),
+    ),
+    "fast_room": World(
+        "the room at a run, with the motion blur of a long exposure",
+        "room",
+        Conditions(speed_m_s=0.7, tremor=1.0, exposure=0.3),
+        Conditions(speed_m_s=2.2, tremor=4.0, exposure=1.0),
+    ),
+    "dim_room": World(
+        "the room with the light going out: fewer electrons, hence noise, and darker pictures",
+        "room",
+        replace(_ROOM, electrons=6000.0),
+        replace(_ROOM, electrons=25.0, brightness=0.15),
+    ),
+    "poor_texture": World(
+        "the room with its surfaces fading to plain colours",
+        "room",
+        _ROOM,
+        replace(_ROOM, contrast=0.03),
+    ),
+    "exposure": World(
+        "the room under an exposure that swings up and down once in two seconds",
+        "room",
+        _ROOM,
+        replace(_ROOM, swing_stops=3.0),
+    ),
+    "rolling_shutter": World(
+        "the room through a shutter that reads one row after the other",
+        "room",
+        replace(_ROOM, tremor=1.5),
+        replace(_ROOM, tremor=1.5, readout=1.0),
+    ),
+    "rotation": World(
+        "the room from its middle: the camera turns on an ever smaller circle",
+        "room",
+        Conditions(turn_deg_s=30.0, radius_m=0.9, speed_m_s=0.0),
+        Conditions(turn_deg_s=50.0, radius_m=0.02, speed_m_s=0.0),
+        view_m=2.2,
+    ),
+    "corridor_loop": World(
+        "a corridor round a block of offices, at walking pace with sharp corners",
+        "corridor",
+        _CORRIDOR,
+        replace(_CORRIDOR, speed_m_s=2.0, tremor=2.0, exposure=0.5, electrons=1500.0),
+        rate_hz=15.0,
+        focal=0.62,
+        view_m=2.0,
+    ),
+    "repetitive_corridor": World(
+        "the corridor with its bays more and more alike",
+        "corridor",
+        replace(_CORRIDOR, speed_m_s=1.3),
+        replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.5),
+        rate_hz=15.0,
+        focal=0.62,
+        view_m=2.0,
+    ),
+    "street": World(
+        "a street canyon from a car, wide pictures at 10 Hz, right-angle turns; a kilometre until it repeats",
+        "street",
+        Conditions(speed_m_s=5.0, radius_m=9.0, tremor=0.3, exposure=0.03),
+        Conditions(speed_m_s=10.0, radius_m=6.0, tremor=0.6, exposure=0.1, electrons=3000.0),
+        width=1241,
+        height=376,
+        rate_hz=10.0,
+        focal=718.0 / 1241.0,
+        view_m=9.0,
+    ),
+    "field": World(
+        "fields, hedges and farms from thirty metres above",
+        "field",
+        Conditions(speed_m_s=7.0, tremor=1.0, exposure=0.05),
+        Conditions(speed_m_s=22.0, tremor=6.0, exposure=0.4, electrons=1500.0),
+        rate_hz=15.0,
+        view_m=30.0,
+    ),
+}
+"""Every world by its name; `severity` moves from the first conditions of each to the second."""

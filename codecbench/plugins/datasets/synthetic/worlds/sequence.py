@@ -1,0 +1,71 @@
+"""A named world as a sequence."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Camera
+from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
+from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
+from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS, Place, WorldName
+
+if TYPE_CHECKING:
+    from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
+
+WORLDS_VERSION = "1"
+"""Raised whenever a world's pictures change."""
+
+_SWING_PERIOD_S = 2.0
+
+
+class WorldSequence(RenderedSequence):
+    """A world at one severity; conditions are those of all its frames."""
+
+    def __init__(
+        self,
+        world: WorldName,
+        severity: float,
+        selection: Selection,
+        frames: int,
+        rate_hz: float,
+        size: tuple[int, int],
+        seed: int,
+    ) -> None:
+        self._world = WORLDS[world]
+        self._seed = seed
+        self.conditions = self._world.at(severity)
+        width, height = size
+        focal_px = self._world.focal * width
+        camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+        picture = ["worlds", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
+        path = self._world.path(self.conditions, seed)
+        super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, camera, path, picture)
+
+    def render(self, source: int) -> Image:
+        from codecbench.plugins.datasets.synthetic.worlds.exposure import samples_for
+        from codecbench.plugins.datasets.synthetic.worlds.sensor import Sensor
+
+        conditions, camera = self.conditions, self.camera
+        assert camera is not None
+        time_s, open_s = source / self._rate_hz, conditions.exposure / self._rate_hz
+        pose = self.path.world_from_camera
+        samples = samples_for(pose, time_s, open_s, camera.fx, self._world.view_m)
+        exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, camera)
+        total = exposure.total(pose, time_s, open_s, conditions.readout / self._rate_hz, samples)
+        sensor = Sensor(conditions.electrons, conditions.brightness, conditions.lens_blur_px)
+        gain = 2.0 ** (conditions.swing_stops * np.sin(2 * np.pi * time_s / _SWING_PERIOD_S))
+        key = int(np.random.default_rng([self._seed, 3, source]).integers(2**63))
+        return sensor.picture(total, samples, float(gain), key)
+
+
+@lru_cache(maxsize=2)
+def _exposure(place: Place, contrast: float, distinctness: float, camera: Camera) -> Exposure:
+    from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
+    from codecbench.plugins.datasets.synthetic.worlds.places import atlas_of
+
+    return Exposure(atlas_of(place, contrast, distinctness), camera)
