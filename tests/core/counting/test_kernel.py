@@ -154,7 +154,8 @@ CONSTANTS = "import numpy as np\nFACTOR = 10\nTABLE = np.array([1, 2])\n"
 
 
 def ran(folder: Path, cache: Path) -> list[int]:
-    environment = {**os.environ, "CODECBENCH_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    places = {"CODECBENCH_CACHE": str(cache), "XDG_CACHE_HOME": str(cache)}
+    environment = {**os.environ, **places, "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "caller.py"]
     output = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     return [int(word) for word in output.stdout.split()]

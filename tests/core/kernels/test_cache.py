@@ -52,7 +52,8 @@ class Pair(NamedTuple):
 
 
 def start(folder: Path, program: str) -> subprocess.Popen[str]:
-    (folder / "locked.py").write_text(KERNELS)
+    if not (folder / "locked.py").exists():  # another process may be reading it
+        (folder / "locked.py").write_text(KERNELS)
     environment = {**os.environ, "CODECBENCH_CACHE": str(folder / "cache")}
     return subprocess.Popen(
         [sys.executable, "-c", program], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
