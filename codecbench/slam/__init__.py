@@ -13,7 +13,17 @@ last bit. Nothing here knows codecs or ground truth.
 
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
-from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, Result
+from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, MergedMaps, Result
 from codecbench.slam.system import System
 
-__all__ = ["Camera", "ClosedLoop", "FrameState", "FrameTrajectory", "MapResult", "Options", "Result", "System"]
+__all__ = [
+    "Camera",
+    "ClosedLoop",
+    "FrameState",
+    "FrameTrajectory",
+    "MapResult",
+    "MergedMaps",
+    "Options",
+    "Result",
+    "System",
+]
