@@ -246,4 +246,4 @@ def _shifted(indices: Indices, offset: int) -> Indices:
 
 def _renumbered(indices: Indices, numbers: Indices) -> Indices:
     """`numbers` at `indices`; NONE stays."""
-    return np.where(indices >= 0, numbers[indices], NONE)
+    return np.append(numbers, NONE)[indices]  # NONE is -1: the last
