@@ -30,13 +30,14 @@ from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, Trac
 
 
 class OrbParams(Params):
-    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them, and whether loops are
-    looked for, and maps of one place to merge."""
+    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them; whether loops are looked
+    for, and maps of one place to merge; whether each map is adjusted once more in the end."""
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
     levels: Annotated[int, Field(ge=1, le=16)] = 8
     scale: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
     loop_closing: bool = True
+    final_adjustment: bool = True
 
 
 class Orb(SlamBackend[OrbParams]):
@@ -81,6 +82,7 @@ class Orb(SlamBackend[OrbParams]):
             levels=self.params.levels,
             scale_factor=self.params.scale,
             loop_closing=self.params.loop_closing,
+            final_bundle_adjustment=self.params.final_adjustment,
         )
 
 

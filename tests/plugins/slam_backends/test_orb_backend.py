@@ -60,11 +60,14 @@ def frames(count: int, first: int = 0) -> list[Frame]:
 
 def test_the_system_gets_camera_options_seed_and_gray_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(orb.slam, "System", Recorder)
-    Orb.create(features=700, levels=6, scale=1.3, loop_closing=False).run(frames(3), CAMERA, seed=11)
+    Orb.create(features=700, levels=6, scale=1.3, loop_closing=False, final_adjustment=False).run(
+        frames(3), CAMERA, seed=11
+    )
     system = Recorder.last
     assert (system.camera.width, system.camera.fy, system.camera.distortion[0]) == (640, 539.2, 0.1)
     options = system.options
-    assert (options.features, options.levels, options.scale_factor, options.loop_closing) == (700, 6, 1.3, False)
+    assert (options.features, options.levels, options.scale_factor) == (700, 6, 1.3)
+    assert (options.loop_closing, options.final_bundle_adjustment) == (False, False)
     assert system.seed == 11
     assert all(image.shape == (480, 640) for image in system.images)
     assert system.keyframes == [None]
