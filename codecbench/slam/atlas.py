@@ -16,7 +16,7 @@ from codecbench.slam.tracked_map import TrackedMap
 
 
 class Atlas:
-    """The maps of a run, oldest first; `active` is the one that is tracked in, None while there is none.
+    """The maps of a run in the order of their starts; `active` is the one that is tracked in, None while there is none.
 
     The name and the idea are those of ORBSLAM-Atlas (Elvira, Tardos, Montiel, IROS 2019).
     """
@@ -56,12 +56,15 @@ class Atlas:
         return 0
 
     def merge(self, frame: TrackingFrame) -> None:
-        """Take a map into the active one if `frame`, the active map's newest keyframe, shows a place of it."""
+        """Take another map into the active one if `frame`, its newest keyframe, shows a place of that map.
+
+        Maps of SMALL_MAP_KEYFRAMES or fewer are left alone.
+        """
         active = self.active
         assert active is not None
         for other in self.maps:
-            if other is active:
-                continue
+            if other is active or len(other.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES:
+                continue  # what was lost so soon may have been started wrongly
             index, other_index = active.map.index, other.map.index
             if other_index not in self._detectors:
                 self._detectors[other_index] = LoopDetector(active.places, other.places, self._camera, self._rng)

@@ -97,6 +97,11 @@ def test_without_loop_closing_maps_stay_apart(walk: Walk) -> None:
     assert {frame.map_index for frame in apart.frames if frame.state == "tracked"} == {0, 1}
 
 
+def test_a_map_of_few_keyframes_is_left_alone(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thresholds, "SMALL_MAP_KEYFRAMES", 1000)
+    assert len(walk.run(BLACK).maps) == 2
+
+
 def test_a_map_that_became_part_of_another_is_freed(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = []
     take_in = atlas.TrackedMap.take_in

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from codecbench.slam.geometry.rotations import Array
-from codecbench.slam.geometry.transforms import sim3_from_parts, sim3_to_parts
+from codecbench.slam.geometry.transforms import sim3_scale
 from codecbench.slam.map import kernels as map_kernels
 from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, grown
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
@@ -182,11 +182,12 @@ class Map:
 
     def rescale(self, factor: float) -> None:
         """Multiply all lengths by `factor`."""
-        self.transform(np.asarray(sim3_from_parts(factor, np.eye(3), np.zeros(3))))
+        self.transform(np.diag([factor, factor, factor, 1.0]))
 
     def transform(self, new_from_old: Array) -> None:
         """Move all keyframes and points by a similarity (4, 4)."""
-        scale, rotation, translation = sim3_to_parts(new_from_old)
+        scale = sim3_scale(new_from_old)
+        rotation, translation = new_from_old[:3, :3] / scale, new_from_old[:3, 3]
         table, positions = self.keyframes, self.points.positions[: self.points.count]
         poses = table.camera_from_world[: table.count].copy()
         poses[:, :3, :3] = poses[:, :3, :3] @ rotation.T

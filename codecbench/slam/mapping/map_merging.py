@@ -1,8 +1,7 @@
 """Making one map of two that show one place.
 
 Source: Elvira, Tardos, Montiel, "ORBSLAM-Atlas: a robust and accurate multi-map system", IROS 2019, arXiv:1908.11585.
-There, the map in use is moved into the coordinates of the other; here, the other way round, so that nothing changes
-that tracking holds on to.
+The map that is tracked in stays where it is and the other one moves, so that nothing changes that tracking holds on to.
 """
 
 from __future__ import annotations
