@@ -17,6 +17,7 @@ from codecbench.plugins.datasets.synthetic.dataset import SyntheticParams, Synth
 from codecbench.slam import Camera, MergedMaps, Options, Result, System, atlas, thresholds
 from codecbench.slam.atlas import Atlas
 from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.tracked_map import TrackedMap
 
 pytestmark = pytest.mark.thorough
 
@@ -104,13 +105,13 @@ def test_a_map_of_few_keyframes_is_left_alone(walk: Walk, monkeypatch: pytest.Mo
 
 def test_a_map_that_became_part_of_another_is_freed(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = []
-    take_in = atlas.TrackedMap.take_in
+    take_in = TrackedMap.take_in
 
-    def watched(self: atlas.TrackedMap, other: atlas.TrackedMap, seen: object) -> None:
+    def watched(self: TrackedMap, other: TrackedMap, seen: object) -> None:
         gone.extend([weakref.ref(other), weakref.ref(other.map)])
         take_in(self, other, seen)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(atlas.TrackedMap, "take_in", watched)
+    monkeypatch.setattr(TrackedMap, "take_in", watched)
     system = System(walk.camera)
     for i, image in enumerate(walk.images):
         system.process(np.zeros_like(image) if i in BLACK else image, float(walk.sequence.timestamps_s[i]))

@@ -224,7 +224,7 @@ class Map:
         return numbers, first_point
 
     def _append_links(self, other: Map, numbers: Indices) -> None:
-        links = other._links[: other._link_count]
+        links = other._links[: other._link_count].astype(np.int64)
         first = self._link_count
         self._link_count += len(links)
         self._links = grown(self._links, self._link_count, NONE)
