@@ -83,7 +83,7 @@ class System:
         if keyframe_image is not None:
             frame.decode = lambda: self._extract_decoded(keyframe_image(image))
         active = self._atlas.active
-        if active is not None and math.isinf(self._lost_since_s) and (inliers := active.track(frame)):
+        if active is not None and (inliers := active.track(frame)):
             return self._tracked(frame, inliers, active)
         if inliers := self._atlas.find(frame):
             assert self._atlas.active is not None
