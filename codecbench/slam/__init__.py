@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from codecbench.slam.geometry.camera import Camera
     from codecbench.slam.options import Options
-    from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, Result
+    from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, MergedMaps, Result
     from codecbench.slam.system import System
 
 _HOMES = {
@@ -29,12 +29,23 @@ _HOMES = {
     "FrameState": "result",
     "FrameTrajectory": "result",
     "MapResult": "result",
+    "MergedMaps": "result",
     "Options": "options",
     "Result": "result",
     "System": "system",
 }
 
-__all__ = ["Camera", "ClosedLoop", "FrameState", "FrameTrajectory", "MapResult", "Options", "Result", "System"]
+__all__ = [
+    "Camera",
+    "ClosedLoop",
+    "FrameState",
+    "FrameTrajectory",
+    "MapResult",
+    "MergedMaps",
+    "Options",
+    "Result",
+    "System",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -10,8 +10,9 @@ class Options:
     """Settings of a run.
 
     `features`: ORB features kept in a frame (100..10000); `levels`: pyramid levels (1..16); `scale_factor`: between two
-    levels (above 1, to 2); `loop_closing`: look for loops; `final_bundle_adjustment`: adjust the whole map once more
-    in `System.finish`. Raises ValueError when a value is out of range.
+    levels (above 1, to 2); `loop_closing`: look for loops, and for maps of one place to merge;
+    `final_bundle_adjustment`: adjust each map once more in `System.finish`. Raises ValueError when a value is out of
+    range.
     """
 
     features: int = 1000

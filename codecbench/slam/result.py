@@ -1,4 +1,4 @@
-"""What a run leaves behind: a state for each frame, trajectories, map points, closed loops."""
+"""What a run leaves behind: a state for each frame, trajectories, map points, closed loops, merged maps."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ State = Literal["not_initialized", "tracked", "lost", "refused"]
 @dataclass(frozen=True)
 class FrameState:
     """What happened to one frame: its state and the reason for it, the map points that support its pose, whether it
-    became a keyframe, and the map that it is in."""
+    became a keyframe, and the map that it is in; in a Result, the one that this has become part of."""
 
     index: int
     timestamp_s: float
@@ -32,6 +32,18 @@ class ClosedLoop:
     frame_index: int
     matched_frame_index: int
     inliers: int
+
+
+@dataclass(frozen=True)
+class MergedMaps:
+    """Map `gone_map_index` became part of map `map_index` at `frame_index`, which showed the place of the keyframe of
+    `matched_frame_index`, on `inliers` matches."""
+
+    frame_index: int
+    matched_frame_index: int
+    inliers: int
+    map_index: int
+    gone_map_index: int
 
 
 @dataclass(frozen=True)
@@ -64,11 +76,13 @@ _NOTHING = FrameTrajectory(np.empty(0, np.int64), np.empty(0), np.empty((0, 4, 4
 
 @dataclass(frozen=True)
 class Result:
-    """A run: a state for each frame, the loops, and the maps, the one with most frames first."""
+    """A run: a state for each frame, the loops, and the maps that are left, the one with most frames first; `merges`:
+    which others became part of these."""
 
     frames: tuple[FrameState, ...]
     loops: tuple[ClosedLoop, ...]
     maps: tuple[MapResult, ...]
+    merges: tuple[MergedMaps, ...] = ()
 
     @property
     def main(self) -> MapResult:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
+from codecbench.slam.atlas import Atlas
 from codecbench.slam.features.extractor import FeatureExtractor, Features
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
@@ -40,8 +42,7 @@ class System:
         self._rng = np.random.default_rng(seed)
         factors = self._extractor.scale_factors
         self._initializer = Initializer(camera, factors, self.options.features, self._rng)
-        self._maps: list[TrackedMap] = []
-        self._active: TrackedMap | None = None
+        self._atlas = Atlas(camera, self._rng)
         self._frames: list[FrameState] = []
         self._loops: list[ClosedLoop] = []
         self._lost_since_s = math.inf
@@ -72,9 +73,10 @@ class System:
 
     def finish(self) -> Result:
         """The result of all frames so far, after a last adjustment of each map where the options ask for it."""
-        maps = [tracked_map.finish(self.options.final_bundle_adjustment) for tracked_map in self._maps]
+        maps = [tracked_map.finish(self.options.final_bundle_adjustment) for tracked_map in self._atlas.maps]
         maps.sort(key=lambda result: (-len(result.trajectory), result.index))
-        return Result(tuple(self._frames), tuple(self._loops), tuple(maps))
+        frames = tuple(replace(state, map_index=self._atlas.final_index(state.map_index)) for state in self._frames)
+        return Result(frames, tuple(self._loops), tuple(maps), tuple(self._atlas.merged))
 
     def _process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None) -> FrameState:
         index = len(self._frames)
@@ -86,17 +88,14 @@ class System:
         frame = TrackingFrame.of(index, timestamp_s, self._extractor.extract(gray))
         if keyframe_image is not None:
             frame.decode = lambda: self._extract_decoded(keyframe_image(image))
-        if self._active is not None:
-            inliers = self._active.track(frame) if math.isinf(self._lost_since_s) else 0
-            if inliers or (inliers := self._active.relocalize(frame)):
-                return self._tracked(frame, inliers)
-            return self._lose(frame, self._active)
-        for tracked_map in reversed(self._maps):
-            if inliers := tracked_map.relocalize(frame):
-                self._active = tracked_map
-                self._initializer.restart()
-                return self._tracked(frame, inliers)
-        return self._initialize(frame)
+        active = self._atlas.active
+        if active is not None and (inliers := active.track(frame)):
+            return self._tracked(frame, inliers, active)
+        if inliers := self._atlas.find(frame):
+            assert self._atlas.active is not None
+            self._initializer.restart()
+            return self._tracked(frame, inliers, self._atlas.active)
+        return self._lose(frame, active) if active is not None else self._initialize(frame)
 
     def _refusal(self, gray: ImageArray, timestamp_s: float) -> str:
         """Why a frame cannot be used; empty when it can."""
@@ -108,29 +107,27 @@ class System:
         return ""
 
     def _initialize(self, frame: TrackingFrame) -> FrameState:
-        started = self._initializer.add(frame, len(self._maps))
+        started = self._initializer.add(frame, self._atlas.started)
         if isinstance(started, str):
-            state: State = "lost" if self._maps else "not_initialized"
+            state: State = "lost" if self._atlas.maps else "not_initialized"
             return FrameState(frame.index, frame.timestamp_s, state, reason=started)
         slam_map, mapper = started
-        self._active = TrackedMap(slam_map, mapper, self.camera, self._rng)
-        self._maps.append(self._active)
-        self._active.start(frame)
+        self._atlas.start(slam_map, mapper, frame)
         inliers = len(frame.matched)
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, True, slam_map.index)
 
-    def _tracked(self, frame: TrackingFrame, inliers: int) -> FrameState:
-        assert self._active is not None
+    def _tracked(self, frame: TrackingFrame, inliers: int, active: TrackedMap) -> FrameState:
         self._lost_since_s = math.inf
-        keyframe = self._active.wants_keyframe(frame, inliers)
+        keyframe = active.wants_keyframe(frame, inliers)
         if keyframe:
             use_decoded(frame, self._extractor.scale_factors)
-            loop = self._active.add_keyframe(frame, self.options.loop_closing)
+            loop = active.add_keyframe(frame, self.options.loop_closing)
             if loop is not None:
                 self._loops.append(loop)
-        self._active.record(frame)
-        index = self._active.map.index
-        return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, index)
+            elif self.options.loop_closing:
+                self._atlas.merge(frame)
+        active.record(frame)
+        return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, active.map.index)
 
     def _lose(self, frame: TrackingFrame, tracked_map: TrackedMap) -> FrameState:
         """Note that the frame is lost, and give the map up when it is too small or has been lost too long."""
@@ -139,7 +136,7 @@ class System:
         reason = f"lost for {lost_s:.2f} s: {len(frame.features)} features, too few of them match the map"
         small = len(tracked_map.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES
         if small or lost_s >= thresholds.LOST_FOR_GOOD_S:
-            self._active = None
+            self._atlas.give_up()
             self._lost_since_s = math.inf
             self._initializer.restart()
             reason += "; a new map will be started"

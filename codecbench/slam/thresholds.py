@@ -186,7 +186,7 @@ GROUP_NEIGHBORS: Final = 10
 
 # Relocalisation and loops ---------------------------------------------------------------------------------------------
 RELOCALIZATION_CANDIDATES: Final = 8
-"""Keyframes: tried for a lost frame (own)."""
+"""Keyframes: tried for a lost frame, of all maps together, so that a frame's time has a bound (own)."""
 RELOCALIZATION_RATIO: Final = 0.75
 """Best over second-best distance of a match with a candidate (own)."""
 RELOCALIZATION_WIDENING: Final = 3.0
@@ -196,7 +196,7 @@ RELOCALIZATION_ITERATIONS: Final = 300
 PNP_ERROR_PX: Final = 4.0
 """Pixels at the finest level: inliers of that pose (own)."""
 LOOP_CONSISTENT_KEYFRAMES: Final = 3
-"""Keyframes in a row whose candidates must be consistent (ORB-SLAM VII-A)."""
+"""Keyframes in a row whose candidates must be consistent, in their own map or in another (ORB-SLAM VII-A)."""
 LOOP_MIN_GAP_KEYFRAMES: Final = 10
 """Keyframes: no loop is closed so soon after another one (own)."""
 LOOP_MIN_MATCHES: Final = 20

@@ -7,16 +7,18 @@ import numpy as np
 from codecbench.slam import thresholds
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
-from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_scale
+from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_inverse
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.loop_closing import adjust_map, close_loop
-from codecbench.slam.mapping.loop_detection import LoopDetector
+from codecbench.slam.mapping.loop_detection import Loop, LoopDetector
+from codecbench.slam.mapping.map_merging import take_in
 from codecbench.slam.mapping.mapper import Mapper
+from codecbench.slam.places.recognition import PlaceRecognition
 from codecbench.slam.result import ClosedLoop, FrameTrajectory, MapResult
 from codecbench.slam.tracking import keyframe_policy
 from codecbench.slam.tracking.relocalization import relocalize
-from codecbench.slam.tracking.tracked_pose import TrackedPose
+from codecbench.slam.tracking.tracked_pose import TrackedPose, moved_camera
 from codecbench.slam.tracking.tracker import Tracker
 
 
@@ -29,7 +31,7 @@ class TrackedMap:
         self._camera = camera
         self._mapper = mapper
         self._tracker = Tracker(slam_map, camera)
-        self._detector = LoopDetector(slam_map, camera, mapper.places, rng)
+        self._detector = LoopDetector(mapper.places, mapper.places, camera, rng)
         self._last_keyframe_frame = 0
         self._last_loop_keyframe = -thresholds.LOOP_MIN_GAP_KEYFRAMES
         self._uncorrected_from_map = np.eye(4)  # similarity: to the coordinates that no loop closing has moved
@@ -45,9 +47,14 @@ class TrackedMap:
         """Pose of `frame` from the one before; returns the inliers, 0 when it is lost."""
         return self._tracker.track(frame)
 
-    def relocalize(self, frame: TrackingFrame) -> int:
-        """Pose of `frame` from keyframes that look like it; returns the inliers, 0 when it stays lost."""
-        return relocalize(frame, self._tracker, self._mapper.places)
+    @property
+    def places(self) -> PlaceRecognition:
+        """What the map's keyframes look like."""
+        return self._mapper.places
+
+    def relocalize(self, frame: TrackingFrame, keyframe: int) -> int:
+        """Pose of `frame` from a keyframe that looks like it; returns the inliers, 0 when it stays lost."""
+        return relocalize(frame, self._tracker, keyframe)
 
     def wants_keyframe(self, frame: TrackingFrame, inliers: int) -> bool:
         """Whether `frame`, tracked on `inliers` points, should become a keyframe: the keyframe policy says."""
@@ -77,16 +84,32 @@ class TrackedMap:
         loop = self._detector.detect(keyframe)
         if loop is None:
             return None
-        self._last_loop_keyframe = keyframe
-        before_from_after = close_loop(self.map, self._camera, loop)
-        self._uncorrected_from_map = np.asarray(sim3_compose(self._uncorrected_from_map, before_from_after))
+        self._correct(loop)
         frame_indices = self.map.keyframes.frame_indices
         return ClosedLoop(int(frame_indices[keyframe]), int(frame_indices[loop.matched]), loop.inliers)
 
+    def _correct(self, loop: Loop) -> None:
+        self._last_loop_keyframe = self.map.keyframes.count - 1
+        before_from_after = close_loop(self.map, self._camera, loop)
+        self._uncorrected_from_map = np.asarray(sim3_compose(self._uncorrected_from_map, before_from_after))
+
+    def take_in(self, other: TrackedMap, seen: Loop) -> None:
+        """Make another map, a place of which a keyframe of this one has `seen`, part of this one.
+
+        What was tracked in either stands where this map was before the two were adjusted to each other. `other` is of
+        no use afterwards.
+        """
+        self.map.index = min(self.map.index, other.map.index)
+        joint = take_in(self._mapper, other._mapper, seen)
+        new_from_other = sim3_compose(self._uncorrected_from_map, joint.map_from_other)
+        new_from_old = np.asarray(sim3_compose(new_from_other, sim3_inverse(other._uncorrected_from_map)))
+        moved = [pose.moved(joint.numbers, joint.first_point, new_from_old) for pose in other._poses]
+        self._poses = sorted(self._poses + moved, key=lambda pose: pose.index)
+        self._correct(joint.loop)
+
     def record(self, frame: TrackingFrame) -> None:
         """Keep the pose of a tracked frame."""
-        world_from_camera = np.asarray(sim3_compose(self._uncorrected_from_map, se3_inverse(frame.camera_from_world)))
-        world_from_camera[:3, :3] /= sim3_scale(world_from_camera)
+        world_from_camera = moved_camera(self._uncorrected_from_map, np.asarray(se3_inverse(frame.camera_from_world)))
         self._poses.append(TrackedPose.of(frame, self.map, world_from_camera))
 
     def finish(self, adjust: bool) -> MapResult:
@@ -99,7 +122,7 @@ class TrackedMap:
             self.map.index,
             self._trajectory([pose.resolve(self.map) for pose in self._poses]),
             self._trajectory([pose.world_from_camera for pose in self._poses]),
-            keyframes.frame_indices[self.map.alive_keyframes].copy(),
+            np.sort(keyframes.frame_indices[self.map.alive_keyframes]),
             points.positions[self.map.alive_points].copy(),
         )
 

@@ -34,7 +34,8 @@ class TrackedFrame:
 
 @dataclass(frozen=True)
 class LoopEvent:
-    """A loop that was closed: at which frame, onto which earlier keyframe's frame, with how many matches."""
+    """A loop that was closed: at which frame, onto which earlier keyframe's frame, with how many matches; or, with
+    `merged_maps`, two maps that became one there."""
 
     frame: int
     matched_frame: int
@@ -49,7 +50,7 @@ class SlamRun:
     frames: one entry a frame given. trajectory: every tracked frame of the largest map, after all
     corrections (the paper's "optimised"). trajectory_before_loops: the same frames as tracked, before loop
     closing moved them (the paper's "estimated"). keyframe_indices: (K,) frame indices. points_world: (M, 3).
-    maps: number of maps that were started and kept.
+    loops: closed loops and merged maps. maps: number of maps that were started and are left.
     """
 
     frames: tuple[TrackedFrame, ...]

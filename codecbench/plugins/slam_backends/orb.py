@@ -7,7 +7,7 @@ This file is the border between the two: `codecbench.slam` knows nothing of the 
 - `slam.FrameState` becomes a `TrackedFrame`, with the sequence's frame index in place of the count from 0 and the
   time that the frame took.
 - `slam.FrameTrajectory` becomes a `Trajectory`, without its frame indices.
-- `slam.ClosedLoop` becomes a `LoopEvent`, with the sequence's frame indices; this SLAM merges no maps.
+- `slam.ClosedLoop` and `slam.MergedMaps` become `LoopEvent`s, with the sequence's frame indices.
 """
 
 from __future__ import annotations
@@ -31,20 +31,21 @@ from codecbench.slam.localizer import BuiltMap, build_map
 
 
 class OrbParams(Params):
-    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them, and whether loops are
-    looked for."""
+    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them; whether loops are looked
+    for, and maps of one place to merge; whether each map is adjusted once more in the end."""
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
     levels: Annotated[int, Field(ge=1, le=16)] = 8
     scale: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
     loop_closing: bool = True
+    final_adjustment: bool = True
 
 
 class Orb(SlamBackend[OrbParams]):
     """Equal frames and an equal seed give the same trajectory to the last bit."""
 
     name = "orb"
-    version = "2"
+    version = "3"
     params_type = OrbParams
     architectures = frozenset({"cta", "atc"})
     kernels = ("codecbench.slam",)
@@ -87,6 +88,7 @@ class Orb(SlamBackend[OrbParams]):
             levels=self.params.levels,
             scale_factor=self.params.scale,
             loop_closing=self.params.loop_closing,
+            final_bundle_adjustment=self.params.final_adjustment,
         )
 
 
@@ -136,17 +138,18 @@ def _run(result: slam.Result, indices: NDArray[np.int64], elapsed_ms: list[float
         )
         for state, index, elapsed in zip(result.frames, indices, elapsed_ms, strict=True)
     )
-    loops = tuple(
-        LoopEvent(int(indices[loop.frame_index]), int(indices[loop.matched_frame_index]), loop.inliers)
-        for loop in result.loops
-    )
+    loops = [
+        LoopEvent(int(indices[event.frame_index]), int(indices[event.matched_frame_index]), event.inliers, merged_maps)
+        for events, merged_maps in ((result.loops, False), (result.merges, True))
+        for event in events
+    ]
     return SlamRun(
         frames=frames,
         trajectory=_trajectory(result.trajectory),
         trajectory_before_loops=_trajectory(result.trajectory_before_loops),
         keyframe_indices=indices[result.keyframe_indices],
         points_world=result.points_world,
-        loops=loops,
+        loops=tuple(sorted(loops, key=lambda loop: loop.frame)),
         maps=len(result.maps),
     )
 

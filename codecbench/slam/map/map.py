@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from codecbench.slam.geometry.rotations import Array
+from codecbench.slam.geometry.transforms import sim3_scale
 from codecbench.slam.map import kernels as map_kernels
 from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, grown
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
@@ -166,7 +167,7 @@ class Map:
         while keyframe in self.culled:
             link = self.culled[keyframe]
             step = link.camera_from_anchor.copy()
-            step[:3, 3] *= self.keyframes.scales[link.anchor] / link.anchor_scale
+            step[:3, 3] *= self.scale_of(link.anchor) / link.anchor_scale
             pose, keyframe = pose @ step, link.anchor
         return np.asarray(pose @ self.keyframes.camera_from_world[keyframe])
 
@@ -181,12 +182,54 @@ class Map:
 
     def rescale(self, factor: float) -> None:
         """Multiply all lengths by `factor`."""
-        table = self.keyframes
-        poses = table.camera_from_world[: table.count]
-        poses[:, :3, 3] *= factor
+        self.transform(np.diag([factor, factor, factor, 1.0]))
+
+    def transform(self, new_from_old: Array) -> None:
+        """Move all keyframes and points by a similarity (4, 4)."""
+        scale = sim3_scale(new_from_old)
+        rotation, translation = new_from_old[:3, :3] / scale, new_from_old[:3, 3]
+        table, positions = self.keyframes, self.points.positions[: self.points.count]
+        poses = table.camera_from_world[: table.count].copy()
+        poses[:, :3, :3] = poses[:, :3, :3] @ rotation.T
+        poses[:, :3, 3] = scale * poses[:, :3, 3] - poses[:, :3, :3] @ translation
         table.set_pose(np.arange(table.count), poses)
-        self.points.positions *= factor
+        table.scales[self.alive_keyframes] *= scale  # culled ones hang on these
+        positions[:] = scale * (positions @ rotation.T) + translation
         self.refresh_points(self.alive_points, False)
+
+    def append(self, other: Map, order: Indices) -> tuple[Indices, int]:
+        """Take over what is in another map, whose coordinates are these already.
+
+        `order` (K,) lists all its keyframes as they are to be added. Returns the index here of each of them (K,), and
+        what has been added to the indices of its points.
+        """
+        self._covisible.clear()
+        first_keyframe, first_point, first_link = self.keyframes.count, self.points.count, self._link_count
+        numbers = np.empty(len(order), np.int64)
+        numbers[order] = first_keyframe + np.arange(len(order))
+        points, keyframes = self.points, self.keyframes
+        points.append(other.points)
+        keyframes.append(other.keyframes, order)
+        added, made = slice(first_point, points.count), slice(first_keyframe, keyframes.count)
+        points.born[added] += first_keyframe
+        points.references[added] = _renumbered(points.references[added], numbers)
+        points.replaced_by[added] = _shifted(points.replaced_by[added], first_point)
+        points.heads[added] = _shifted(points.heads[added], first_link)
+        keyframes.points[made] = _shifted(keyframes.points[made], first_point)
+        keyframes.parents[made] = _renumbered(keyframes.parents[made], numbers)
+        self._append_links(other, numbers)
+        for k, link in other.culled.items():
+            self.culled[int(numbers[k])] = replace(link, anchor=int(numbers[link.anchor]))
+        self.loop_edges += [(int(numbers[i]), int(numbers[j])) for i, j in other.loop_edges]
+        return numbers, first_point
+
+    def _append_links(self, other: Map, numbers: Indices) -> None:
+        links = other._links[: other._link_count].astype(np.int64)
+        first = self._link_count
+        self._link_count += len(links)
+        self._links = grown(self._links, self._link_count, NONE)
+        following, keyframes = _shifted(links[:, 0], first), _renumbered(links[:, 1], numbers)
+        self._links[first : self._link_count] = np.column_stack([following, keyframes, links[:, 2]])
 
     @property
     def alive_keyframes(self) -> Indices:
@@ -195,3 +238,13 @@ class Map:
     @property
     def alive_points(self) -> Indices:
         return np.nonzero(self.points.alive[: self.points.count])[0]
+
+
+def _shifted(indices: Indices, offset: int) -> Indices:
+    """`indices` with `offset` added; NONE stays."""
+    return np.where(indices >= 0, indices + offset, NONE)
+
+
+def _renumbered(indices: Indices, numbers: Indices) -> Indices:
+    """`numbers` at `indices`; NONE stays."""
+    return np.append(numbers, NONE)[indices]  # NONE is -1: the last

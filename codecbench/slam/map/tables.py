@@ -51,18 +51,38 @@ class PointTable:
 
     def add(self, positions: Array, reference: int, born: int) -> Indices:
         """New points at `positions` (N, 3); returns their indices (N,)."""
-        rows = self.count + len(positions)
-        for name, array in vars(self).items():
-            if isinstance(array, np.ndarray):
-                fill = NONE if name in ("references", "replaced_by", "heads") else 0
-                setattr(self, name, grown(array, rows, fill))
-        added = np.arange(self.count, rows)
-        self.count = rows
+        added = np.arange(self.count, self.count + len(positions))
+        _grow(self, len(positions))
         self.positions[added] = positions
         self.alive[added] = True
         self.visible[added] = self.found[added] = 1
         self.born[added], self.references[added] = born, reference
         return added
+
+    def append(self, other: PointTable) -> None:
+        """Add all rows of another table as they are: what they say of other rows is for the caller to mend."""
+        _append_rows(self, other, np.arange(other.count))
+
+
+_FILLS = {"references": NONE, "replaced_by": NONE, "heads": NONE, "points": NONE, "frame_indices": NONE,
+          "parents": NONE, "scales": 1.0}  # fmt: skip
+"""What the columns of rows hold that are not in use yet, where it is not 0."""
+
+
+def _grow(table: PointTable | KeyframeTable, rows: int) -> None:
+    """Take `rows` more rows into use."""
+    table.count += rows
+    for name, array in vars(table).items():
+        if isinstance(array, np.ndarray):
+            setattr(table, name, grown(array, table.count, _FILLS.get(name, 0)))
+
+
+def _append_rows(table: PointTable | KeyframeTable, other: PointTable | KeyframeTable, order: Indices) -> None:
+    first = table.count
+    _grow(table, len(order))
+    for name, array in vars(table).items():
+        if isinstance(array, np.ndarray):
+            array[first : table.count] = getattr(other, name)[order]
 
 
 class Views(NamedTuple):
@@ -106,11 +126,7 @@ class KeyframeTable:
     def add(self, features: Features, camera_from_world: Array, frame_index: int, timestamp_s: float) -> int:
         """A new keyframe that sees no point yet; returns its index."""
         k = self.count
-        fills = {"points": NONE, "frame_indices": NONE, "parents": NONE, "scales": 1.0}
-        for name, array in vars(self).items():
-            if isinstance(array, np.ndarray):
-                setattr(self, name, grown(array, k + 1, fills.get(name, 0)))
-        self.count = k + 1
+        _grow(self, 1)
         n = len(features)
         self.pixels[k, :n] = features.pixels
         self.octaves[k, :n] = features.octaves
@@ -122,6 +138,12 @@ class KeyframeTable:
         self.timestamps_s.append(timestamp_s)
         self.set_pose(k, camera_from_world)
         return k
+
+    def append(self, other: KeyframeTable, order: Indices) -> None:
+        """Add all rows of another table, in `order` (K,), as they are: see PointTable.append."""
+        _append_rows(self, other, order)
+        self.features += [other.features[k] for k in order]
+        self.timestamps_s += [other.timestamps_s[k] for k in order]
 
     @property
     def views(self) -> Views:

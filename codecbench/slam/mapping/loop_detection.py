@@ -1,4 +1,4 @@
-"""Seeing that a keyframe shows a place that the map already has (ORB-SLAM VII-A, VII-B)."""
+"""Seeing that a keyframe shows a place that its map, or another one, already has (ORB-SLAM VII-A, VII-B)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from codecbench.slam.places.recognition import PlaceRecognition
 
 @dataclass(frozen=True)
 class Loop:
-    """`keyframe` shows the place of `matched`: `keyframe_from_world` (4, 4) is the similarity that says where it is
-    seen from there; `points` (N,), by feature, the loop side's points that it shows; `inliers` their number."""
+    """`keyframe` shows the place of `matched`, which may be in another map: `keyframe_from_world` (4, 4), a similarity,
+    says where it is seen from there; `points` (N,), by feature, the points of that side that it shows; `inliers` their
+    number."""
 
     keyframe: int
     matched: int
@@ -30,17 +31,19 @@ class Loop:
 
 
 class LoopDetector:
-    """Watches the keyframes of one map for loops."""
+    """Watches the keyframes of a map `here` for places of a map `there`: the same for loops, another to merge."""
 
-    def __init__(self, slam_map: Map, camera: Camera, places: PlaceRecognition, rng: np.random.Generator) -> None:
-        self._map = slam_map
+    def __init__(
+        self, here: PlaceRecognition, there: PlaceRecognition, camera: Camera, rng: np.random.Generator
+    ) -> None:
+        self._here = here
+        self._there = there
         self._camera = camera
-        self._places = places
         self._rng = rng
         self._groups: list[tuple[frozenset[int], int]] = []  # covisible candidates, and how long they have held
 
     def detect(self, keyframe: int) -> Loop | None:
-        """The loop that `keyframe` closes, if it does."""
+        """The loop that `keyframe` closes, or would close if the maps were one; None if there is none."""
         for candidate in self._consistent_candidates(keyframe):
             loop = self._verify(keyframe, candidate)
             if loop is not None:
@@ -52,8 +55,8 @@ class LoopDetector:
         """Candidates whose neighbourhood was a candidate for the last keyframes too."""
         groups: list[tuple[frozenset[int], int]] = []
         consistent = []
-        for candidate in self._places.loop_candidates(keyframe):
-            group = frozenset([candidate, *(int(k) for k in self._map.neighbors(candidate)[0])])
+        for candidate in self._here.loop_candidates(keyframe, self._there):
+            group = frozenset([candidate, *(int(k) for k in self._there.map.neighbors(candidate)[0])])
             held = 1 + max((count for other, count in self._groups if group & other), default=0)
             groups.append((group, held))
             if held >= thresholds.LOOP_CONSISTENT_KEYFRAMES:
@@ -66,12 +69,11 @@ class LoopDetector:
         matches = self._match_points(keyframe, candidate)
         if len(matches[0]) < thresholds.LOOP_MIN_MATCHES:
             return None
-        table, factors = self._map.keyframes, self._map.scale_factors
-        a, b = table.features[keyframe], table.features[candidate]
-        pose_a, pose_b = table.camera_from_world[keyframe], table.camera_from_world[candidate]
+        here, there, factors = self._here.map, self._there.map, self._here.map.scale_factors
+        a, b = here.keyframes.features[keyframe], there.keyframes.features[candidate]
         pairs = (
-            self._in_camera(table.points[keyframe, matches[0]], pose_a),
-            self._in_camera(table.points[candidate, matches[1]], pose_b),
+            _points_in_camera(here, keyframe, matches[0]),
+            _points_in_camera(there, candidate, matches[1]),
             a.pixels[matches[0]],
             b.pixels[matches[1]],
             factors[a.octaves[matches[0]]] ** -2.0,
@@ -87,7 +89,7 @@ class LoopDetector:
         similarity, inliers = optimize_similarity(estimate[0], *pairs)
         if int(inliers.sum()) < thresholds.LOOP_MIN_INLIERS:
             return None
-        keyframe_from_world = sim3_compose(similarity, pose_b)
+        keyframe_from_world = sim3_compose(similarity, there.keyframes.camera_from_world[candidate])
         points = self._project_loop_side(keyframe, candidate, keyframe_from_world)
         found = int((points >= 0).sum())
         if found < thresholds.LOOP_MIN_PROJECTED:
@@ -96,36 +98,39 @@ class LoopDetector:
 
     def _match_points(self, keyframe: int, candidate: int) -> tuple[Indices, Indices]:
         """Features of both keyframes that look alike and both show a map point, (N,) each."""
-        table = self._map.keyframes
-        a, b = table.features[keyframe], table.features[candidate]
+        here, there = self._here.map.keyframes, self._there.map.keyframes
+        a, b = here.features[keyframe], there.features[candidate]
         matches = match_by_appearance(
-            a.descriptors, self._places.nodes(keyframe), table.points[keyframe, : len(a)] >= 0,
-            b.descriptors, self._places.nodes(candidate), table.points[candidate, : len(b)] >= 0,
+            a.descriptors, self._here.nodes(keyframe), here.points[keyframe, : len(a)] >= 0,
+            b.descriptors, self._there.nodes(candidate), there.points[candidate, : len(b)] >= 0,
             thresholds.HAMMING_LOW, thresholds.LOOP_RATIO,
         )  # fmt: skip
         keep_consistent_rotations(matches, a.angles, b.angles)
         found = np.nonzero(matches >= 0)[0]
         return found, matches[found]
 
-    def _in_camera(self, points: Indices, camera_from_world: Array) -> Array:
-        return np.asarray(self._map.points.positions[points] @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])
-
     def _project_loop_side(self, keyframe: int, candidate: int, keyframe_from_world: Array) -> Indices:
         """Points of the loop side by the feature of `keyframe` that shows them (N,), by projection."""
-        features = self._map.keyframes.features[keyframe]
-        group = np.concatenate([[candidate], self._map.neighbors(candidate)[0]])
+        features, there = self._here.map.keyframes.features[keyframe], self._there.map
+        group = np.concatenate([[candidate], there.neighbors(candidate)[0]])
         projections = project_map_points(
-            self._map, self._map.points_of(group), rigid_part(keyframe_from_world), self._camera,
-            thresholds.VIEWING_COSINE,
-        )  # fmt: skip
+            there, there.points_of(group), rigid_part(keyframe_from_world), self._camera, thresholds.VIEWING_COSINE
+        )
         matches = match_in_windows(
-            projections.pixels, thresholds.LOOP_WINDOW_PX * self._map.scale_factors[projections.octaves],
-            projections.octaves - 1, projections.octaves + 1, self._map.points.descriptors[projections.points],
+            projections.pixels, thresholds.LOOP_WINDOW_PX * there.scale_factors[projections.octaves],
+            projections.octaves - 1, projections.octaves + 1, there.points.descriptors[projections.points],
             features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
         )  # fmt: skip
         shown = np.full(len(features), NONE, np.int64)
         shown[matches[matches >= 0]] = projections.points[matches >= 0]
         return shown
+
+
+def _points_in_camera(slam_map: Map, keyframe: int, features: Indices) -> Array:
+    """The points (N, 3) that a keyframe shows at `features` (N,), in its camera's frame."""
+    table = slam_map.keyframes
+    pose, points = table.camera_from_world[keyframe], table.points[keyframe, features]
+    return np.asarray(slam_map.points.positions[points] @ pose[:3, :3].T + pose[:3, 3])
 
 
 def rigid_part(similarity: Array) -> Array:

@@ -54,6 +54,13 @@ class Mapper:
         frame.reference = keyframe
         return keyframe
 
+    def append(self, other: Mapper, order: Indices) -> tuple[Indices, int]:
+        """Take over another mapper's map with what is known of it: see Map.append."""
+        numbers, first_point = self.map.append(other.map, order)
+        self.places.append(other.places, numbers)
+        self._probation = np.concatenate([self._probation, other._probation + first_point])
+        return numbers, first_point
+
     def add_points(
         self, keyframe: int, features: Indices, others: int | Indices, other_features: Indices, points: Array
     ) -> None:
@@ -127,9 +134,7 @@ class Mapper:
     def _cull_keyframes(self, keyframe: int) -> None:
         """Remove neighbours nearly all of whose points three others see at least as finely (ORB-SLAM VI-E)."""
         for neighbor in self.map.neighbors(keyframe)[0]:
-            if neighbor == 0:
-                continue
-            if self.map.is_redundant(int(neighbor)):
+            if neighbor > 0 and self.map.is_redundant(int(neighbor)):
                 self.map.remove_keyframe(int(neighbor))
                 self.places.remove(int(neighbor))
 

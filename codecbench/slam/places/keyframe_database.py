@@ -78,15 +78,18 @@ class KeyframeDatabase:
         reach `min_score`; scores are added up over groups of covisible keyframes, and each group that comes near the
         best one gives its best keyframe.
         """
-        return self._candidates(bow, neighbours, excluded, min_score)
+        return [keyframe for keyframe, _ in self._candidates(bow, neighbours, excluded, min_score)]
 
-    def relocalization_candidates(self, bow: BowVector, neighbours: Callable[[int], Sequence[int]]) -> list[int]:
-        """Return keyframes from which a lost frame may be found again, best group first; see `loop_candidates`."""
+    def relocalization_candidates(
+        self, bow: BowVector, neighbours: Callable[[int], Sequence[int]]
+    ) -> list[tuple[int, float]]:
+        """Return keyframes from which a lost frame may be found again, and the scores of their groups, best first; see
+        `loop_candidates`."""
         return self._candidates(bow, neighbours, (), 0.0)
 
     def _candidates(
         self, bow: BowVector, neighbours: Callable[[int], Sequence[int]], excluded: Collection[int], min_score: float
-    ) -> list[int]:
+    ) -> list[tuple[int, float]]:
         keyframes, scores, shared = self.query(bow)
         allowed = ~np.isin(keyframes, np.fromiter(excluded, dtype=np.int64, count=len(excluded)))
         keyframes, scores, shared = keyframes[allowed], scores[allowed], shared[allowed]
@@ -101,7 +104,10 @@ class KeyframeDatabase:
             groups.append((total, max(group, key=lambda k: (score_of[k], -k)), score))
         limit = thresholds.GROUP_SCORE_SHARE * max((group[0] for group in groups), default=0.0)
         ranked = sorted((g for g in groups if g[0] > limit), key=lambda g: (-g[0], g[1]))
-        return list(dict.fromkeys(best for _, best, _ in ranked))
+        best_total: dict[int, float] = {}
+        for total, keyframe, _ in ranked:
+            best_total.setdefault(keyframe, total)
+        return list(best_total.items())
 
     def _check(self, bow: BowVector) -> None:
         if len(bow.words) and (bow.words[0] < 0 or bow.words[-1] >= len(self._heads)):

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from codecbench.slam import thresholds
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
-from codecbench.slam.geometry.transforms import se3_inverse
+from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_scale
 from codecbench.slam.map.frame import TrackingFrame
-from codecbench.slam.map.map import Map
+from codecbench.slam.map.map import Indices, Map
 from codecbench.slam.optimisation.pose_optimization import optimize_pose
 
 
@@ -45,6 +45,16 @@ class TrackedPose:
             frame.features.octaves[seen].astype(np.int8),
         )  # fmt: skip
 
+    def moved(self, numbers: Indices, first_point: int, new_from_old: Array) -> TrackedPose:
+        """The same pose where its map has become part of another: see Map.append; `new_from_old` (4, 4), a similarity,
+        takes the pose as tracked along."""
+        return replace(
+            self,
+            reference=int(numbers[self.reference]),
+            points=self.points + np.int32(first_point),
+            world_from_camera=moved_camera(new_from_old, self.world_from_camera),
+        )
+
     def resolve(self, slam_map: Map) -> Array:
         """world_from_camera (4, 4) in the map as it is now."""
         step = self.camera_from_reference.copy()
@@ -72,3 +82,10 @@ class TrackedPose:
         camera_from_reference = pose @ se3_inverse(slam_map.pose(self.reference))
         scale = slam_map.scale_of(self.reference)
         return replace(self, camera_from_reference=camera_from_reference, reference_scale=scale)
+
+
+def moved_camera(new_from_old: Array, old_from_camera: Array) -> Array:
+    """The pose `new_from_camera` (4, 4), rigid, of a camera whose world is moved by a similarity."""
+    pose = np.asarray(sim3_compose(new_from_old, old_from_camera))
+    pose[:3, :3] /= sim3_scale(pose)
+    return pose

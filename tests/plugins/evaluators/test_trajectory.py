@@ -53,13 +53,24 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     expected = {
         "ate_rmse_m": 0.0, "ate_median_m": 0.0, "ate_rmse_first_frame_m": 0.0, "ate_before_loops_m": 0.0,
         "coverage_penalised_ate_m": 0.0, "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
-        "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "keyframes": 20.0, "map_points": 4.0,
+        "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "maps_merged": 0.0,
+        "keyframes": 20.0, "map_points": 4.0,
         "loops_closed": 2.0, "loop_frame": 60.0, "mean_inliers": 50.0, "slam_ms_per_frame": 2.0,
         "sent_size_bytes": 4800.0, "sent_rate_kbps": 3.84,
     }  # fmt: skip
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, abs=1e-9), name
     assert found["rpe_rot_deg"].value == pytest.approx(0.0, abs=1e-4)
+
+
+def test_merged_maps_are_no_loops(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    loops = LoopEvent(20, 3, 45, merged_maps=True), LoopEvent(60, 5, 40), LoopEvent(70, 2, 50, merged_maps=True)
+    found = measured(Told(moved(truth), loops=loops), tmp_path, truth)
+    values = {name: found[name].value for name in ("maps_merged", "loops_closed", "loop_frame")}
+    assert values == {"maps_merged": 2.0, "loops_closed": 1.0, "loop_frame": 60.0}
+    with (tmp_path / files.LOOPS).open() as stream:
+        assert [row["merged_maps"] for row in csv.DictReader(stream)] == ["1", "0", "1"]
 
 
 def test_every_declared_metric_is_measured_and_no_other(tmp_path: Path) -> None:

@@ -13,9 +13,10 @@ from numba.core import event
 
 from codecbench.core.contracts.errors import SlamError
 from codecbench.core.contracts.sequence import Camera, Frame
+from codecbench.core.contracts.slam import LoopEvent
 from codecbench.plugins.slam_backends import codecbench_slam_backends, orb
 from codecbench.plugins.slam_backends.orb import Orb
-from codecbench.slam import ClosedLoop, FrameState, FrameTrajectory, MapResult, Result
+from codecbench.slam import ClosedLoop, FrameState, FrameTrajectory, MapResult, MergedMaps, Result
 
 pytestmark = pytest.mark.thorough
 
@@ -49,7 +50,8 @@ class Recorder:
         path = FrameTrajectory(np.arange(count), times, np.tile(np.eye(4), (count, 1, 1)))
         found = MapResult(0, path, path, np.arange(0, count, 3), np.zeros((7, 3)))
         loops = (ClosedLoop(4, 1, 33),) if count > 4 else ()
-        return Result(tuple(self.states), loops, (found, found))
+        merges = (MergedMaps(3, 2, 44, 0, 1),) if count > 4 else ()
+        return Result(tuple(self.states), loops, (found, found), merges)
 
 
 def frames(count: int, first: int = 0) -> list[Frame]:
@@ -58,11 +60,14 @@ def frames(count: int, first: int = 0) -> list[Frame]:
 
 def test_the_system_gets_camera_options_seed_and_gray_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(orb.slam, "System", Recorder)
-    Orb.create(features=700, levels=6, scale=1.3, loop_closing=False).run(frames(3), CAMERA, seed=11)
+    Orb.create(features=700, levels=6, scale=1.3, loop_closing=False, final_adjustment=False).run(
+        frames(3), CAMERA, seed=11
+    )
     system = Recorder.last
     assert (system.camera.width, system.camera.fy, system.camera.distortion[0]) == (640, 539.2, 0.1)
     options = system.options
-    assert (options.features, options.levels, options.scale_factor, options.loop_closing) == (700, 6, 1.3, False)
+    assert (options.features, options.levels, options.scale_factor) == (700, 6, 1.3)
+    assert (options.loop_closing, options.final_bundle_adjustment) == (False, False)
     assert system.seed == 11
     assert all(image.shape == (480, 640) for image in system.images)
     assert system.keyframes == [None]
@@ -73,7 +78,7 @@ def test_frames_keep_the_indices_of_their_sequence(monkeypatch: pytest.MonkeyPat
     run = Orb.create().run(frames(7, first=20), CAMERA, seed=0)
     assert [frame.index for frame in run.frames] == list(range(20, 27))
     assert run.keyframe_indices.tolist() == [20, 23, 26]
-    assert (run.loops[0].frame, run.loops[0].matched_frame, run.loops[0].inliers) == (24, 21, 33)
+    assert run.loops == (LoopEvent(23, 22, 44, merged_maps=True), LoopEvent(24, 21, 33))
     assert run.maps == 2
     assert len(run.points_world) == 7
     assert all(frame.elapsed_ms > 0 for frame in run.frames)

@@ -5,6 +5,7 @@ import pytest
 from map_scenes import assert_consistent, build_map
 from rendered_scenes import looking, random_descriptors
 
+from codecbench.slam.geometry.transforms import sim3_exp
 from codecbench.slam.map.map import NONE, Map, grown
 
 pytestmark = pytest.mark.thorough
@@ -113,3 +114,78 @@ def test_rescaling_keeps_every_projection(slam_map: Map) -> None:
             slam_map.points.positions[point] - slam_map.keyframes.centers_world[int(slam_map.points.references[point])]
         )
     )
+
+
+def test_a_similarity_moves_points_and_keyframes_and_no_pixel(slam_map: Map) -> None:
+    slam_map.remove_keyframe(4)
+    slam_map.remove_keyframe(3)  # 4 hangs on 3, which hangs on another one
+    moved = np.asarray(sim3_exp(np.array([0.4, -1.0, 2.0, 0.5, -0.3, 0.2, np.log(1.7)])))
+    positions, pixels = slam_map.points.positions[:200].copy(), np.array([pixels_of(slam_map, k) for k in range(6)])
+    distances = slam_map.points.max_distances[slam_map.alive_points]
+    centres = np.array([np.linalg.inv(slam_map.pose(k)) @ [0.0, 0.0, 0.0, 1.0] for k in range(6)])
+    slam_map.transform(moved)
+    expected = np.column_stack([positions, np.ones(200)]) @ moved.T
+    assert np.allclose(slam_map.points.positions[:200], expected[:, :3])
+    assert np.allclose([np.linalg.inv(slam_map.pose(k)) @ [0.0, 0.0, 0.0, 1.0] for k in range(6)], centres @ moved.T)
+    assert np.allclose([pixels_of(slam_map, k) for k in range(6)], pixels)
+    assert np.allclose(slam_map.points.max_distances[slam_map.alive_points], 1.7 * distances)
+    assert np.allclose([slam_map.scale_of(k) for k in range(6)], 1.7)
+
+
+def pixels_of(slam_map: Map, keyframe: int) -> np.ndarray:
+    """Where a keyframe, alive or culled, sees the first 20 points, for a focal length of 1."""
+    pose = slam_map.pose(keyframe)
+    in_camera = slam_map.points.positions[:20] @ pose[:3, :3].T + pose[:3, 3]
+    return np.asarray(in_camera[:, :2] / in_camera[:, 2:])
+
+
+def test_an_appended_map_is_the_same_under_other_numbers(rng: np.random.Generator, slam_map: Map) -> None:
+    points = rng.uniform([-3.0, -2.0, 4.0], [4.0, 2.0, 7.0], (150, 3))
+    other = build_map(POSES[:5], points, random_descriptors(rng, 150))[0]
+    other = padded(other, slam_map)
+    other.replace_points(np.array([7]), np.array([8]))
+    other.remove_keyframe(3)
+    other.loop_edges.append((0, 4))
+    other.refresh_points(other.alive_points)
+    order = np.array([2, 1, 0, 4, 3])
+    before = {int(k): (other.pose(k), other.keyframes.points[k].copy()) for k in order}
+    neighbors = other.neighbors(2)
+    numbers, first_point = slam_map.append(other, order)
+    assert first_point == 200
+    assert numbers[order].tolist() == [6, 7, 8, 9, 10]
+    assert_consistent(slam_map)
+    for k, (pose, seen) in before.items():
+        assert np.allclose(slam_map.pose(int(numbers[k])), pose)
+        assert np.array_equal(slam_map.keyframes.points[numbers[k]], np.where(seen >= 0, seen + 200, NONE))
+    assert slam_map.keyframes.frame_indices[numbers].tolist() == [0, 1, 2, 3, 4]
+    assert slam_map.keyframes.alive[numbers].tolist() == [True, True, True, False, True]
+    assert slam_map.neighbors(int(numbers[2]))[1].tolist() == neighbors[1].tolist()
+    assert slam_map.resolve_points(np.array([207, 209])).tolist() == [208, 209]
+    assert slam_map.loop_edges == [(8, 9)]
+    assert len(slam_map.keyframes.features[9]) == len(other.keyframes.features[4])
+    alive = other.alive_points
+    assert np.array_equal(slam_map.points.references[alive + 200], numbers[other.points.references[alive]])
+    slam_map.refresh_points(slam_map.alive_points)  # whatever derives from observations is found in the new place
+    for column in ("normals", "max_distances", "descriptors"):
+        assert np.allclose(getattr(slam_map.points, column)[alive + 200], getattr(other.points, column)[alive])
+
+
+def test_rows_that_come_after_an_appended_map_are_empty(slam_map: Map) -> None:
+    other = Map(1, slam_map.scale_factors, 200)
+    other.points.add(np.zeros((5000, 3)), NONE, 0)
+    other.points.heads[:] = 3
+    slam_map.append(other, np.empty(0, np.int64))
+    added = slam_map.points.add(np.ones((10, 3)), 0, 0)
+    assert (slam_map.points.heads[added] == NONE).all()
+    assert (slam_map.points.replaced_by[added] == NONE).all()
+
+
+def padded(slam_map: Map, like: Map) -> Map:
+    """The map with as many columns for features as another: a System makes them all alike."""
+    table, width = slam_map.keyframes, like.keyframes.points.shape[1]
+    for name in ("pixels", "octaves", "descriptors", "points"):
+        column = getattr(table, name)
+        wider = np.full((len(column), width, *column.shape[2:]), NONE if name == "points" else 0, column.dtype)
+        wider[:, : column.shape[1]] = column
+        setattr(table, name, wider)
+    return slam_map

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
 
 from codecbench.slam import thresholds
+from codecbench.slam.geometry.transforms import sim3_exp
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.loop_detection import Loop, LoopDetector
 
@@ -20,12 +21,15 @@ SCALE = 1.3  # by which the late side has drifted
 
 
 class EarlySide:
-    """Place recognition that knows the answer: every keyframe looks like keyframe 0."""
+    """Place recognition that knows the answer: every keyframe looks like keyframe 0 of any map."""
+
+    def __init__(self, slam_map: Map) -> None:
+        self.map = slam_map
 
     def nodes(self, keyframe: int) -> NDArray[np.int64]:
         return np.zeros(2 * MATCHES, np.int64)
 
-    def loop_candidates(self, keyframe: int) -> list[int]:
+    def loop_candidates(self, keyframe: int, there: EarlySide) -> list[int]:
         return [0]
 
 
@@ -51,8 +55,9 @@ def place_seen_twice(rng: np.random.Generator, agreeing: int) -> Map:
     return slam_map
 
 
-def detect(slam_map: Map) -> list[Loop | None]:
-    detector = LoopDetector(slam_map, CAMERA, EarlySide(), np.random.default_rng(0))  # type: ignore[arg-type]
+def detect(here: Map, there: Map | None = None) -> list[Loop | None]:
+    sides = EarlySide(here), EarlySide(there or here)
+    detector = LoopDetector(*sides, CAMERA, np.random.default_rng(0))  # type: ignore[arg-type]
     return [detector.detect(3) for _ in range(thresholds.LOOP_CONSISTENT_KEYFRAMES)]
 
 
@@ -98,3 +103,20 @@ def test_a_loop_that_few_points_project_into_is_refused(
     slam_map = place_seen_twice(rng, MATCHES)
     monkeypatch.setattr(thresholds, "LOOP_MIN_PROJECTED", MATCHES + 1)
     assert detect(slam_map)[-1] is None
+
+
+@pytest.mark.usefixtures("any_projected")
+def test_a_place_of_another_map_is_seen_in_that_maps_coordinates() -> None:
+    """The other map is as large as it likes and lies as it likes: what is found follows it."""
+    here, there = (place_seen_twice(np.random.default_rng(4), MATCHES) for _ in range(2))
+    moved = np.asarray(sim3_exp(np.array([0.5, -2.0, 1.0, 0.3, -0.2, 0.4, np.log(2.5)])))
+    there.transform(moved)
+    loop = detect(here, there)[-1]
+    assert loop is not None
+    assert (loop.keyframe, loop.matched) == (3, 0)
+    expected = POSES[3].copy()
+    expected[:3] *= SCALE
+    assert np.abs(loop.keyframe_from_world @ moved - expected).max() < 1e-6
+    shown = np.nonzero(loop.points >= 0)[0]
+    assert len(shown) > 0.9 * MATCHES
+    assert np.array_equal(loop.points[shown], shown % MATCHES)

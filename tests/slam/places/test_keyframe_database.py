@@ -77,7 +77,7 @@ def test_the_same_place_is_the_first_candidate(rng: np.random.Generator) -> None
     for keyframe, bag in enumerate(places):
         database.add(keyframe, bag)
     for keyframe in (0, 17, 49):
-        assert database.relocalization_candidates(places[keyframe], no_neighbours)[0] == keyframe
+        assert database.relocalization_candidates(places[keyframe], no_neighbours)[0][0] == keyframe
 
 
 def test_excluded_keyframes_and_low_scores_are_no_candidates(rng: np.random.Generator) -> None:
@@ -124,6 +124,6 @@ def test_a_street_is_recognised_when_it_is_driven_again(data_folder: Path) -> No
     for frame in [*range(0, 300, 6), *range(300, 1400, 25)]:
         database.add(frame, bag(frame))
     queries = range(1576, 1636, 12)
-    best = [database.relocalization_candidates(bag(frame), no_neighbours)[0] for frame in queries]
+    best = [database.relocalization_candidates(bag(frame), no_neighbours)[0][0] for frame in queries]
     away_m = np.linalg.norm(positions[list(queries)] - positions[best], axis=1)
     assert (away_m < 10.0).all(), dict(zip(queries, zip(best, away_m, strict=True), strict=True))

@@ -5,6 +5,7 @@ import pytest
 from map_scenes import build_map, observe_scene
 from rendered_scenes import CAMERA, looking, random_descriptors
 
+from codecbench.slam.geometry.transforms import sim3_exp
 from codecbench.slam.map.map import Map
 from codecbench.slam.tracking.tracked_pose import TrackedPose
 
@@ -40,3 +41,20 @@ def test_a_frame_with_too_few_points_left_stays() -> None:
     pose, slam_map = tracked(200)
     slam_map.remove_points(pose.points[20:].astype(np.int64))
     assert pose.refined(slam_map, CAMERA) is pose
+
+
+def test_a_frame_follows_its_map_into_another_one() -> None:
+    pose, slam_map = tracked(200)
+    camera = pose.resolve(slam_map)
+    other, _ = tracked(200)[1], slam_map
+    moved = np.asarray(sim3_exp(np.array([0.4, -1.0, 2.0, 0.5, -0.3, 0.2, np.log(1.7)])))
+    slam_map.transform(moved)
+    numbers, first_point = other.append(slam_map, np.array([2, 1, 3, 0]))
+    there = pose.moved(numbers, first_point, moved)
+    expected = moved @ camera
+    expected[:3, :3] /= 1.7
+    assert np.allclose(there.resolve(other), expected)
+    assert np.allclose(there.world_from_camera[:3, 3], (moved @ pose.world_from_camera)[:3, 3])
+    assert np.allclose(np.linalg.det(there.world_from_camera[:3, :3]), 1.0)
+    refined = there.refined(other, CAMERA)  # over the points that it saw, as they are called now
+    assert np.abs(refined.resolve(other)[:3, 3] - (moved @ np.linalg.inv(BETWEEN))[:3, 3]).max() < 1e-5

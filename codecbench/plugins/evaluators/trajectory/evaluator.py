@@ -46,7 +46,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     """Accuracy and behaviour of monocular SLAM. A run that loses its way is a result; docs/metrics.md says which."""
 
     name = "trajectory"
-    version = "1"
+    version = "2"
     params_type = TrajectoryParams
     metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *BEHAVIOUR, *COMPARED)
     views = (
@@ -158,8 +158,10 @@ def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     yield Measurement("keyframes", float(len(run.keyframe_indices)))
     points = None if len(stamps_s) and not len(run.points_world) else len(run.points_world)
     yield _or_missing("map_points", points, "the backend does not give its points")
-    yield Measurement("loops_closed", float(len(run.loops)))
-    yield _or_missing("loop_frame", min((loop.frame for loop in run.loops), default=None), "no loop was closed")
+    closed = [loop.frame for loop in run.loops if not loop.merged_maps]
+    yield Measurement("maps_merged", float(len(run.loops) - len(closed)))
+    yield Measurement("loops_closed", float(len(closed)))
+    yield _or_missing("loop_frame", min(closed, default=None), "no loop was closed")
     inliers = [frame.inliers for frame in run.frames if frame.state == "tracked"]
     yield _or_missing("mean_inliers", np.mean(inliers) if inliers else None, "no frame was tracked")
     elapsed = [frame.elapsed_ms for frame in run.frames if math.isfinite(frame.elapsed_ms)]

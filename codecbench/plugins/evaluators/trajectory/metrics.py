@@ -37,6 +37,7 @@ BEHAVIOUR: Final = (
     Metric("first_tracked_frame", "frames", "lower", "index of the first frame that has a pose", _MIDDLE),
     Metric("times_lost", "1", "lower", "how often tracking was lost", ("median", "max")),
     Metric("maps", "1", "lower", "maps started and kept", ("median", "max")),
+    Metric("maps_merged", "1", "neither", "maps that became part of another one", ("median", "min")),
     Metric("keyframes", "1", "neither", "keyframes in the final map", _MIDDLE),
     Metric("map_points", "1", "neither", "points in the final map", _MIDDLE),
     Metric("loops_closed", "1", "higher", "loops closed", ("median", "min")),
