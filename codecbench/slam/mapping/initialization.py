@@ -155,6 +155,8 @@ def _motions(
     for start in starts:
         if start[:3, 3].any():  # none: the homography is a rotation
             refined = refine_motion(start, pixels_a, pixels_b, camera.matrix)
+            if any(_nearly_equal(refined, motion) for motion in motions):
+                continue
             agreed, _ = geometry.fundamental_between(np.eye(4), refined, camera.matrix)
             motions += geometry.decompose_fundamental(agreed, camera.matrix)
     return motions
