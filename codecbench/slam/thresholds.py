@@ -45,27 +45,29 @@ ROTATION_PEAKS: Final = 3
 INIT_MIN_FEATURES: Final = 100
 """Features: fewer in a frame and it cannot start or finish an initialisation (ORB-SLAM IV)."""
 INIT_MIN_MATCHES: Final = 100
-"""Matches: fewer with a reference frame and it is forgotten (ORB-SLAM IV)."""
-INIT_WINDOW: Final = 100.0 / 640.0
-"""Of the image's longer side: half side of the window in which a match is searched between the two frames (own)."""
+"""Matches: fewer between the two frames and the reference frame is replaced (ORB-SLAM IV)."""
+INIT_WINDOW_PX: Final = 100.0
+"""Pixels: half side of the window in which a match is searched between the two frames (own; measured at a width of 640
+and used at every one)."""
 INIT_RATIO: Final = 0.9
 """Best over second-best distance of such a match (own)."""
 INIT_RANSAC_ITERATIONS: Final = 200
 """Samples of eight matches; the homography takes the first four of each (ORB-SLAM IV; there, all eight)."""
+INIT_HOMOGRAPHY_SHARE: Final = 0.45
+"""S_H / (S_H + S_F) above which the homography is chosen (ORB-SLAM IV, equation 4)."""
 INIT_ROTATION_SHARE: Final = 0.9
-"""Of the better model's inliers: when a rotation explains more, nothing shows that the camera moved (own)."""
-INIT_MIN_PARALLAX_PX: Final = 6.0
-"""Pixels that the parallax of the INIT_PARALLAX_RANK-th best point covers in the middle of the image, at least: of as
-many times the deviation of a pixel's error is its depth known (own; ORB-SLAM IV asks for one degree, at any size)."""
+"""Of the chosen model's inliers: when a rotation explains more, nothing shows that the camera moved (own)."""
+INIT_MIN_PARALLAX_DEG: Final = 1.0
+"""Degrees: parallax that the INIT_PARALLAX_RANK-th best point must reach (ORB-SLAM IV)."""
 INIT_PARALLAX_RANK: Final = 50
-"""Points: see INIT_MIN_PARALLAX_PX (own)."""
+"""Points: see INIT_MIN_PARALLAX_DEG (own)."""
 INIT_MIN_POINTS: Final = 50
 """Points: fewer triangulated by the winning motion and the initialisation is refused (own)."""
-INIT_AHEAD_SHARE: Final = 0.9
-"""Of the matches on the winning motion's epipolar lines: share that it must put in front of both cameras (own)."""
-INIT_RIVAL_SIGMAS: Final = 3.0
-"""Standard deviations: by so much must the matches speak for one motion against another, or the start is ambiguous
-(Vuong 1989; ORB-SLAM IV: one clear winner)."""
+INIT_WINNER_SHARE: Final = 0.9
+"""Of the inliers: share of points that the winning motion must triangulate (own)."""
+INIT_RIVAL_SIGMAS: Final = 4.0
+"""Standard deviations: by so much must the matches that agree with only one of two motions be the winner's, or the
+start is ambiguous (McNemar 1947; ORB-SLAM IV: one clear winner)."""
 INIT_SAME_MOTION_DEG: Final = 5.0
 """Degrees: motions nearer in rotation and in direction are no rivals (own)."""
 INIT_MAX_DEVIATION_DEG: Final = 6.0
@@ -74,7 +76,7 @@ too bent to grow from: planes seen from nearly one place (own)."""
 INIT_MAX_COSINE: Final = 0.99998
 """Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90
-"""Frames: age at which a reference frame is forgotten though it still matches (own). In frames because it only bounds
+"""Frames: age at which the reference frame is replaced though it still matches (own). In frames because it only bounds
 the wait of a camera that hardly moves; one that moves loses its matches, and the reference with them, at any rate."""
 
 # Tracking -----------------------------------------------------------------------------------------------------------

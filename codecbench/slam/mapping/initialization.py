@@ -15,7 +15,7 @@ from codecbench.slam.features.matching import keep_consistent_rotations, match_i
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
-from codecbench.slam.geometry.two_view_motion import direction_deviation_deg, refine_motion, sampson_distances
+from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
 from codecbench.slam.geometry.two_view_points import TwoViewPoints
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
@@ -30,25 +30,21 @@ class TwoViewStart:
     """A motion and points that two frames agree on.
 
     `second_from_first` (4, 4), unit translation; `points_first` (N, 3) in the first camera; `features_first`,
-    `features_second` (N,) indices of the features that show them.
+    `features_second` (N,) indices of the features that show them; `model` is "homography" or "fundamental".
     """
 
     second_from_first: Floats
     points_first: Floats
     features_first: NDArray[np.int64]
     features_second: NDArray[np.int64]
+    model: str
 
 
-class NoMotion(str):
-    """Why two frames give no start: the camera has not moved enough between them, and a later frame may do."""
-
-
-def match_for_start(first: Features, second: Features, camera: Camera) -> NDArray[np.int64]:
+def match_for_start(first: Features, second: Features) -> NDArray[np.int64]:
     """Features of `second` that match those of `first` (N,), -1 for none: within a window, on the same level."""
     octaves = first.octaves.astype(np.int64)
-    window_px = thresholds.INIT_WINDOW * camera.longer_side
     matches = match_in_windows(
-        first.pixels, np.full(len(first), window_px), octaves, octaves, first.descriptors,
+        first.pixels, np.full(len(first), thresholds.INIT_WINDOW_PX), octaves, octaves, first.descriptors,
         second, np.ones(len(second), np.bool_), thresholds.HAMMING_LOW, thresholds.INIT_RATIO,
     )  # fmt: skip
     return np.asarray(keep_consistent_rotations(matches, first.angles, second.angles))
@@ -59,10 +55,9 @@ def start_from_two_views(
 ) -> TwoViewStart | str:
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
-    Homography and fundamental matrix are fitted side by side (ORB-SLAM IV); the motions that they mean are refined to
-    what all matches agree on best, and compete. The winner is accepted when no mere rotation explains the matches as
-    well, when it puts the points in front of both cameras with enough parallax, when the matches speak clearly for it
-    and against every other, and when they leave little doubt about its direction.
+    Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
+    motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
+    both cameras with enough parallax, and when the matches leave little doubt about its direction.
     """
     features_first = np.nonzero(matches >= 0)[0]
     features_second = matches[features_first]
@@ -70,15 +65,19 @@ def start_from_two_views(
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
     samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
-    homography, inliers_h, fundamental, inliers_f = _fit_both(pixels_a, pixels_b, samples)
-    explained = int(max(inliers_h.sum(), inliers_f.sum()))
-    if explained == 0:
+    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, samples)
+    if score_h + score_f <= 0.0:
         return "neither a homography nor a fundamental matrix fits"
+    planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
+    inliers = inliers_h if planar else inliers_f
     turned = _count_turned(homography, pixels_a, pixels_b, camera)
-    if turned > thresholds.INIT_ROTATION_SHARE * explained:
-        return NoMotion(f"a rotation explains {turned} matches, a motion {explained}")
-    motions = _motions(homography, fundamental, pixels_a, pixels_b, camera)
-    chosen = _choose_motion(motions, pixels_a, pixels_b, camera)
+    if turned > thresholds.INIT_ROTATION_SHARE * inliers.sum():
+        return f"a rotation explains {turned} matches, a motion {inliers.sum()}"
+    if planar:
+        motions = geometry.decompose_homography(homography, camera.matrix)
+    else:
+        motions = geometry.decompose_fundamental(fundamental, camera.matrix)
+    chosen = _choose_motion(motions, pixels_a, pixels_b, int(inliers.sum()), camera)
     if isinstance(chosen, str):
         return chosen
     motion, points, good = chosen
@@ -86,7 +85,9 @@ def start_from_two_views(
     if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
         return f"the direction of motion is known to {deviation:.1f} degrees"
     kept = np.nonzero(good)[0]
-    return TwoViewStart(motion, points[good], features_first[kept], features_second[kept])
+    return TwoViewStart(
+        motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
+    )
 
 
 @compiled
@@ -119,7 +120,7 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
             if score > score_f:
                 fundamental, score_f = fitted, score
                 copy_numbers(trial, inliers_f)
-    return homography, inliers_h, fundamental, inliers_f
+    return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 
 def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera: Camera) -> int:
@@ -142,59 +143,31 @@ def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera
     return most
 
 
-def _motions(
-    homography: Floats, fundamental: Floats, pixels_a: Floats, pixels_b: Floats, camera: Camera
-) -> list[Floats]:
-    """The motions (4, 4) that a homography and a fundamental matrix allow, refined.
-
-    A homography allows two, and their opposites; a fundamental matrix four, which share their epipolar geometry.
-    """
-    starts = geometry.decompose_homography(homography, camera.matrix)[::2]
-    starts += geometry.decompose_fundamental(fundamental, camera.matrix)[:1]
-    motions = []
-    for start in starts:
-        if start[:3, 3].any():  # none: the homography is a rotation
-            refined = refine_motion(start, pixels_a, pixels_b, camera.matrix)
-            if any(_nearly_equal(refined, motion) for motion in motions):
-                continue
-            agreed, _ = geometry.fundamental_between(np.eye(4), refined, camera.matrix)
-            motions += geometry.decompose_fundamental(agreed, camera.matrix)
-    return motions
-
-
 def _choose_motion(
-    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, camera: Camera
+    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, inlier_count: int, camera: Camera
 ) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
-    """The one motion that the matches speak for, its points (N, 3) and which of them are good (N,).
+    """The one motion that most points agree with, its points (N, 3) and which of them are good (N,).
 
-    What speaks against a motion is Cauchy's loss of each match, as much as an outlier's where its point lies behind a
-    camera; a point at infinity has no side. One motion beats another when the sum of the differences is larger than
-    chance makes it (Vuong, Econometrica 57(2), 1989).
+    All matches have a say, not the model's inliers alone: what lies off a plane tells its two motions apart.
     """
     results = []
     for motion in motions:
         views = TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
-        ahead = (views.depths_a > 0.0) & (views.depths_b > 0.0) | (views.cosines > thresholds.INIT_MAX_COSINE)
-        outlier = 2.0 * thresholds.CHI2_95_2DOF
-        errors = np.where(ahead, np.minimum(views.errors_a + views.errors_b, outlier), outlier)
-        results.append((motion, views, np.log1p(errors), errors < outlier))
-    if not results:
-        return NoMotion("a rotation is all that fits")
-    results.sort(key=lambda result: float(result[2].sum()))
-    motion, views, loss, agree = results[0]
-    count = int(agree.sum())
-    on_lines = sampson_distances(motion, pixels_a, pixels_b, camera.matrix) ** 2 < thresholds.CHI2_95_1DOF
-    if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_AHEAD_SHARE * on_lines.sum()):
-        return f"the best motion agrees with {count} points, {int(on_lines.sum())} matches lie on its lines"
-    angles = np.arccos(np.clip(views.cosines[agree], -1.0, 1.0))
-    parallax_px = camera.fx * float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
-    if parallax_px < thresholds.INIT_MIN_PARALLAX_PX:
-        return NoMotion(f"parallax of {parallax_px:.1f} pixels")
-    for rival, _, rival_loss, _ in results[1:]:
-        lead = rival_loss - loss
-        spread = max(float(np.sqrt((lead**2).sum())), thresholds.INIT_RIVAL_SIGMAS)  # of less than a pixel says nothing
-        if lead.sum() < thresholds.INIT_RIVAL_SIGMAS * spread and not _nearly_equal(rival, motion):
-            return f"two motions agree about as well: {lead.sum() / spread:.1f} standard deviations between them"
+        agree = (views.depths_a > 0.0) & (views.depths_b > 0.0)
+        agree &= (views.errors_a < thresholds.CHI2_95_2DOF) & (views.errors_b < thresholds.CHI2_95_2DOF)
+        results.append((int(agree.sum()), motion, views, agree))
+    results.sort(key=lambda result: -result[0])
+    count, motion, views, agree = results[0]
+    if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
+        return f"the best motion agrees with {count} points where the model had {inlier_count}"
+    for rival_count, rival, _, rival_agree in results[1:]:
+        apart = int((agree != rival_agree).sum())  # matches that tell the two from each other; winner's less rival's:
+        if count - rival_count < thresholds.INIT_RIVAL_SIGMAS * np.sqrt(apart) and not _nearly_equal(rival, motion):
+            return f"two motions agree with {count} and {rival_count} points"
+    angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
+    parallax = float(np.sort(angles)[-min(thresholds.INIT_PARALLAX_RANK, count)])
+    if parallax < thresholds.INIT_MIN_PARALLAX_DEG:
+        return f"parallax of {parallax:.2f} degrees"
     return motion, views.points, agree & (views.cosines < thresholds.INIT_MAX_COSINE)
 
 
@@ -206,58 +179,45 @@ def _nearly_equal(motion_a: Floats, motion_b: Floats) -> bool:
 
 
 class Initializer:
-    """Waits for two frames from which a map can be started: a reference, old or just past, and the present one."""
+    """Waits for two frames from which a map can be started."""
 
     def __init__(self, camera: Camera, scale_factors: Floats, features_limit: int, rng: np.random.Generator) -> None:
         self._camera = camera
         self._scale_factors = scale_factors
         self._features_limit = features_limit
         self._rng = rng
-        self._references: list[TrackingFrame] = []  # oldest first
+        self._first: TrackingFrame | None = None
 
     def restart(self) -> None:
-        """Forget the reference frames."""
-        self._references = []
+        """Forget the reference frame."""
+        self._first = None
 
     def add(self, frame: TrackingFrame, map_index: int) -> tuple[Map, Mapper] | str:
-        """Try to start map number `map_index` from a reference frame and `frame`.
+        """Try to start map number `map_index` from the reference frame and `frame`.
 
-        The oldest reference that still matches has seen the camera move farthest. Only where it has moved and yet gives
-        no start, as after a turn, does the frame just past get a try. Returns the map and its mapper, or the reason
-        why there is none yet. On success both frames are in the map, as keyframes 0 and 1, and the median depth in the
-        first is 1.
+        Returns the map and its mapper, or the reason why there is none yet. On success both frames are in the map, as
+        keyframes 0 and 1, and the median depth in the first is 1.
         """
-        if len(frame.features) < thresholds.INIT_MIN_FEATURES:
-            return f"{len(frame.features)} features"
-        answer: str = "waiting for a second view"
-        for first in self._references.copy():
-            matches = match_for_start(first.features, frame.features, self._camera)
-            found = int((matches >= 0).sum())
-            if found < thresholds.INIT_MIN_MATCHES or frame.index - first.index > thresholds.INIT_MAX_FRAMES:
-                self._references.remove(first)
-                answer = f"{found} matches between the first two frames"
-                continue
-            started = self._start(first, frame, matches, map_index)
-            if not isinstance(started, str):
-                self._references = []
-                return started
-            answer = started
-            if isinstance(started, NoMotion):
-                break
-        self._references = [*self._references[:1], frame]
-        return answer
-
-    def _start(
-        self, first: TrackingFrame, second: TrackingFrame, matches: NDArray[np.int64], map_index: int
-    ) -> tuple[Map, Mapper] | str:
-        start = start_from_two_views(first.features, second.features, matches, self._camera, self._rng)
+        enough = len(frame.features) >= thresholds.INIT_MIN_FEATURES
+        first = self._first
+        if first is None or frame.index - first.index > thresholds.INIT_MAX_FRAMES:
+            self._first = frame if enough else None
+            return "waiting for a second view" if enough else f"{len(frame.features)} features"
+        matches = match_for_start(first.features, frame.features)
+        if not enough or int((matches >= 0).sum()) < thresholds.INIT_MIN_MATCHES:
+            self._first = frame if enough else None
+            return f"{int((matches >= 0).sum())} matches between the first two frames"
+        start = start_from_two_views(first.features, frame.features, matches, self._camera, self._rng)
         if isinstance(start, str):
             return start
-        if first.decode is not None or second.decode is not None:
-            start = self._carry_over(first, second, start)
+        if first.decode is not None or frame.decode is not None:
+            start = self._carry_over(first, frame, start)
             if len(start.points_first) < thresholds.INIT_MIN_POINTS:
                 return f"{len(start.points_first)} points found again in the decoded images"
-        return self._build(first, second, start, map_index)
+        started = self._build(first, frame, start, map_index)
+        if not isinstance(started, str):
+            self._first = None
+        return started
 
     def _carry_over(self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart) -> TwoViewStart:
         """The same start on the features of the two decoded images."""
