@@ -80,11 +80,11 @@ INIT_MAX_FRAMES: Final = 90
 the wait of a camera that hardly moves; one that moves loses its matches, and the reference with them, at any rate."""
 
 # Tracking -----------------------------------------------------------------------------------------------------------
-TRACK_WINDOW: Final = 15.0 / 640.0
-"""Of the image's longer side: search radius, at the finest level, round a position that the motion model predicts: how
-far a camera turns from what was expected does not depend on the pixels that its image has (own)."""
-TRACK_WINDOW_WIDE: Final = 30.0 / 640.0
-"""Of the image's longer side, as TRACK_WINDOW: second try (own)."""
+TRACK_WINDOW_PX: Final = 15.0
+"""Pixels at the finest level: search radius round a position that the motion model predicts (own; measured at a width
+of 640 and used at every one)."""
+TRACK_WINDOW_WIDE_PX: Final = 30.0
+"""Pixels at the finest level: second try (own; as TRACK_WINDOW_PX)."""
 TRACK_RATIO: Final = 0.9
 """Best over second-best distance, where both lie on one level, of a match in those windows (own)."""
 TRACK_MIN_MATCHES: Final = 20

@@ -56,11 +56,6 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
-    def longer_side(self) -> int:
-        """Width or height, whichever is larger, pixels."""
-        return max(self.width, self.height)
-
-    @property
     def is_distorted(self) -> bool:
         return any(k != 0.0 for k in self.distortion)
 

@@ -68,10 +68,10 @@ class Tracker:
             predicted = se3_exp(self._velocity * interval_s) @ self.last.camera_from_world
         else:
             return False
-        for window in (thresholds.TRACK_WINDOW, thresholds.TRACK_WINDOW_WIDE):
+        for window in (thresholds.TRACK_WINDOW_PX, thresholds.TRACK_WINDOW_WIDE_PX):
             frame.points[:] = NONE
             frame.camera_from_world = predicted
-            if self._match_last(frame, window * self.camera.longer_side) >= thresholds.TRACK_MIN_MATCHES:
+            if self._match_last(frame, window) >= thresholds.TRACK_MIN_MATCHES:
                 return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
         return False
 

@@ -6,7 +6,6 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
-from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.tracking.tracker import Tracker
@@ -74,23 +73,6 @@ def test_noise_bounds_the_error(scene: Scene) -> None:
     assert inliers > 100
     assert np.abs(frame.camera_from_world[:3, :3] - next_pose(0.3)[:3, :3]).max() < 0.003
     assert np.abs(frame.camera_from_world[:3, 3] - next_pose(0.3)[:3, 3]).max() < 0.02
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-@pytest.mark.parametrize(("turn", "expected"), [(0.05, True), (0.066, False)])
-def test_an_unforeseen_turn_is_followed_up_to_a_share_of_the_image(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, scale: float, turn: float, expected: bool
-) -> None:
-    """The wide window is 30 / 640 of the side, 0.058 of this focal length, at any size; nothing but it may help."""
-    monkeypatch.setattr(Tracker, "_track_by_keyframe", lambda *_: False)
-    tracker = scene.tracker()
-    tracker.camera = Camera(
-        round(320 * scale), round(240 * scale), 260.0 * scale, 262.0 * scale, 158.5 * scale, 121.0 * scale
-    )
-    pose = looking((0.6, 0.08, 0.0), 0.04 + turn)
-    seen, shown = observe_scene(pose, scene.points, scene.descriptors)
-    frame = TrackingFrame.of(1, 0.1, features_at(seen.features.pixels * scale, scene.descriptors[shown]))
-    assert (tracker.track(frame) > 0) == expected
 
 
 def test_steady_motion_is_predicted(scene: Scene) -> None:
