@@ -76,10 +76,16 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
 def _least_vector(system: Any, equations: int) -> Any:
     """The vector (9,) that a system (M, 9), whose first `equations` rows count, makes least for its length.
 
-    Eight equations make it zero, which Gaussian elimination finds soonest; zeros where they depend on each other.
+    Eight equations make it zero, which Gaussian elimination finds soonest; zeros where they depend on each other. Of
+    more, the normal equations are decomposed: LAPACK would share a long system out among threads.
     """
     if equations != 8:
-        return np.linalg.svd(system, False)[2][8].copy()
+        normal = np.zeros((9, 9))
+        for i in range(equations):
+            for k in range(9):
+                for m in range(9):
+                    normal[k, m] += system[i, k] * system[i, m]
+        return np.linalg.eigh(normal)[1][:, 0].copy()
     order, vector = np.empty(9, np.int64), np.zeros(9)
     for k in range(9):
         order[k] = k

@@ -104,3 +104,26 @@ def test_epipole_is_the_other_camera_seen(rng: np.random.Generator) -> None:
     fundamental, epipole = geometry.fundamental_between(np.eye(4), b_from_a, CAMERA.matrix)
     assert np.allclose(epipole, CAMERA.project(b_from_a[None, :3, 3])[0])
     assert np.abs(np.array([*epipole, 1.0]) @ fundamental).max() < 1e-12
+
+
+def test_a_homography_means_two_motions_each_beside_its_opposite(rng: np.random.Generator) -> None:
+    views = two_views(rng, planar=True)
+    homography = geometry.fit_homography(views.pixels_a, views.pixels_b)
+    motions = geometry.decompose_homography(homography, CAMERA.matrix)
+    assert len(motions) == 4
+    for motion, opposite in (motions[:2], motions[2:]):
+        assert np.abs(motion[:3, 3] + opposite[:3, 3]).max() < 1e-9
+        assert np.abs(motion[:3, :3] - opposite[:3, :3]).max() < 1e-9
+    assert np.abs(motions[0][:3, 3] - motions[2][:3, 3]).max() > 0.1
+
+
+def test_many_equations_give_what_a_singular_value_decomposition_gives(rng: np.random.Generator) -> None:
+    views = two_views(rng, noise_px=0.5)
+    normalized_a, _ = geometry.normalize_pixels(views.pixels_a)
+    normalized_b, _ = geometry.normalize_pixels(views.pixels_b)
+    a, b = (np.column_stack([p, np.ones(len(p))]) for p in (normalized_a, normalized_b))
+    expected = np.linalg.svd(np.einsum("ni,nj->nij", b, a).reshape(-1, 9))[2][8].reshape(3, 3)
+    u, s, vt = np.linalg.svd(expected)
+    expected = (u * [s[0], s[1], 0.0]) @ vt
+    found = geometry.fit_fundamental(normalized_a, normalized_b)
+    assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-10
