@@ -16,7 +16,7 @@ from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.map.projection import project_map_points
 from codecbench.slam.options import Options
-from codecbench.slam.places.recognition import PlaceRecognition
+from codecbench.slam.places.recognition import PlaceRecognition, relocalization_candidates
 from codecbench.slam.result import FrameTrajectory
 from codecbench.slam.system import ImageArray, System, to_gray
 from codecbench.slam.tracking.relocalization import relocalize
@@ -87,8 +87,11 @@ class Localizer:
     def locate(self, features: Features) -> Location | None:
         """The pose of a frame of which nothing is known, from keyframes that look like it; None where none does."""
         frame = TrackingFrame.of(0, 0.0, features)
-        inliers = relocalize(frame, self._tracker, self._places)
-        return Location(frame.camera_from_world, inliers) if inliers else None
+        ranked = relocalization_candidates(features, [self._places])
+        for _, keyframe in ranked[: thresholds.RELOCALIZATION_CANDIDATES]:
+            if inliers := relocalize(frame, self._tracker, keyframe):
+                return Location(frame.camera_from_world, inliers)
+        return None
 
     def scene_depth(self) -> float:
         """Median depth of the points that the keyframes see, in the map's unit."""

@@ -69,7 +69,7 @@ class System:
     @property
     def maps(self) -> tuple[Map, ...]:
         """The maps as they are now, in the order in which they were started."""
-        return tuple(tracked_map.map for tracked_map in self._maps)
+        return tuple(tracked_map.map for tracked_map in self._atlas.maps)
 
     def finish(self) -> Result:
         """The result of all frames so far, after a last adjustment of each map where the options ask for it."""
