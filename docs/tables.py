@@ -60,19 +60,8 @@ BLOCKS = {
         ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames", "block"),
         task_tables.known_order,
     ),
-    "worlds": Block(
-        WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
-    ),
     "conditions": Block(
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
-        benchmark_tables.printed,
-    ),
-    "rendering": Block(
-        WORLDS, "printed", "rendering", ("world at severity 0.5", "processor time a frame"), benchmark_tables.printed
-    ),
-    "realism": Block(
-        WORLDS, "printed", "realism",
-        ("sequence", "severity", "power spectrum slope", "JPEG 50, bit/px", "ORB keypoints on 640 x 480"),
         benchmark_tables.printed,
     ),
     "sizes": Block(

@@ -5,8 +5,8 @@ python docs/world_tables.py conditions            prints what severity moves in 
 python docs/world_tables.py rendering             prints the time that a frame takes
 python docs/world_tables.py realism               prints statistics of the worlds' frames beside those of real ones
 
-The last reads the folder that CODECBENCH_DATA names. What was printed, together or apart, goes into the page by
-`docs/tables.py --printed conditions=FILE --printed rendering=FILE --printed realism=FILE`.
+The last reads the folder that CODECBENCH_DATA names. `docs/tables.py --printed conditions=FILE` puts what the second
+printed into the page.
 """
 
 from __future__ import annotations
