@@ -56,7 +56,8 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     found = measured(Told(moved(truth), loops=(LoopEvent(60, 5, 40), LoopEvent(80, 6, 30))), tmp_path, truth)
     expected = {
         "ate_rmse_m": 0.0, "ate_median_m": 0.0, "ate_rmse_first_frame_m": 0.0, "ate_before_loops_m": 0.0,
-        "held_ate_m": 0.0, "initialisation_frames": 0.0, "tracked_since_map_fraction": 1.0, "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
+        "held_ate_m": 0.0, "initialisation_frames": 0.0, "tracked_since_map_fraction": 1.0,
+        "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
         "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "keyframes": 20.0, "map_points": 4.0,
         "loops_closed": 2.0, "loop_frame": 60.0, "mean_inliers": 50.0, "slam_ms_per_frame": 2.0,
         "sent_size_bytes": 4800.0, "sent_rate_kbps": 3.84,
@@ -125,7 +126,9 @@ def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
 
 def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) -> None:
     truth = helix(COUNT)
-    nothing = outcome(measured(Told(part(truth, slice(0, 0))), folder(tmp_path, "nothing"), truth), tmp_path / "nothing")
+    nothing = outcome(
+        measured(Told(part(truth, slice(0, 0))), folder(tmp_path, "nothing"), truth), tmp_path / "nothing"
+    )
     whole = outcome(measured(Told(moved(truth)), folder(tmp_path, "whole"), truth), tmp_path / "whole")
     for run in (nothing, whole):
         compared = verdicts(run, [nothing])

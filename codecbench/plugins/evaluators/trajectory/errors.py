@@ -91,14 +91,12 @@ def scale_drift(pairs: Pairs) -> float:
     return float(abs(np.log(true[1] / estimated[1]) - np.log(true[0] / estimated[0])))
 
 
-def held_rmse(
-    stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory | None
-) -> float:
+def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory | None) -> float:
     """Root mean square position error over all frames that have ground truth, tracked or not, metres.
 
-    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses in the true frame. What
-    is not tracked counts with the error of the last position known by then, and before there is one with that of the
-    first. None, where nothing is known, stands for a camera that never left where it began.
+    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses in the true frame.
+    What is not tracked counts with the error of the last position known by then, and before there is one with that of
+    the first. None, where nothing is known, stands for a camera that never left where it began.
     """
     if estimate is None or len(estimate) == 0:
         return rms(np.linalg.norm(true_positions - true_positions[0], axis=1))

@@ -21,8 +21,8 @@ class TrajectoryParams(Params):
     errors are taken.
 
     What a success is can be changed without computing anything again. tracked_to_raw: the least share of the raw runs'
-    tracked share. ate_to_raw: the most times their error. ate_limit_m: an error in place of that multiple. delay_frames:
-    how many frames later than the raw run's the first map may come.
+    tracked share. ate_to_raw: the most times their error. ate_limit_m: an error in place of that multiple.
+    delay_frames: how many frames later than the raw run's the first map may come.
     """
 
     backend: str = "orb"
