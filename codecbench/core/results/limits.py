@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
-from typing import Final, Literal
+from typing import Final, Literal, TypeVar
 
 import numpy as np
 from scipy.stats import binomtest
@@ -21,7 +21,13 @@ Holding = Literal["holds", "fails", "cannot tell"]
 HOLDS_ABOVE: Final = 0.5
 """A setting holds where more than this share of all runs that there could be would succeed."""
 
+POOLED: Final = ""
+"""Stands for all sequences together."""
+
 _MOST_MORE_RUNS: Final = 1000
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 @dataclass(frozen=True)
@@ -94,35 +100,58 @@ class Limit:
         return tuple(setting for setting in self.settings[: max(holding, default=0)] if setting.verdict == "fails")
 
     def words(self, rate: Column | None) -> str:
-        """The limit in words: where it lies, what comes after it, and what is out of order."""
+        """Where the limit lies, and what comes after it."""
         if self.reason or rate is None:
             return self.reason
-        words = []
-        if self.lowest is not None:
-            spent = f"{self.lowest.rate * rate.factor:.3g} {rate.unit}"
-            words.append(f"{self.lowest.point or 'its setting'} ({spent}, {self.lowest})")
-        if self.next is None:
-            words.append("never failed here")
-        elif self.next.verdict == "fails":
-            below = next((setting for setting in self.out_of_order if setting == self.next), None)
-            words.append(f"{self.next.point or 'its setting'} fails ({self.next})")
-            if below is not None:
-                again = [s.point for s in self.settings if s.rate < below.rate and s.verdict == "holds"]
-                words.append(f"out of order, for {', '.join(again)} below it holds")
-        else:
-            words.append(f"cannot tell of {self.next.point or 'its setting'} ({self.next})")
-        return "; ".join(words)
+        if self.lowest is None:
+            return self.after_words()
+        spent = f"{self.lowest.rate * rate.factor:.3g} {rate.unit}"
+        return f"{self.lowest.point or 'its setting'} ({spent}, {self.lowest}); {self.after_words()}"
+
+    def after_words(self) -> str:
+        """What comes after the limit, and whether that is out of order."""
+        after = self.next
+        if after is None:
+            return "never failed here"
+        name = after.point or "its setting"
+        if after.verdict == "cannot tell":
+            return f"cannot tell of {name} ({after})"
+        words = f"{name} fails ({after})"
+        if after in self.out_of_order:
+            again = [
+                setting.point for setting in self.settings if setting.verdict == "holds" and setting.rate < after.rate
+            ]
+            words += f"; out of order, for {', '.join(again)} below it holds"
+        return words
 
 
 def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve on each sequence, for columns of role `success`: runs count that succeed in all."""
-    successes = together([values_of_repeats(run, column) for column in columns])
+    """The limit of each curve on each sequence, for columns of role `success`: runs count that succeed in all.
+
+    With several sequences there is a limit over all of them too, under POOLED, of the runs of all and the mean rates.
+    """
+    rates, successes = run.rates, together([values_of_repeats(run, column) for column in columns])
+    if len({row[0] for row in successes}) > 1:
+        successes |= _pooled(successes, lambda lists: [value for values in lists for value in values])
+        rates = rates | pooled_rates(run)
     if run.rate is None:
         reason = "no rate was measured; add an evaluator with a headline of role rate"
         return {
             (sequence, run.curves[codec, label].curve): Limit(reason=reason) for sequence, codec, label in successes
         }
-    return limits_of(run.rates, successes, run.curves)
+    return limits_of(rates, successes, run.curves)
+
+
+def pooled_rates(run: RunResult) -> dict[Key, float]:
+    """The mean rate over sequences of each setting, by its row of the sequence POOLED; NaN where one is not known."""
+    return _pooled(run.rates, lambda rates: float(np.mean(rates)))
+
+
+def _pooled(rows: Mapping[Key, T], merged: Callable[[list[T]], U]) -> dict[Key, U]:
+    settings: dict[tuple[str, str], list[T]] = defaultdict(list)
+    for (_, codec, label), value in rows.items():
+        settings[codec, label].append(value)
+    return {(POOLED, codec, label): merged(values) for (codec, label), values in settings.items()}
 
 
 def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key, list[float]]:
