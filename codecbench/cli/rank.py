@@ -14,7 +14,6 @@ from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.results.ranking.words import Verdict
-    from codecbench.core.results.run_result import RunResult
 
 
 @click.command()
@@ -32,10 +31,14 @@ def rank(run: Path, format_: str) -> None:
     elif format_ == "markdown":
         click.echo(markdown(found))
     else:
-        show_verdicts(result, found)
+        show_verdicts(found)
+        if not found:
+            click.echo("nothing to rank: it takes a rate, and a headline of role task, quality or success")
+    if result.missing:
+        click.echo(f"{result.missing} cells of the plan have no record yet", err=True)
 
 
-def show_verdicts(result: RunResult, found: list[Verdict]) -> None:
+def show_verdicts(found: list[Verdict]) -> None:
     """The verdicts in the terminal."""
     console = Screen()
     if not console.is_terminal:
@@ -52,10 +55,6 @@ def show_verdicts(result: RunResult, found: list[Verdict]) -> None:
         for sentence in verdict.sentences:
             console.print(Text(sentence))
         console.print()
-    if not found:
-        console.print("nothing to rank: no rate, or no headline of role task, quality or success")
-    if result.missing:
-        console.print(f"{result.missing} cells of the plan have no record yet")
 
 
 def markdown(found: list[Verdict]) -> str:

@@ -17,6 +17,8 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.contracts.slam import LoopEvent
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
+from codecbench.plugins.evaluators.trajectory.alignment import Pairs, align
+from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 
 COUNT = 100
 
@@ -56,7 +58,7 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     found = measured(Told(moved(truth), loops=(LoopEvent(60, 5, 40), LoopEvent(80, 6, 30))), tmp_path, truth)
     expected = {
         "ate_rmse_m": 0.0, "ate_median_m": 0.0, "ate_rmse_first_frame_m": 0.0, "ate_before_loops_m": 0.0,
-        "held_ate_m": 0.0, "initialisation_frames": 0.0, "tracked_since_map_fraction": 1.0,
+        "initialisation_frames": 0.0, "tracked_since_map_fraction": 1.0,
         "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
         "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "keyframes": 20.0, "map_points": 4.0,
         "loops_closed": 2.0, "loop_frame": 60.0, "mean_inliers": 50.0, "slam_ms_per_frame": 2.0,
@@ -65,6 +67,7 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, abs=1e-9), name
     assert found["rpe_rot_deg"].value == pytest.approx(0.0, abs=1e-4)
+    assert found["held_ate_m"].value == pytest.approx(0.0, abs=1e-6)
 
 
 def test_every_declared_metric_is_measured_and_no_other(tmp_path: Path) -> None:
@@ -87,8 +90,8 @@ def test_frames_before_initialisation_and_losses_are_counted(tmp_path: Path) -> 
     assert found["times_lost"].value == 1
     assert found["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     held = np.r_[np.full(20, 20), 20:50, np.full(10, 49), 60:100]
-    distances = np.linalg.norm(truth.positions_world[held] - truth.positions_world, axis=1)
-    assert found["held_ate_m"].value == pytest.approx(math.sqrt(np.mean(distances**2)))
+    pairs = Pairs(Trajectory(truth.timestamps_s, truth.world_from_camera[held]), truth)
+    assert found["held_ate_m"].value == pytest.approx(rms(position_errors(pairs, align(pairs))))
 
 
 def test_a_trajectory_cut_to_its_first_tenth_ranks_worse(tmp_path: Path) -> None:
@@ -114,8 +117,8 @@ def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
     for name in ("ate_rmse_m", "rpe_trans_m", "scale_drift", "first_tracked_frame", "mean_inliers", "loop_frame"):
         assert math.isnan(found[name].value)
         assert found[name].reason
-    moved_m = np.linalg.norm(truth.positions_world - truth.positions_world[0], axis=1)
-    assert found["held_ate_m"].value == pytest.approx(math.sqrt(np.mean(moved_m**2)))
+    spread_m = np.linalg.norm(truth.positions_world - truth.positions_world.mean(axis=0), axis=1)
+    assert found["held_ate_m"].value == pytest.approx(rms(spread_m))
     assert found["initialisation_frames"].value == COUNT
     assert found["tracked_since_map_fraction"].reason == "there never was a map"
     whole = measured(Told(moved(truth)), folder(tmp_path, "whole"), truth)

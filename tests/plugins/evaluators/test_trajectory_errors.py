@@ -185,31 +185,53 @@ def test_giving_up_costs_more_than_it_gains(share: float, sigma_m: float) -> Non
     cut = part(whole, slice(0, round(share * 400)))
 
     def held(estimate: Trajectory) -> float:
-        similarity = align(associate(estimate, truth, 0.02))
-        return errors.held_rmse(truth.timestamps_s, truth.positions_world, similarity.trajectory(estimate))
+        return errors.held_rmse(truth.timestamps_s, truth.positions_world, estimate)
 
     assert held(cut) > held(whole)
 
 
+def ruler(count: int) -> Trajectory:
+    """A camera that moves a metre a frame along a line."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 0, 3] = np.arange(float(count))
+    return Trajectory(0.1 * np.arange(count), poses)
+
+
 def test_held_error_in_closed_form() -> None:
-    """A camera on a ruler, a metre a frame, of which frames 2 and 3 of 0 to 5 are known."""
-    poses = np.tile(np.eye(4), (6, 1, 1))
-    poses[:, 0, 3] = np.arange(6.0)
-    truth = Trajectory(0.1 * np.arange(6), poses)
-    found = errors.held_rmse(truth.timestamps_s, truth.positions_world, part(truth, slice(2, 4)))
-    assert found == pytest.approx(math.sqrt((4 + 1 + 0 + 0 + 1 + 4) / 6))
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, truth) == 0.0
-    nothing = pytest.approx(math.sqrt((0 + 1 + 4 + 9 + 16 + 25) / 6))
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, None) == nothing
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, part(truth, slice(0, 0))) == nothing
+    """On a line it is what a regression of 0 to 5 on 2, 2, 2, 3, 3, 3 leaves: 35/12 - 0.75^2 / 0.25."""
+    truth = ruler(6)
+    known = moved(part(truth, slice(2, 4)))
+    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, known) == pytest.approx(math.sqrt(2 / 3))
+    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, moved(truth)) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("known", [slice(0, 0), slice(3, 4)])
+def test_where_no_motion_is_known_the_spread_is_left(known: slice) -> None:
+    truth = ruler(6)
+    found = errors.held_rmse(truth.timestamps_s, truth.positions_world, part(truth, known))
+    assert found == pytest.approx(math.sqrt(35 / 12))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_held_error_of_a_whole_trajectory_is_evo_s(mirrored: bool) -> None:
+    """A mirror is no rotation, however well it would fit."""
+    truth = helix(200)
+    poses = noisy(truth, 0.3).world_from_camera
+    poses[:, 0, 3] *= -1.0 if mirrored else 1.0
+    estimate = Trajectory(truth.timestamps_s, poses)
+    pairs = Pairs(estimate, truth)
+    expected = errors.rms(errors.position_errors(pairs, align(pairs)))
+    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, estimate) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_position_is_held_from_frames_without_ground_truth_too() -> None:
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[:, 0, 3] = np.arange(4.0)
-    truth = Trajectory(0.1 * np.arange(4), poses)
-    last = errors.held_rmse(truth.timestamps_s[3:], truth.positions_world[3:], part(truth, slice(0, 3)))
-    assert last == pytest.approx(1.0)
+    """Of frames 0 to 4 the estimate has all but the last, the truth all but the one before."""
+    truth, estimate = ruler(5), part(ruler(5), slice(0, 4))
+    there = [0, 1, 2, 4]
+    found = errors.held_rmse(truth.timestamps_s[there], truth.positions_world[there], estimate)
+    slope, offset = np.polyfit([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 4.0], 1)
+    left = np.array([0.0, 1.0, 2.0, 4.0]) - (slope * np.arange(4.0) + offset)
+    assert found == pytest.approx(errors.rms(left))
 
 
 @given(st.lists(st.floats(0, 10), max_size=20), st.lists(st.floats(0, 10), max_size=20), st.floats(0.0, 2.0))

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.results.columns import Column
-from codecbench.core.results.ranking.paired import block_means
+from codecbench.core.results.ranking.paired import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.results.run_result import Key, RunResult
 from codecbench.core.results.table import CellResult
 from codecbench.core.results.verdicts import as_quality, frame_matrix, values_of_repeats
 
 Array = NDArray[np.float64]
+Of = Literal["frames", "repeats"]
 
 _EQUAL_RATES: Final = 1.1
 """Rates up to this factor apart count as equal where two curves share no more."""
@@ -27,23 +28,24 @@ _STEPS: Final = 33
 class CurveValues:
     """The settings of a curve, in order of rate.
 
-    log_rates: (S,). qualities: (S, U), better when higher, of U blocks of frames or repeats; none is missing. missing:
-    how many single values were, each of which counts as the worst that anybody had. values: how many there are in all.
+    log_rates: (S,). qualities: (S, U), better when higher, of the same U frames or repeats for every curve; none is
+    missing. missing: how many were, each of which counts as the worst that anybody had. of: frames or repeats.
     """
 
     log_rates: Array
     qualities: Array
     missing: int
-    values: int
+    of: Of
 
-    def better_than(self, other: CurveValues) -> Array | None:
-        """(U,) by how much this curve is better, on average over the log of the rates that both have; None for none."""
+    def better_than(self, other: CurveValues) -> Evidence | None:
+        """By how much this curve is better, on average over the log of the rates that both have; None for none."""
         low = max(self.log_rates[0], other.log_rates[0])
         high = min(self.log_rates[-1], other.log_rates[-1])
         if low - high > np.log(_EQUAL_RATES):
             return None
         at = np.linspace(low, high, _STEPS) if high > low else np.array([0.5 * (low + high)])
-        return self._mean(at) - other._mean(at)
+        differences = self._mean(at) - other._mean(at)
+        return evidence_of_frames(differences) if self.of == "frames" else evidence_of_repeats(differences)
 
     def _mean(self, at: Array) -> Array:
         """(U,) mean over some log rates, linear between settings."""
@@ -51,8 +53,8 @@ class CurveValues:
         return np.asarray(np.array(weights) @ self.qualities)
 
 
-def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[str, CurveValues], dict[str, str], str]:
-    """The curves of a sequence by name, why others are none, and what the values are of: `repeats` or `frames`.
+def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[str, CurveValues], dict[str, str]]:
+    """The curves of a sequence by name, and why others are none.
 
     Places that no setting has a value of, such as frames without ground truth, count for nobody. An infinite value
     counts as the best or the worst that is finite.
@@ -65,15 +67,14 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
             left_out[curve] = "a setting has no rate"
     measured = {key: values for key, values in rows.items() if run.curves[key[1:]].curve not in left_out}
     if not measured:
-        return {}, left_out, of
+        return {}, left_out
     table = as_quality(np.array(list(measured.values())), column)
     table = table[:, ~np.isnan(table).all(axis=0)]
     if not np.isfinite(table).any():
-        return {}, left_out | {run.curves[key[1:]].curve: "no value" for key in measured}, of
+        return {}, left_out | {run.curves[key[1:]].curve: "no value" for key in measured}
     missing = np.isnan(table).sum(axis=1)
     finite = table[np.isfinite(table)]
     bounded = np.clip(np.where(np.isnan(table), finite.min(), table), finite.min(), finite.max())
-    units = block_means(bounded) if of == "frames" else bounded
     places: dict[str, list[int]] = defaultdict(list)
     for place, key in enumerate(measured):
         places[run.curves[key[1:]].curve].append(place)
@@ -82,11 +83,11 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
     for curve, members in places.items():
         order = sorted(members, key=lambda place: rates[place])
         lost = int(missing[order].sum())
-        found[curve] = CurveValues(rates[order], units[order], lost, len(order) * table.shape[1])
-    return found, left_out, of
+        found[curve] = CurveValues(rates[order], bounded[order], lost, of)
+    return found, left_out
 
 
-def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], str]:
+def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], Of]:
     """One row of values a setting, NaN where one is missing, and what they are of."""
     results = [
         result

@@ -1,54 +1,90 @@
-"""Which of several curves differ, by paired tests that assume no distribution and do not count neighbours twice."""
+"""Which of several curves differ: paired tests of their differences that do not count neighbouring frames twice."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtr
 
 Array = NDArray[np.float64]
 
-RESAMPLES: Final = 99_999
-"""Sign patterns that are drawn where there are too many to go through all."""
+_ROUNDING: Final = 1e-12
+"""Relative differences up to this are none."""
 
 
-def block_means(values: Array) -> Array:
-    """(..., B) means of contiguous blocks of (..., N) values, as many blocks as values in each: B^2 is about N.
+@dataclass(frozen=True)
+class Evidence:
+    """A mean difference, the variance of that mean, and the degrees of freedom with which the variance is known."""
 
-    Neighbouring frames show the same things, so that single ones are no independent samples; blocks that grow with the
-    root of the length become independent as it grows (Kuensch 1989, doi:10.1214/aos/1176347265).
+    mean: float
+    variance: float
+    freedom: float
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided, that there is no difference, by Student's t.
+
+        1 where values do not vary: a single one, or the same run several times, is no evidence.
+        """
+        if not (self.freedom >= 1 and self.variance > (_ROUNDING * self.mean) ** 2):
+            return 1.0
+        return float(2.0 * stdtr(self.freedom, -abs(self.mean) / math.sqrt(self.variance)))
+
+
+def evidence_of_repeats(differences: Array) -> Evidence:
+    """What (N,) independent differences say: the paired t-test (Student 1908, doi:10.1093/biomet/6.1.1)."""
+    count = len(differences)
+    variance = float(np.var(differences, ddof=1)) / count if count > 1 else math.nan
+    return Evidence(float(differences.mean()), variance, count - 1)
+
+
+def evidence_of_frames(differences: Array) -> Evidence:
+    """What (N,) differences of neighbours in time say: the same test of the means of blocks.
+
+    Neighbouring frames show the same things, so that single ones are no independent samples. Blocks are as many as
+    frames in each (batch means, Kuensch 1989, doi:10.1214/aos/1176347265), and fewer and longer where these still
+    depend on their neighbours: by (1 + r) / (1 - r), where r is their correlation (Marriott and Pope 1954,
+    doi:10.1093/biomet/41.3-4.390, for its bias).
     """
-    count = values.shape[-1]
-    edges = np.linspace(0, count, max(1, math.isqrt(count)) + 1).round().astype(int)
-    return np.stack([values[..., low:high].mean(axis=-1) for low, high in pairwise(edges)], axis=-1)
+    first = block_means(differences, math.isqrt(len(differences)))
+    return evidence_of_repeats(block_means(differences, max(2, int(len(first) / _time_constant(first)))))
 
 
-def sign_flip_p(differences: Array) -> Array:
-    """(P,) two-sided p-values of (P, N) paired differences, under which each is as likely with the other sign.
+def combined(found: Sequence[Evidence]) -> Evidence:
+    """The mean over sequences, each of the same weight (Welch 1947, doi:10.1093/biomet/34.1-2.28).
 
-    Fisher's randomisation test (The Design of Experiments, 1935, section 21) of the sum: exact where there are fewer
-    than RESAMPLES patterns of signs, and else by so many seeded ones, the observed among them.
+    Where a sequence has a single value, sequences are the samples.
     """
-    count = differences.shape[1]
-    if 2**count <= RESAMPLES:
-        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
-    else:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (RESAMPLES, count))
-        signs = np.vstack([np.ones(count), signs])
-    found = []
-    for row in differences:
-        observed = abs(row.sum())
-        slack = 1e-9 * np.abs(row).sum()  # equal sums that rounding tells apart
-        found.append(float(np.mean(np.abs(signs @ row) >= observed - slack)))
-    return np.array(found)
+    if len(found) == 1:
+        return found[0]
+    if any(math.isnan(each.variance) for each in found):
+        return evidence_of_repeats(np.array([each.mean for each in found]))
+    variances = np.array([each.variance for each in found]) / len(found) ** 2
+    total = float(variances.sum())
+    spread = float(np.sum(variances**2 / np.array([each.freedom for each in found])))
+    return Evidence(float(np.mean([each.mean for each in found])), total, total**2 / spread if spread else 0.0)
 
 
-def least_units(tests: int, level: float) -> int:
-    """How many differences it takes for one of so many tests to be significant at a level, if all have one sign."""
-    return 1 + math.ceil(math.log2(max(1, tests) / level) + 1e-12)
+def block_means(values: Array, count: int) -> Array:
+    """(B,) means of `count` contiguous blocks of (N,) values, of lengths as equal as can be; at most N."""
+    edges = np.linspace(0, len(values), max(1, min(count, len(values))) + 1).round().astype(int)
+    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
+
+
+def _time_constant(values: Array) -> float:
+    """How many values are worth one independent one, from the correlation of neighbours; at least 1."""
+    centred = values - values.mean()
+    power = float(centred @ centred)
+    if len(values) < 3 or power == 0.0:
+        return 1.0
+    found = float(centred[1:] @ centred[:-1]) / power
+    correlation = min(max(found + (1.0 + 4.0 * found) / len(values), 0.0), 0.99)
+    return (1.0 + correlation) / (1.0 - correlation)
 
 
 def holm(p_values: Array) -> Array:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import POOLED
-from codecbench.core.results.ranking.curve_values import Array, CurveValues, curve_values
-from codecbench.core.results.ranking.paired import holm, joined_groups, least_units, sign_flip_p
+from codecbench.core.results.ranking.curve_values import Array, CurveValues, Of, curve_values
+from codecbench.core.results.ranking.paired import Evidence, combined, holm, joined_groups
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import anchor_of, bd_rates
 
@@ -44,17 +44,15 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Codecs by a column on a sequence, or over all of them (POOLED). of: what was compared, `14 blocks of frames`.
+    """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    units: how many such, and least_units: how many it takes to tell so many codecs apart, whatever they give. left_out:
-    curves without a place, and why. anchor: whom BD-rates are against; empty where there is none.
+    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none.
     """
 
     column: Column
     sequence: str
-    of: str
     units: int
-    least_units: int
+    of: tuple[Of, ...]
     ranked: tuple[Ranked, ...]
     left_out: dict[str, str]
     anchor: str
@@ -82,7 +80,7 @@ def rankings(run: RunResult, *, brief: bool = False, resamples: int = 200) -> li
     return found
 
 
-_Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str], str]]
+_Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]
 
 
 def _ranking(
@@ -94,17 +92,15 @@ def _ranking(
 ) -> Ranking:
     values = {name: gathered[name][0] for name in sequences}
     curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences})
-    differences = _differences(curves, values)
-    matrices = _told_apart(len(curves), differences)
+    evidence = _evidence(curves, values)
+    matrices = _told_apart(len(curves), evidence)
     anchor = anchor_of({curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}, run.meaning.anchors)
-    units = sum(next(iter(found.values())).qualities.shape[1] for found in values.values() if found)
-    kinds = {of for name, (_, _, of) in gathered.items() if name in sequences}
+    any_curve = [next(iter(found.values())) for found in values.values() if found]
     return Ranking(
         column,
         sequences[0] if len(sequences) == 1 else POOLED,
-        " and ".join("blocks of frames" if of == "frames" else of for of in sorted(kinds)),
-        units,
-        least_units(len(differences), SIGNIFICANCE),
+        sum(curve.qualities.shape[1] for curve in any_curve),
+        tuple(sorted({curve.of for curve in any_curve})),
         tuple(_placed(curves, values, matrices, rates, anchor)),
         left_out,
         anchor or "",
@@ -125,29 +121,24 @@ def _comparable(
     curves = [curve for curve in next(iter(values.values())) if curve not in left_out and curve not in baselines]
     for curve in list(curves):
         others = [other for other in curves if other != curve]
-        if not any(_difference(curve, other, values) is not None for other in others):
+        if not any(_compared(curve, other, values) is not None for other in others):
             left_out[curve] = "no other codec was measured at its rates"
     return [curve for curve in curves if curve not in left_out], {
         curve: reason for curve, reason in left_out.items() if curve not in baselines
     }
 
 
-def _difference(first: str, second: str, values: dict[str, dict[str, CurveValues]]) -> Array | None:
-    """(U,) by how much the first is better, on all sequences, weighted so that its sum is the mean over sequences."""
+def _compared(first: str, second: str, values: dict[str, dict[str, CurveValues]]) -> Evidence | None:
+    """By how much the first is better on average over sequences; None where they share no rate on one."""
     parts = [found[first].better_than(found[second]) for found in values.values()]
-    if any(part is None for part in parts):
-        return None
-    return np.concatenate([part / (len(part) * len(parts)) for part in parts if part is not None])
+    present = [part for part in parts if part is not None]
+    return combined(present) if len(present) == len(parts) else None
 
 
-def _differences(curves: list[str], values: dict[str, dict[str, CurveValues]]) -> dict[tuple[int, int], Array]:
+def _evidence(curves: list[str], values: dict[str, dict[str, CurveValues]]) -> dict[tuple[int, int], Evidence]:
     """Of each pair of curves that can be compared, by position."""
-    found = {}
-    for first, second in combinations(range(len(curves)), 2):
-        difference = _difference(curves[first], curves[second], values)
-        if difference is not None:
-            found[first, second] = difference
-    return found
+    pairs = {(i, j): _compared(curves[i], curves[j], values) for i, j in combinations(range(len(curves)), 2)}
+    return {pair: found for pair, found in pairs.items() if found is not None}
 
 
 @dataclass(frozen=True)
@@ -158,18 +149,17 @@ class _Matrices:
     scores: Array
 
 
-def _told_apart(count: int, differences: dict[tuple[int, int], Array]) -> _Matrices:
+def _told_apart(count: int, evidence: dict[tuple[int, int], Evidence]) -> _Matrices:
     better = np.zeros((count, count), dtype=bool)
-    if not differences:
+    if not evidence:
         return _Matrices(better, np.zeros(count))
-    effects = np.array([difference.sum() for difference in differences.values()])
-    certain = holm(sign_flip_p(np.array(list(differences.values())))) < SIGNIFICANCE
-    design = np.zeros((len(differences), count))
-    for row, ((first, second), effect) in enumerate(zip(differences, effects, strict=True)):
+    certain = holm(np.array([found.p_value for found in evidence.values()])) < SIGNIFICANCE
+    design = np.zeros((len(evidence), count))
+    for row, ((first, second), found) in enumerate(evidence.items()):
         design[row, first], design[row, second] = 1.0, -1.0
-        winner, loser = (first, second) if effect > 0 else (second, first)
+        winner, loser = (first, second) if found.mean > 0 else (second, first)
         better[winner, loser] = certain[row]
-    scores: Array = np.linalg.lstsq(design, effects, rcond=None)[0]
+    scores: Array = np.linalg.lstsq(design, np.array([found.mean for found in evidence.values()]), rcond=None)[0]
     return _Matrices(better, scores)
 
 
@@ -197,7 +187,7 @@ def _placed(
                 "".join(_letter(number) for number, group in enumerate(groups) if place in group),
                 None if curve == anchor else _over_sequences([rates.get((name, curve)) for name in values]),
                 sum(found.missing for found in of_curve),
-                sum(found.values for found in of_curve),
+                sum(found.qualities.size for found in of_curve),
             )
         )
     return placed

@@ -45,7 +45,7 @@ def _ranked(ranking: Ranking) -> Verdict:
         for ranked in ranking.ranked
     )
     return Verdict(
-        f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {ranking.of}",
+        f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}",
         heads,
         rows,
         tuple(_notes(ranking)),
@@ -63,12 +63,7 @@ def _rate(ranked: Ranked) -> str:
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
-    if ranking.units < ranking.least_units:
-        yield (
-            f"{ranking.units} {ranking.of} tell no two of {len(ranking.ranked)} codecs apart, whatever they give; "
-            f"it takes at least {ranking.least_units}{_frames(ranking)}."
-        )
-    elif not any(ranked.ahead_of for ranked in ranking.ranked):
+    if not any(ranked.ahead_of for ranked in ranking.ranked):
         yield "No two of these codecs can be told apart."
     else:
         yield "Codecs that share a letter cannot be told apart."
@@ -81,12 +76,6 @@ def _notes(ranking: Ranking) -> Iterator[str]:
 
 def _where(sequence: str) -> str:
     return "all sequences together" if sequence == POOLED else sequence
-
-
-def _frames(ranking: Ranking) -> str:
-    """How many frames so many blocks are, on one sequence."""
-    single = ranking.sequence != POOLED and ranking.of == "blocks of frames"
-    return f", that is {ranking.least_units**2} frames" if single else ""
 
 
 def _successes(run: RunResult) -> list[list[Column]]:

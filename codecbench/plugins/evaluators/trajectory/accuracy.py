@@ -64,13 +64,12 @@ class Accuracy:
         return errors.rms(errors.position_errors(pairs, self.before))
 
     def _held(self, truth: Trajectory) -> float:
-        """Where no similarity is defined, no position is known."""
         stamps_s = np.array([frame.timestamp_s for frame in self._run.frames])
         nearest = nearest_stamps(stamps_s, truth.timestamps_s, self._association_s)
         if not (nearest >= 0).any():
             raise Undefined("no frame has ground truth")
-        estimate = None if self.after is None else self.after.trajectory(self._run.trajectory)
-        return errors.held_rmse(stamps_s[nearest >= 0], truth.positions_world[nearest[nearest >= 0]], estimate)
+        known = nearest[nearest >= 0]
+        return errors.held_rmse(stamps_s[nearest >= 0], truth.positions_world[known], self._run.trajectory)
 
     def _relative(self, pairs: Pairs) -> tuple[float, ...]:
         similarity = self.after or align(pairs)

@@ -91,19 +91,28 @@ def scale_drift(pairs: Pairs) -> float:
     return float(abs(np.log(true[1] / estimated[1]) - np.log(true[0] / estimated[0])))
 
 
-def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory | None) -> float:
+def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> float:
     """Root mean square position error over all frames that have ground truth, tracked or not, metres.
 
-    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses in the true frame.
-    What is not tracked counts with the error of the last position known by then, and before there is one with that of
-    the first. None, where nothing is known, stands for a camera that never left where it began.
+    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses. What is not tracked
+    counts with the last position known by then, and before there is one with the first. The error is that under the
+    similarity that makes it least: Umeyama 1991, doi:10.1109/34.88573, eq. 33, which holds where several are best, too.
+    So positions that are all one, or none, leave the spread of the true ones, and nothing leaves more.
     """
-    if estimate is None or len(estimate) == 0:
-        return rms(np.linalg.norm(true_positions - true_positions[0], axis=1))
+    true = true_positions - true_positions.mean(axis=0)
+    spread = float(np.mean(np.sum(true**2, axis=1)))
+    if len(estimate) == 0:
+        return float(np.sqrt(spread))
     # Stamps are seconds since 1970 to the microsecond: a double holds them to 0.2 microseconds.
     last = np.searchsorted(estimate.timestamps_s, stamps_s + 1e-6, side="right") - 1
     held = estimate.positions_world[np.maximum(last, 0)]
-    return rms(np.linalg.norm(held - true_positions, axis=1))
+    held = held - held.mean(axis=0)
+    power = float(np.mean(np.sum(held**2, axis=1)))
+    if power == 0.0:
+        return float(np.sqrt(spread))
+    left, strengths, right = np.linalg.svd(true.T @ held / len(true))
+    strengths[2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
+    return float(np.sqrt(max(0.0, spread - strengths.sum() ** 2 / power)))
 
 
 def _from_first(trajectory: Trajectory) -> NDArray[np.float64]:

@@ -8,49 +8,66 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import permutation_test
+from scipy.signal import lfilter
+from scipy.stats import ttest_1samp, ttest_ind
 
-from codecbench.core.results.ranking.paired import block_means, holm, joined_groups, least_units, sign_flip_p
-
-
-@pytest.mark.parametrize("count", [1, 2, 5, 9])
-def test_few_differences_are_tested_exactly_as_scipy_does(count: int, rng: np.random.Generator) -> None:
-    rows = rng.normal(0.5, 1.0, (4, count))
-    expected = [
-        permutation_test((row, np.zeros(count)), lambda a, b: np.sum(a - b), permutation_type="samples").pvalue
-        if count > 1
-        else 1.0
-        for row in rows
-    ]
-    np.testing.assert_allclose(sign_flip_p(rows), expected, atol=1e-12)
+from codecbench.core.results.ranking.paired import (
+    block_means,
+    combined,
+    evidence_of_frames,
+    evidence_of_repeats,
+    holm,
+    joined_groups,
+)
 
 
-def test_many_differences_are_tested_by_seeded_signs(rng: np.random.Generator) -> None:
-    rows = rng.normal(0.3, 1.0, (2, 40))
-    found = sign_flip_p(rows)
-    np.testing.assert_array_equal(found, sign_flip_p(rows))
-    # The sum of independent signs times the differences is nearly normal: z = sum / root of the sum of squares.
-    z = np.abs(rows.sum(axis=1)) / np.sqrt((rows**2).sum(axis=1))
-    from scipy.stats import norm
-
-    np.testing.assert_allclose(found, 2 * norm.sf(z), atol=0.02)
+def test_repeats_are_tested_as_scipy_does(rng: np.random.Generator) -> None:
+    for count in (2, 5, 40):
+        values = rng.normal(0.5, 1.0, count)
+        assert evidence_of_repeats(values).p_value == pytest.approx(ttest_1samp(values, 0.0).pvalue, rel=1e-9)
 
 
-def test_no_difference_is_no_evidence() -> None:
-    assert sign_flip_p(np.zeros((1, 5))).tolist() == [1.0]
-    assert sign_flip_p(np.zeros((1, 50))).tolist() == [1.0]
+@pytest.mark.parametrize("values", [[0.0] * 5, [0.7], [0.7] * 5])
+def test_what_does_not_vary_is_no_evidence(values: list[float]) -> None:
+    """A single run, and the same run several times under other seeds that change nothing."""
+    assert evidence_of_repeats(np.array(values)).p_value == 1.0
+    assert evidence_of_frames(np.array(values)).p_value == 1.0
 
 
-def test_all_of_one_sign_is_the_least_that_so_many_can_give() -> None:
-    assert sign_flip_p(np.ones((1, 5))).tolist() == [2 / 32]
+def drifting(rng: np.random.Generator, trials: int, count: int, correlation: float) -> np.ndarray:
+    """(trials, count) values about zero of which neighbours are correlated."""
+    steps = rng.normal(size=(trials, count + 300))
+    return np.asarray(lfilter([1.0], [1.0, -correlation], steps, axis=1)[:, 300:])
 
 
-@pytest.mark.parametrize(("tests", "least"), [(1, 8), (3, 10), (10, 11), (15, 12)])
-def test_so_many_units_can_be_significant_and_one_less_cannot(tests: int, least: int) -> None:
-    assert least_units(tests, 0.01) == least
-    for units, significant in ((least, True), (least - 1, False)):
-        p_values = np.full(tests, sign_flip_p(np.ones((1, units)))[0])
-        assert bool((holm(p_values) < 0.01).all()) is significant
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_neighbours_that_depend_on_each_other_are_not_counted_twice(correlation: float) -> None:
+    """At a level of 1 %, 715 frames without a difference show one in about 1 % of trials, and not in most."""
+    rng = np.random.default_rng(5)
+    series = drifting(rng, 500, 715, correlation)
+    assert np.mean([evidence_of_frames(values).p_value < 0.01 for values in series]) < 0.03
+    if correlation > 0.8:
+        assert np.mean([evidence_of_repeats(values).p_value < 0.01 for values in series]) > 0.4
+
+
+def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:
+    series = drifting(rng, 100, 715, 0.5) + 0.5  # a quarter of the standard deviation
+    assert np.mean([evidence_of_frames(values).p_value < 0.01 for values in series]) > 0.8
+
+
+def test_sequences_count_alike_however_long_they_are(rng: np.random.Generator) -> None:
+    short, long = rng.normal(1.0, 1.0, 5), rng.normal(0.0, 0.1, 500)
+    found = combined([evidence_of_repeats(short), evidence_of_repeats(long)])
+    welch = ttest_ind(short, -long, equal_var=False)
+    assert found.mean == pytest.approx(0.5 * (short.mean() + long.mean()))
+    assert found.p_value == pytest.approx(welch.pvalue, rel=1e-9)
+    assert found.freedom == pytest.approx(welch.df, rel=1e-9)
+
+
+def test_where_each_sequence_has_one_run_sequences_are_the_samples(rng: np.random.Generator) -> None:
+    means = rng.normal(0.5, 1.0, 6)
+    found = combined([evidence_of_repeats(np.array([mean])) for mean in means])
+    assert found == evidence_of_repeats(means)
 
 
 def test_holm_is_the_textbook_s() -> None:
@@ -60,10 +77,10 @@ def test_holm_is_the_textbook_s() -> None:
     np.testing.assert_allclose(holm(np.array([0.6, np.nan, 0.7])), [1.0, np.nan, 1.0])
 
 
-def test_blocks_are_contiguous_and_as_many_as_they_are_long() -> None:
-    np.testing.assert_allclose(block_means(np.arange(16.0)), [1.5, 5.5, 9.5, 13.5])
-    assert block_means(np.ones((3, 715))).shape == (3, 26)
-    np.testing.assert_allclose(block_means(np.array([[4.0]])), [[4.0]])
+def test_blocks_are_contiguous_and_of_equal_length() -> None:
+    np.testing.assert_allclose(block_means(np.arange(16.0), 4), [1.5, 5.5, 9.5, 13.5])
+    np.testing.assert_allclose(block_means(np.arange(5.0), 2), [0.5, 3.0])
+    np.testing.assert_allclose(block_means(np.array([4.0]), 3), [4.0])
 
 
 @given(st.integers(1, 7), st.randoms(use_true_random=False))
