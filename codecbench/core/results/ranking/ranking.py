@@ -28,7 +28,7 @@ class Ranked:
     """A codec's place. first, last: the places that it may have, from those that are told apart from it.
 
     ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rate: against
-    the anchor, None for the anchor itself and over several sequences where one has no number. missing, values: how many
+    the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and over several sequences where one has no number. missing, values: how many
     of its values are missing, of how many.
     """
 
@@ -58,12 +58,11 @@ class Ranking:
     anchor: str
 
 
-def rankings(run: RunResult, *, brief: bool = False, resamples: int = 200) -> list[Ranking]:
+def rankings(run: RunResult, *, brief: bool = False) -> list[Ranking]:
     """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
 
     A ranking over all of a single sequence is left out, as are those that would have less than two codecs. Nothing
-    where the run has no rate. brief: only the first of each column. resamples: behind the intervals of
-    BD-rates.
+    where the run has no rate. brief: only the first of each column.
     """
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
     if run.rate is None:
@@ -71,7 +70,7 @@ def rankings(run: RunResult, *, brief: bool = False, resamples: int = 200) -> li
     found = []
     for column in columns:
         sequences = [entry.name for entry in run.plan.sequences]
-        rates = bd_rates(run, column, resamples=resamples)
+        rates = bd_rates(run, column, resamples=0)
         gathered = {name: curve_values(run, column, name) for name in sequences}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]

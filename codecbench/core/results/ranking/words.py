@@ -38,7 +38,7 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
 
 
 def _ranked(ranking: Ranking) -> Verdict:
-    against = f"rate against {ranking.anchor}" if ranking.anchor else "rate"
+    against = f"rate beside {ranking.anchor}" if ranking.anchor else "rate"
     heads = ("place", "codec", "group", against, "better than")
     rows = tuple(
         (_places(ranked), ranked.curve, ranked.group, _rate(ranked), ", ".join(ranked.ahead_of) or "–")
@@ -59,7 +59,7 @@ def _places(ranked: Ranked) -> str:
 def _rate(ranked: Ranked) -> str:
     if ranked.bd_rate is None:
         return "–"
-    return "–" if ranked.bd_rate.reason else str(ranked.bd_rate)
+    return "–" if ranked.bd_rate.reason else f"{ranked.bd_rate.percent:+.0f} %"
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:

@@ -53,7 +53,7 @@ def falling(factor: float, rng: np.random.Generator, spread: float = 0.1, count:
 
 
 def only(run: RunResult) -> Ranking:
-    (found,) = rankings(run, resamples=2)
+    (found,) = rankings(run)
     return found
 
 
@@ -194,7 +194,7 @@ def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Ge
     for sequence in ("one", "two", "three"):
         cells += starts("plain", falling(1.0, rng, 0.3, count=4), sequence=sequence)
         cells += starts("mine", falling(0.7, rng, 0.3, count=4), sequence=sequence)
-    together, *each = rankings(run_of(*cells), resamples=2)
+    together, *each = rankings(run_of(*cells))
     assert (together.sequence, [ranking.sequence for ranking in each]) == ("", ["one", "two", "three"])
     assert places(together) == {"mine": (1, 1), "plain": (2, 2)}
     assert together.units == 12
@@ -204,7 +204,7 @@ def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Ge
     factors = [1 + single.percent / 100 for single in singles if single is not None]
     assert bd_rate is not None
     assert 1 + bd_rate.percent / 100 == pytest.approx(np.prod(factors) ** (1 / 3))
-    assert rankings(run_of(*cells), brief=True, resamples=2) == [together]
+    assert rankings(run_of(*cells), brief=True) == [together]
 
 
 def test_a_codec_that_is_not_on_every_sequence_is_named(rng: np.random.Generator) -> None:
