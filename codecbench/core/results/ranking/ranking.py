@@ -28,8 +28,8 @@ class Ranked:
     """A codec's place. first, last: the places that it may have, from those that are told apart from it.
 
     ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rate: against
-    the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and over several sequences where one has no number. missing, values: how many
-    of its values are missing, of how many.
+    the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and
+    where it was never asked for. missing, values: how many of its values are missing, of how many.
     """
 
     curve: str
