@@ -88,7 +88,10 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
 
 
 def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], Of]:
-    """One row of values a setting, NaN where one is missing, and what they are of."""
+    """One row of values a setting, NaN where one is missing, and what they are of.
+
+    Repeats that some setting has not run yet are left out, because they say nothing of it.
+    """
     results = [
         result
         for result in run.results
@@ -100,7 +103,8 @@ def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Arra
     if any(key in result.summaries for result in results):
         return _of_frames(results, column), "frames"
     found = {row: values for row, values in values_of_repeats(run, column).items() if row[0] == sequence}
-    places = sorted({place for values in found.values() for place in values})
+    run_by_all = set.intersection(*({repeat for repeat, _ in values} for values in found.values())) if found else set()
+    places = sorted({place for values in found.values() for place in values if place[0] in run_by_all})
     return {row: np.array([values.get(place, np.nan) for place in places]) for row, values in found.items()}, "repeats"
 
 

@@ -117,7 +117,12 @@ def _comparable(
         on = result.cell.sequence.name
         if result.cell.evaluator.title == column.evaluator.title and on in values and curve not in values[on]:
             left_out.setdefault(curve, reasons[on].get(curve) or f"{result.status}: {result.reason}")
-    curves = [curve for curve in next(iter(values.values())) if curve not in left_out and curve not in baselines]
+    known = dict.fromkeys(curve for found in values.values() for curve in found)
+    for curve in known:
+        absent = [sequence for sequence, found in values.items() if curve not in found]
+        if absent:
+            left_out.setdefault(curve, f"not run yet on {', '.join(absent)}")
+    curves = [curve for curve in known if curve not in left_out and curve not in baselines]
     for curve in list(curves):
         others = [other for other in curves if other != curve]
         if not any(_compared(curve, other, values) is not None for other in others):

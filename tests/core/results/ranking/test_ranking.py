@@ -219,6 +219,17 @@ def test_a_codec_that_is_not_on_every_sequence_is_named(rng: np.random.Generator
     assert together.left_out == {"gray": "unsupported: colour only"}
 
 
+def test_what_has_not_been_run_yet_is_not_held_against_anybody(rng: np.random.Generator) -> None:
+    """The last codec has three starts of twelve so far, and nothing on the other sequence."""
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng))
+    cells += starts("late", falling(0.5, rng, count=3))
+    found = only(run_of(*cells))
+    assert found.units == 3
+    assert all(ranked.missing == 0 for ranked in found.ranked)
+    cells += starts("plain", falling(1.0, rng), sequence="t") + starts("mine", falling(0.5, rng), sequence="t")
+    assert rankings(run_of(*cells), brief=True)[0].left_out == {"late": "not run yet on t"}
+
+
 def test_an_error_of_nothing_is_as_good_as_the_best(rng: np.random.Generator) -> None:
     cells = starts("plain", falling(1.0, rng)) + starts("zero", lambda rate: np.zeros(STARTS))
     with np.errstate(all="raise"):
