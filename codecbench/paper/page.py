@@ -10,7 +10,7 @@ import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.figures import draw_all
-from codecbench.core.results.limits import Limit, limits
+from codecbench.core.results.limits import POOLED, Limit, limits
 from codecbench.core.results.markdown import escaped, foreign_table
 from codecbench.core.results.run_result import RunResult
 from codecbench.paper import facts
@@ -120,7 +120,7 @@ def _trajectories(measured: Measured) -> Iterator[str]:
         rows = [
             [sequence, curve, *_limit(limit), _paper(curve)]
             for (sequence, curve), limit in limits(run, [column]).items()
-            if sequence not in untracked
+            if sequence not in (POOLED, *untracked)
         ]
         if not rows:
             continue

@@ -155,13 +155,18 @@ def _pooled(rows: Mapping[Key, T], merged: Callable[[list[T]], U]) -> dict[Key, 
 
 
 def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key, list[float]]:
-    """The least of several columns' values at each place of a row, NaN where a column lacks it."""
-    found = {}
+    """The least of several columns' values at each place of a row, NaN where a column lacks it.
+
+    Places of which no row of a sequence has a value, as where the baseline fails too, say nothing and are left out.
+    """
+    least: dict[Key, dict[Place, float]] = {}
+    judged: set[tuple[str, Place]] = set()
     for row in dict.fromkeys(row for column in columns for row in column):
         values = [column.get(row, {}) for column in columns]
         places = sorted({place for column in values for place in column})
-        found[row] = [float(np.min([column.get(place, np.nan) for column in values])) for place in places]
-    return found
+        least[row] = {place: float(np.min([column.get(place, np.nan) for column in values])) for place in places}
+        judged |= {(row[0], place) for place, value in least[row].items() if not np.isnan(value)}
+    return {row: [value for place, value in found.items() if (row[0], place) in judged] for row, found in least.items()}
 
 
 def limits_of(
@@ -184,4 +189,6 @@ def limits_of(
 def _limit(members: list[Standing]) -> Limit:
     if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
         return Limit(reason=f"no rate is known of {', '.join(unknown)}")
+    if not all(member.runs for member in members):
+        return Limit(reason="its runs cannot be judged here")
     return Limit(tuple(sorted(members, key=lambda member: -member.rate)))

@@ -109,6 +109,19 @@ def test_runs_succeed_that_succeed_in_every_column() -> None:
     assert together([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
 
 
+def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
+    """As from a start from which the baseline fails too."""
+    nan = float("nan")
+    mine = {(0, 0): 1.0, (1, 0): nan, (2, 0): nan}
+    raw = {(0, 0): 1.0, (1, 0): nan, (2, 0): 1.0}
+    found = together([{("s", "mine", "q"): mine, ("s", "raw", ""): raw}])
+    assert found["s", "raw", ""] == [1.0, 1.0]
+    assert found["s", "mine", "q"] == [1.0, pytest.approx(nan, nan_ok=True)]
+    nothing = together([{("s", "mine", "q"): {(0, 0): nan}}])
+    limit = limits_of({("s", "mine", "q"): 1.0}, nothing, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
+    assert limit.reason == "its runs cannot be judged here"
+
+
 def test_limits_of_a_run_need_its_rate() -> None:
     rates = (0.5, 1.0)
     sizes = [cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in rates]

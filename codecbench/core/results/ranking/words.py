@@ -104,11 +104,12 @@ def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:
 
 def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
     """`jpeg quality=10 holds at 1/87 of raw's rate (0.28 bit/px, 5/5 runs, at least 57 % at 95 %); quality=5 fails`."""
+    if limit.settings and curve.split(" ")[0] in run.meaning.baselines:
+        return f"{curve} itself: {limit.settings[0]}."
     if limit.lowest is None or run.rate is None:
         return f"{curve}: {limit.words(run.rate)}."
     standing = limit.lowest
-    name = f"{curve} {standing.point}".strip() if standing.point not in curve else curve
-    words = f"{name} holds at {_share(run, sequence, standing)} ({standing})"
+    words = f"{f'{curve} {standing.point}'.strip()} holds at {_share(run, sequence, standing)} ({standing})"
     return f"{words}; {limit.after_words()}."
 
 
