@@ -130,7 +130,7 @@ def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Lim
 
     With several sequences there is a limit over all of them too, under POOLED, of the runs of all and the mean rates.
     """
-    rates, successes = run.rates, together([values_of_repeats(run, column) for column in columns])
+    rates, successes = run.rates, together([values_of_repeats(run, column, failed=0.0) for column in columns])
     if len({row[0] for row in successes}) > 1:
         successes |= _pooled(successes, lambda lists: [value for values in lists for value in values])
         rates = rates | pooled_rates(run)

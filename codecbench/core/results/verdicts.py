@@ -109,10 +109,11 @@ def _row(result: CellResult) -> Key:
     return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
 
 
-def values_of_repeats(run: RunResult, column: Column) -> dict[Key, dict[Place, float]]:
+def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.nan) -> dict[Key, dict[Place, float]]:
     """The values of each row by where they were measured, in order; a metric of frames counts with its summary.
 
-    A repeat that failed, whatever became of it, has a NaN; one that has not been run, or cannot be, is left out.
+    A repeat that failed, whatever became of it, has the value `failed`; one that has not been run, or cannot be, is
+    left out.
     """
     found: dict[Key, dict[Place, float]] = defaultdict(dict)
     for result in sorted(run.results, key=lambda result: result.cell.repeat):
@@ -126,7 +127,7 @@ def values_of_repeats(run: RunResult, column: Column) -> dict[Key, dict[Place, f
         over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
         if over_frames is not None and not own:
             own = [over_frames]
-        for place, value in enumerate(own or ([] if result.status == "ok" else [math.nan])):
+        for place, value in enumerate(own or ([] if result.status == "ok" else [failed])):
             found[_row(result)][result.cell.repeat, place] = value
     return dict(found)
 

@@ -105,7 +105,7 @@ def test_a_limit_is_refused_where_a_rate_is_not_known(known: dict[tuple[str, str
 
 def test_runs_succeed_that_succeed_in_every_column() -> None:
     first = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 1.0, (2, 0): 1.0}}
-    second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}}
+    second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}, ("s", "raw", ""): {(2, 0): 1.0}}
     assert together([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
 
 
@@ -120,6 +120,15 @@ def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
     nothing = together([{("s", "mine", "q"): {(0, 0): nan}}])
     limit = limits_of({("s", "mine", "q"): 1.0}, nothing, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
     assert limit.reason == "its runs cannot be judged here"
+
+
+def test_a_run_that_crashed_did_not_succeed() -> None:
+    """Also where there is no other codec to say that it could have been judged."""
+    cells = [cell_result("plain", 1.0, "track", own={("held", ""): [1.0]}, repeat=repeat) for repeat in range(4)]
+    cells.append(cell_result("plain", 1.0, "track", repeat=4, status="timed_out", reason="60 s"))
+    run = run_of(cell_result("plain", 1.0, "size", own={("bits", ""): [1.0]}), *cells)
+    (limit,) = limits(run, [run.columns["track.held.mean"]]).values()
+    assert limit.settings == (Standing("q=1.0", 1.0, 4, 5),)
 
 
 def test_limits_of_a_run_need_its_rate() -> None:
