@@ -104,8 +104,9 @@ def test_a_limit_is_refused_where_a_rate_is_not_known(known: dict[tuple[str, str
 
 
 def test_runs_succeed_that_succeed_in_every_column() -> None:
-    first = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 1.0, (2, 0): 1.0}}
-    second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}, ("s", "raw", ""): {(2, 0): 1.0}}
+    raw = {("s", "raw", ""): {(2, 0): 1.0}}
+    first = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 1.0, (2, 0): 1.0}, **raw}
+    second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}, **raw}
     assert together([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
 
 
