@@ -111,10 +111,14 @@ class _Display:
 
 def _report(summary: RunSummary, quiet: bool) -> None:
     if not quiet and summary.statuses:
+        from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_summary
         from codecbench.core.results.collect import open_run
+        from codecbench.core.results.ranking.words import verdicts
 
-        show_summary(open_run(summary.folder))
+        result = open_run(summary.folder)
+        show_verdicts(verdicts(result, brief=True))
+        show_summary(result)
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     click.echo(f"cells: {counts or 'none'}{kept}")

@@ -10,9 +10,9 @@ import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.results.figures import draw_all
+from codecbench.core.results.limits import POOLED, Limit, limits
 from codecbench.core.results.markdown import escaped, foreign_table
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import Limit, limits
 from codecbench.paper import facts
 from codecbench.paper.contradictions import contradictions
 from codecbench.paper.measured import Measured
@@ -103,11 +103,10 @@ def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
-        "A run succeeds where at least 90 % of the frames are tracked and the error is at most twice the median of the "
-        "raw codec's runs. A setting holds where most of its runs succeed; the limit is the least rate down to which "
-        "every setting holds. The bound is the lower end of the 95 % Wilson interval of its success rate. Frames "
-        "before the first map count as not tracked: of 200 frames an ordinary start, some 20 frames, takes a tenth, so "
-        "that short sequences fail by a frame.\n"
+        "A run succeeds where, from the first map on, at least 90 % of what the raw codec's runs track is tracked, "
+        "and the error is at most twice theirs (medians over the same starts); frames before the first map are judged "
+        "apart. A setting holds where the 95 % Wilson interval of its success rate lies above one half; the limit is "
+        "the least rate down to which every setting holds.\n"
     )
 
 
@@ -120,15 +119,15 @@ def _trajectories(measured: Measured) -> Iterator[str]:
     for column in run.headlines("success"):
         rows = [
             [sequence, curve, *_limit(limit), _paper(curve)]
-            for (sequence, curve), limit in limits(run, column).items()
-            if sequence not in untracked
+            for (sequence, curve), limit in limits(run, [column]).items()
+            if sequence not in (POOLED, *untracked)
         ]
         if not rows:
             continue
         evaluator = column.evaluator.title
         yield f"### {run.plan.name}, {escaped(evaluator)}\n"
         yield foreign_table(
-            ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "fails at", "the paper"], rows
+            ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "next", "the paper"], rows
         )
         yield from _errors(measured, evaluator)
 
@@ -136,8 +135,11 @@ def _trajectories(measured: Measured) -> Iterator[str]:
 def _limit(limit: Limit) -> list[object]:
     if limit.reason:
         return [limit.reason, None, "", ""]
-    share = f"{limit.successes}/{limit.runs}, at least {100 * limit.low:.0f} %"
-    return [limit.point or "its setting", limit.rate, share, limit.next_failing or "none"]
+    lowest, after = limit.lowest, limit.next
+    ends = f"{after.point or 'its setting'}: {after.verdict} ({after})" if after else "none"
+    if lowest is None:
+        return ["–", None, "", ends]
+    return [lowest.point or "its setting", lowest.rate, str(lowest), ends]
 
 
 def _paper(curve: str) -> str:

@@ -105,7 +105,8 @@ def bd_rate_with_interval(
 
     All arrays are (settings, samples), a sample being a frame or a sequence; the same samples are drawn for
     both codecs, because they share the pictures. Samples that resemble their neighbours, as frames do, are drawn in
-    runs of `block`. The interval is left out where more than one resample in twenty gives no number.
+    runs of `block`. The interval is left out where more than one resample in twenty gives no number, and without
+    resamples.
     """
     arrays = [np.asarray(a, dtype=np.float64) for a in (anchor_rates, anchor_qualities, test_rates, test_qualities)]
     samples = {array.shape[1] for array in arrays}
@@ -113,7 +114,7 @@ def bd_rate_with_interval(
         raise ValueError(f"all four arrays need the same samples; got {sorted(samples)} columns")
     whole = bd_rate(*(array.mean(axis=1) for array in arrays), method=method, hull=hull)
     count = samples.pop()
-    if whole.reason or count < 3:
+    if whole.reason or count < 3 or not resamples:
         return whole
     values = np.empty(resamples)
     for index in range(resamples):

@@ -1,18 +1,17 @@
-"""What a run says about each codec, sequence by sequence: rate at equal quality, how far a task holds, who is ahead.
+"""What a run says about each codec, sequence by sequence: rate at equal quality, and what no other setting beats.
 
 All of it goes by what evaluators declare of their metrics: role, direction, headline.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from codecbench.core.engine.aggregate import percentile
 from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
@@ -27,25 +26,8 @@ Points = Mapping[tuple[str, str], CurvePoint]
 """The curve of each codec setting, by codec name and label."""
 SequenceCurve = tuple[str, str]
 """A sequence and a curve on it."""
-
-
-@dataclass(frozen=True)
-class Limit:
-    """How hard a codec may compress before a task fails.
-
-    point: the setting of least rate that succeeds, with every setting of more rate succeeding too. rate: its rate.
-    successes, runs: of that setting. low: 95 % lower confidence bound of its success rate (Wilson 1927,
-    doi:10.1080/01621459.1927.10502953). next_failing: the setting after it, or nothing where the sweep never failed.
-    reason: why there is no limit, and then the rest means nothing.
-    """
-
-    point: str = ""
-    rate: float = float("nan")
-    successes: int = 0
-    runs: int = 0
-    low: float = float("nan")
-    next_failing: str = ""
-    reason: str = ""
+Place = tuple[int, int]
+"""A repeat, and which of its values of a metric: 0 where it has one."""
 
 
 def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tuple[list[str], np.ndarray]:
@@ -76,11 +58,12 @@ def bd_rates(run: RunResult, column: Column, *, resamples: int = 200) -> dict[Se
     key = (column.metric.name, column.stage, column.aggregate)
     if any(key in result.summaries for result in results):
         return _bd_rates_over_frames(run, run.rate, results, column, resamples)
-    values = {row: _as_quality(np.array(many), column) for row, many in values_of_repeats(run, column).items()}
+    measured = values_of_repeats(run, column)
+    values = {row: as_quality(np.array(list(many.values())), column) for row, many in measured.items()}
     return bd_rates_over_repeats(run.rates, values, run.curves, run.meaning.anchors, resamples=resamples)
 
 
-def _as_quality(values: np.ndarray, column: Column) -> np.ndarray:
+def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
     """Values that are better when higher."""
     if column.metric.better == "higher":
         return values
@@ -105,7 +88,7 @@ def _bd_rates_over_frames(
     def arrays(members: list[_Pair]) -> tuple[np.ndarray, np.ndarray]:
         rates = frame_matrix([pair[0] for pair in members], rate.metric.name, rate.stage)[1]
         values = frame_matrix([pair[1] for pair in members], column.metric.name, column.stage)[1]
-        return rates, _as_quality(values, column)
+        return rates, as_quality(values, column)
 
     found = {}
     for sequence, lines in curves.items():
@@ -127,19 +110,27 @@ def _row(result: CellResult) -> Key:
     return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
 
 
-def values_of_repeats(run: RunResult, column: Column) -> dict[Key, list[float]]:
-    """The value of each repeat, in order, by row; a metric measured a frame counts with its summary over frames."""
-    found: dict[Key, list[tuple[int, float]]] = defaultdict(list)
-    for result in run.of(column.evaluator.title):
+def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.nan) -> dict[Key, dict[Place, float]]:
+    """The values of each row by where they were measured, in order; a metric of frames counts with its summary.
+
+    A repeat that failed, whatever became of it, has the value `failed`; one that has not been run, or cannot be, is
+    left out.
+    """
+    found: dict[Key, dict[Place, float]] = defaultdict(dict)
+    for result in sorted(run.results, key=lambda result: result.cell.repeat):
+        if result.cell.evaluator.title != column.evaluator.title or result.status == "unsupported":
+            continue
         own = [
             measured.value
             for measured in result.measurements
             if (measured.metric, measured.stage or "") == (column.metric.name, column.stage)
         ]
         over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
-        for value in own or ([] if over_frames is None else [over_frames]):
-            found[_row(result)].append((result.cell.repeat, value))
-    return {row: [value for _, value in sorted(values, key=lambda pair: pair[0])] for row, values in found.items()}
+        if over_frames is not None and not own:
+            own = [over_frames]
+        for place, value in enumerate(own or ([] if result.status == "ok" else [failed])):
+            found[_row(result)][result.cell.repeat, place] = value
+    return dict(found)
 
 
 def bd_rates_over_repeats(
@@ -186,47 +177,6 @@ def anchor_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> st
     names = set(anchors)
     several = [curve for curve, members in curves.items() if len(members) > 1]
     return next((curve for curve in several if curve.split(" ")[0] in names), several[0] if several else None)
-
-
-def limits(run: RunResult, column: Column) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve on each sequence, for a column of role `success`."""
-    successes = values_of_repeats(run, column)
-    found = limits_of(run.rates, successes, run.curves)
-    if run.rate is None:
-        reason = "no rate was measured; add an evaluator with a headline of role rate"
-        return {key: Limit(reason=reason) for key in found}
-    return found
-
-
-def limits_of(
-    rates: Mapping[Key, float], successes: Mapping[Key, Sequence[float]], points: Points
-) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve by (sequence, curve), with a reason where there is none.
-
-    successes: a value a run, 1 where it succeeded. A setting holds where more than half of its runs succeed; a value
-    that is missing counts as a run without success. A curve with a setting whose rate is not known has no limit,
-    because nobody can say where that setting stands in the sweep.
-    """
-    curves: dict[SequenceCurve, list[tuple[float, str, int, int]]] = defaultdict(list)
-    for (sequence, codec, setting), values in successes.items():
-        point = points[codec, setting]
-        held = sum(value == 1.0 for value in values)
-        rate = rates.get((sequence, codec, setting), np.nan)
-        curves[sequence, point.curve].append((rate, point.point, held, len(values)))
-    return {key: _limit(members) for key, members in curves.items()}
-
-
-def _limit(members: list[tuple[float, str, int, int]]) -> Limit:
-    """Go down in rate until a setting does not hold."""
-    if unknown := [point or "its setting" for rate, point, *_ in members if np.isnan(rate)]:
-        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
-    limit = Limit(reason="fails at every setting")
-    for rate, point, successes, runs in sorted(members, reverse=True):
-        if 2 * successes <= runs:
-            return limit if limit.reason else replace(limit, next_failing=point)
-        interval = binomtest(successes, runs).proportion_ci(method="wilson")
-        limit = Limit(point, rate, successes, runs, float(interval.low))
-    return limit
 
 
 def pareto_settings(wide: pd.DataFrame, criteria: Iterable[Column]) -> tuple[list[str], np.ndarray]:

@@ -73,8 +73,8 @@ def test_every_number_of_the_page_is_in_the_tables(page: Path, run: RunResult) -
         assert preset["x"] in wide.columns
         assert preset["y"] in wide.columns
     titles = [preset["title"] for preset in data["presets"]]
-    assert titles[:3] == ["Rate and PSNR", "Rate and SSIM", "Rate and trajectory error"]
-    assert {"Rate and tracked share", "Encoding time and PSNR"} <= set(titles)
+    assert titles[:3] == ["Rate and PSNR", "Rate and SSIM", "Rate and error with positions held"]
+    assert {"Rate and trajectory error", "Rate and tracked share", "Encoding time and PSNR"} <= set(titles)
     assert [view["title"] for view in data["map_views"]] == ["Trajectories"]
     assert len(data["map_views"][0]["drawings"]) == 9
     assert {part["choice"] for part in data["bars_views"][0]["parts"]} == {"operations, source", "operations, model"}

@@ -17,6 +17,8 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.contracts.slam import LoopEvent
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
+from codecbench.plugins.evaluators.trajectory.alignment import Pairs, align
+from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 
 COUNT = 100
 
@@ -42,6 +44,10 @@ def outcome(found: dict[str, Measurement], folder: Path, repeat: int = 0) -> Out
     return Outcome(repeat, tuple(found.values()), folder)
 
 
+def verdicts(run: Outcome, baseline: list[Outcome], **params: Any) -> dict[str, Measurement]:
+    return {m.metric: m for m in TrajectoryEvaluator.create(backend="told", **params).compare(run, baseline)}
+
+
 def folder(tmp_path: Path, name: str) -> Path:
     (tmp_path / name).mkdir()
     return tmp_path / name
@@ -52,7 +58,8 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     found = measured(Told(moved(truth), loops=(LoopEvent(60, 5, 40), LoopEvent(80, 6, 30))), tmp_path, truth)
     expected = {
         "ate_rmse_m": 0.0, "ate_median_m": 0.0, "ate_rmse_first_frame_m": 0.0, "ate_before_loops_m": 0.0,
-        "coverage_penalised_ate_m": 0.0, "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
+        "initialisation_frames": 0.0, "tracked_since_map_fraction": 1.0,
+        "rpe_trans_m": 0.0, "scale_drift": 0.0, "tracked_fraction": 1.0,
         "first_tracked_frame": 0.0, "times_lost": 0.0, "maps": 1.0, "maps_merged": 0.0,
         "keyframes": 20.0, "map_points": 4.0,
         "loops_closed": 2.0, "loop_frame": 60.0, "mean_inliers": 50.0, "slam_ms_per_frame": 2.0,
@@ -61,6 +68,7 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, abs=1e-9), name
     assert found["rpe_rot_deg"].value == pytest.approx(0.0, abs=1e-4)
+    assert found["held_ate_m"].value == pytest.approx(0.0, abs=1e-6)
 
 
 def test_merged_maps_are_no_loops(tmp_path: Path) -> None:
@@ -88,10 +96,13 @@ def test_frames_before_initialisation_and_losses_are_counted(tmp_path: Path) -> 
     tracked = np.r_[20:50, 60:100]
     found = measured(Told(moved(part(truth, tracked))), tmp_path, truth)
     assert found["tracked_fraction"].value == pytest.approx(0.7)
-    assert found["first_tracked_frame"].value == 20
+    assert found["initialisation_frames"].value == found["first_tracked_frame"].value == 20
+    assert found["tracked_since_map_fraction"].value == pytest.approx(70 / 80)
     assert found["times_lost"].value == 1
     assert found["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
-    assert found["coverage_penalised_ate_m"].value > 1.0
+    held = np.r_[np.full(20, 20), 20:50, np.full(10, 49), 60:100]
+    pairs = Pairs(Trajectory(truth.timestamps_s, truth.world_from_camera[held]), truth)
+    assert found["held_ate_m"].value == pytest.approx(rms(position_errors(pairs, align(pairs))))
 
 
 def test_a_trajectory_cut_to_its_first_tenth_ranks_worse(tmp_path: Path) -> None:
@@ -100,14 +111,14 @@ def test_a_trajectory_cut_to_its_first_tenth_ranks_worse(tmp_path: Path) -> None
     cut = measured(Told(part(whole, slice(0, 10))), folder(tmp_path, "cut"), truth)
     full = measured(Told(whole), folder(tmp_path, "full"), truth)
     assert cut["ate_rmse_m"].value < full["ate_rmse_m"].value
-    assert cut["coverage_penalised_ate_m"].value > full["coverage_penalised_ate_m"].value
+    assert cut["held_ate_m"].value > full["held_ate_m"].value
     evaluator = TrajectoryEvaluator.create(backend="told")
     baseline = [outcome(full, tmp_path / "full")]
-    verdicts = {
+    succeeded = {
         name: next(iter(evaluator.compare(outcome(found, tmp_path / name), baseline))).value
         for name, found in (("cut", cut), ("full", full))
     }
-    assert verdicts == {"cut": 0.0, "full": 1.0}
+    assert succeeded == {"cut": 0.0, "full": 1.0}
 
 
 def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
@@ -117,13 +128,71 @@ def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
     for name in ("ate_rmse_m", "rpe_trans_m", "scale_drift", "first_tracked_frame", "mean_inliers", "loop_frame"):
         assert math.isnan(found[name].value)
         assert found[name].reason
-    radius = np.linalg.norm(truth.positions_world - truth.positions_world.mean(axis=0), axis=1).max()
-    assert found["coverage_penalised_ate_m"].value == pytest.approx(2 * radius)
-    evaluator = TrajectoryEvaluator.create(backend="told")
-    one = outcome(found, tmp_path)
-    compared = {m.metric: m for m in evaluator.compare(one, [one])}
-    assert compared["success"].value == 0.0
+    spread_m = np.linalg.norm(truth.positions_world - truth.positions_world.mean(axis=0), axis=1)
+    assert found["held_ate_m"].value == pytest.approx(rms(spread_m))
+    assert found["initialisation_frames"].value == COUNT
+    assert found["tracked_since_map_fraction"].reason == "there never was a map"
+    whole = measured(Told(moved(truth)), folder(tmp_path, "whole"), truth)
+    compared = verdicts(outcome(found, tmp_path), [outcome(whole, tmp_path / "whole")])
+    assert (compared["success"].value, compared["starts_in_time"].value) == (0.0, 0.0)
     assert math.isnan(compared["ate_to_raw_m"].value)
+
+
+def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    nothing = outcome(
+        measured(Told(part(truth, slice(0, 0))), folder(tmp_path, "nothing"), truth), tmp_path / "nothing"
+    )
+    whole = outcome(measured(Told(moved(truth)), folder(tmp_path, "whole"), truth), tmp_path / "whole")
+    for run in (nothing, whole):
+        compared = verdicts(run, [nothing])
+        assert math.isnan(compared["success"].value)
+        assert "raw frames give no map" in str(compared["success"].reason)
+        assert "raw frames give no map" in str(compared["starts_in_time"].reason)
+
+
+def started(tmp_path: Path, first: int, last: int = 200, sigma_m: float = 0.01) -> Outcome:
+    """A run on 200 frames that is tracked from one frame to another."""
+    name = f"{first}-{last}-{sigma_m}"
+    truth = helix(200)
+    images = [np.full((6, 8), index, np.uint8) for index in range(200)]
+    frames = CodedInMemory(MemorySequence(images, CAMERA, truth), FunctionCodec(lambda image: image))
+    backend = Told(part(moved(noisy(truth, sigma_m)), slice(first, last)))
+    where = context(folder(tmp_path, name), 0, Plugins(told=lambda _: backend))
+    found = TrajectoryEvaluator.create(backend="told").evaluate(frames, where)
+    return Outcome(0, tuple(found), tmp_path / name)
+
+
+def test_one_more_frame_before_the_map_fails_nobody(tmp_path: Path) -> None:
+    """Raw frames need 20 of 200 frames for a map, exactly a tenth, and a codec of less error one more."""
+    raw, coded_run = started(tmp_path, 20), started(tmp_path, 21, sigma_m=0.009)
+    assert (raw.value("tracked_fraction"), coded_run.value("tracked_fraction")) == (0.9, 0.895)
+    assert coded_run.value("ate_rmse_m") < raw.value("ate_rmse_m")
+    compared = verdicts(coded_run, [raw])
+    assert (compared["success"].value, compared["starts_in_time"].value) == (1.0, 1.0)
+
+
+def test_a_late_map_and_a_lost_one_fail_each_its_own_verdict(tmp_path: Path) -> None:
+    raw = started(tmp_path, 20)
+    late, lost = verdicts(started(tmp_path, 51), [raw]), verdicts(started(tmp_path, 20, 180), [raw])
+    assert (late["success"].value, late["starts_in_time"].value) == (1.0, 0.0)
+    assert (lost["success"].value, lost["starts_in_time"].value) == (0.0, 1.0)
+
+
+def test_thresholds_are_the_matrix_file_s(tmp_path: Path) -> None:
+    raw, late, lost = started(tmp_path, 20), started(tmp_path, 51), started(tmp_path, 20, 180)
+    worse = started(tmp_path, 20, sigma_m=0.03)
+    assert verdicts(late, [raw], delay_frames=31)["starts_in_time"].value == 1.0
+    assert verdicts(lost, [raw], tracked_to_raw=0.8)["success"].value == 1.0
+    assert verdicts(worse, [raw])["success"].value == 0.0
+    assert verdicts(worse, [raw], ate_to_raw=4.0)["success"].value == 1.0
+    assert verdicts(worse, [raw], ate_limit_m=0.1)["success"].value == 1.0
+
+
+def test_a_run_that_loses_as_much_as_raw_frames_do_succeeds(tmp_path: Path) -> None:
+    raw = started(tmp_path, 20, 120)
+    assert verdicts(started(tmp_path, 20, 115), [raw])["success"].value == 1.0
+    assert verdicts(started(tmp_path, 20, 100), [raw])["success"].value == 0.0
 
 
 def test_without_ground_truth_the_rest_is_there(tmp_path: Path) -> None:
@@ -162,7 +231,8 @@ def test_comparison_with_raw_pairs_repeats(tmp_path: Path) -> None:
     assert compared["success"] == 0.0
     assert compared["ate_to_raw_m"] == pytest.approx(math.hypot(0.05, 0.02) * math.sqrt(3), rel=0.1)
     own = {m.metric: m.value for m in evaluator.compare(raw[2], raw)}
-    assert own == {"success": 1.0, "ate_to_raw_m": pytest.approx(0.0, abs=1e-6), "ate_minus_raw_m": 0.0}
+    nothing = {"ate_to_raw_m": pytest.approx(0.0, abs=1e-6), "ate_minus_raw_m": 0.0}
+    assert own == {"success": 1.0, "starts_in_time": 1.0, **nothing}
 
 
 @pytest.mark.parametrize(("limit_m", "verdict"), [(0.2, 1.0), (0.01, 0.0)])
@@ -213,9 +283,10 @@ def test_offsets_and_seeds_make_repeats(tmp_path: Path) -> None:
         assert backend.seeds[-1] == seed
 
 
-def test_a_longer_list_of_repeats_changes_no_identity() -> None:
+def test_longer_lists_of_repeats_and_other_thresholds_change_no_identity() -> None:
     short = TrajectoryEvaluator.create(start_offsets=[0, 5], backend_params={"features": 500})
-    longer = TrajectoryEvaluator.create(start_offsets=[0, 5, 10], backend_params={"features": 500}, ate_limit_m=0.5)
+    thresholds = {"ate_limit_m": 0.5, "ate_to_raw": 3.0, "tracked_to_raw": 0.5, "delay_frames": 5}
+    longer = TrajectoryEvaluator.create(start_offsets=[0, 5, 10], backend_params={"features": 500}, **thresholds)
     assert [short.repeat_identity(i) for i in range(2)] == [longer.repeat_identity(i) for i in range(2)]
     assert longer.repeat_identity(1) != longer.repeat_identity(2)
     other = TrajectoryEvaluator.create(start_offsets=[0, 5], architecture="atc", backend_params={"features": 500})

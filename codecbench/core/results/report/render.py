@@ -13,6 +13,7 @@ import jinja2
 import plotly.offline
 
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
+from codecbench.core.results.ranking.words import verdicts
 from codecbench.core.results.report.page_data import page_data
 from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.run_result import RunResult
@@ -57,6 +58,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
             (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
         ),
         cards=_cards(run),
+        decided=verdicts(run),
         verdicts=tables,
         anchor=anchor,
         failures=_failures(run),

@@ -9,13 +9,12 @@ import numpy as np
 
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
+from codecbench.core.results.limits import Limit, limits
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import (
-    Limit,
     SequenceCurve,
     anchor_of,
     bd_rates,
-    limits,
     pareto_criteria,
     pareto_settings,
     spread,
@@ -37,7 +36,7 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     rates = {column: bd_rates(run, column) for column in run.headlines("quality", "task")}
     judged = _Judged(
         {column: found for column, found in rates.items() if found},
-        {column: limits(run, column) for column in run.headlines("success")},
+        {column: limits(run, [column]) for column in run.headlines("success")},
     )
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
@@ -61,7 +60,7 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
             row += ["anchor" if curve == anchor else str(found.get(key, "–")) for found in judged.rates.values()]
-            row += [_limit(found[key], run.rate) if key in found else "–" for found in judged.limits.values()]
+            row += [found[key].words(run.rate) if key in found else "–" for found in judged.limits.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
         words = _in_words(entry.name, anchor, judged, run.rate)
@@ -80,11 +79,11 @@ def _in_words(sequence: str, anchor: str, judged: _Judged, rate: Column | None) 
             text = f"{best} needs least rate: {here[best]} against {anchor}" if ahead else f"{anchor} needs least rate"
             words.append(f"At equal {column.label}, {text}.")
     for column, limited in judged.limits.items():
-        held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and not limit.reason}
-        if held:
+        held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and limit.lowest}
+        if held and rate is not None:
             least = min(held, key=lambda curve: held[curve].rate)
             subject = column.label[:1].upper() + column.label[1:]
-            words.append(f"{subject} down to the least rate with {least}: {_limit(held[least], rate)}.")
+            words.append(f"{subject} down to the least rate with {least}: {held[least].words(rate)}.")
     return words
 
 
@@ -101,12 +100,3 @@ def _range(records: list[Any], column: Column) -> str:
     low, high = values.min(), values.max()
     text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
     return text.replace("inf", "∞")
-
-
-def _limit(limit: Limit, rate: Column | None) -> str:
-    if limit.reason or rate is None:
-        return limit.reason
-    spent = f"{limit.rate * rate.factor:.3g} {rate.unit}"
-    text = f"{limit.point or 'its setting'} ({spent}, {limit.successes}/{limit.runs} runs"
-    text += f", at least {100 * limit.low:.0f} % at 95 %)"
-    return text + (f"; {limit.next_failing} fails" if limit.next_failing else "; never failed here")

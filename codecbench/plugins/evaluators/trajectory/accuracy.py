@@ -49,7 +49,7 @@ class Accuracy:
         yield from _defined(("ate_rmse_m", "ate_median_m"), lambda: self._absolute(pairs))
         yield from _defined(("ate_rmse_first_frame_m",), lambda: (errors.first_frame_rmse(pairs),))
         yield from _defined(("ate_before_loops_m",), lambda: (self._before_loops(truth),))
-        yield from _defined(("coverage_penalised_ate_m",), lambda: (self._penalised(pairs, truth),))
+        yield from _defined(("held_ate_m",), lambda: (self._held(truth),))
         yield from _defined(("rpe_trans_m", "rpe_rot_deg"), lambda: self._relative(pairs))
         yield from _defined(("scale_drift",), lambda: (errors.scale_drift(pairs),))
 
@@ -63,15 +63,13 @@ class Accuracy:
         self.before = align(pairs)
         return errors.rms(errors.position_errors(pairs, self.before))
 
-    def _penalised(self, pairs: Pairs, truth: Trajectory) -> float:
-        """Where no similarity is defined, every frame counts as untracked."""
+    def _held(self, truth: Trajectory) -> float:
         stamps_s = np.array([frame.timestamp_s for frame in self._run.frames])
         nearest = nearest_stamps(stamps_s, truth.timestamps_s, self._association_s)
-        positions = truth.positions_world[nearest[nearest >= 0]]
-        if len(positions) == 0:
+        if not (nearest >= 0).any():
             raise Undefined("no frame has ground truth")
-        distances_m = np.empty(0) if self.after is None else errors.position_errors(pairs, self.after)
-        return errors.coverage_penalised_rmse(distances_m, len(positions) - len(distances_m), positions)
+        known = nearest[nearest >= 0]
+        return errors.held_rmse(stamps_s[nearest >= 0], truth.positions_world[known], self._run.trajectory)
 
     def _relative(self, pairs: Pairs) -> tuple[float, ...]:
         similarity = self.after or align(pairs)

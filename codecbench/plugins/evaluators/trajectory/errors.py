@@ -91,20 +91,28 @@ def scale_drift(pairs: Pairs) -> float:
     return float(abs(np.log(true[1] / estimated[1]) - np.log(true[0] / estimated[0])))
 
 
-def coverage_penalised_rmse(
-    errors_m: NDArray[np.float64], untracked: int, true_positions: NDArray[np.float64]
-) -> float:
+def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> float:
     """Root mean square position error over all frames that have ground truth, tracked or not, metres.
 
-    errors_m: (N,) of the tracked ones. true_positions: (N + untracked, 3) of all. An untracked frame is charged 2 R,
-    where R is the largest distance of a true position from their mean. A similarity that minimises squared errors
-    never leaves more than R, so giving up a share u of the frames costs more than it can gain as soon as
-    u > (ATE / 2 R)^2: at any error for a quarter of the frames, and for almost none at a useful one.
+    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses. What is not tracked
+    counts with the last position known by then, and before there is one with the first. The error is that under the
+    similarity that makes it least: Umeyama 1991, doi:10.1109/34.88573, eq. 33, which holds where several are best, too.
+    So positions that are all one, or none, leave the spread of the true ones, and nothing leaves more.
     """
-    centred = true_positions - true_positions.mean(axis=0)
-    charge_m = 2.0 * np.sqrt(np.max(np.sum(centred**2, axis=1)))
-    total = np.sum(errors_m**2) + untracked * charge_m**2
-    return float(np.sqrt(total / (len(errors_m) + untracked)))
+    true = true_positions - true_positions.mean(axis=0)
+    spread = float(np.mean(np.sum(true**2, axis=1)))
+    if len(estimate) == 0:
+        return float(np.sqrt(spread))
+    # Stamps are seconds since 1970 to the microsecond: a double holds them to 0.2 microseconds.
+    last = np.searchsorted(estimate.timestamps_s, stamps_s + 1e-6, side="right") - 1
+    held = estimate.positions_world[np.maximum(last, 0)]
+    held = held - held.mean(axis=0)
+    power = float(np.mean(np.sum(held**2, axis=1)))
+    if power == 0.0:
+        return float(np.sqrt(spread))
+    left, strengths, right = np.linalg.svd(true.T @ held / len(true))
+    strengths[2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
+    return float(np.sqrt(max(0.0, spread - strengths.sum() ** 2 / power)))
 
 
 def _from_first(trajectory: Trajectory) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
-from codecbench.plugins.evaluators.trajectory import drawn, files
+from codecbench.plugins.evaluators.trajectory import drawn, files, verdicts
 from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
@@ -36,11 +36,6 @@ from codecbench.plugins.evaluators.trajectory.feed import Feed
 from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
-SUCCESS_TRACKED: Final = 0.9
-"""Share of the frames that a successful run tracks."""
-SUCCESS_ATE_RATIO: Final = 2.0
-"""How many times the median error of the raw codec's runs a successful run may have."""
-
 
 class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     """Accuracy and behaviour of monocular SLAM. A run that loses its way is a result; docs/metrics.md says which."""
@@ -50,6 +45,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     params_type = TrajectoryParams
     metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *BEHAVIOUR, *COMPARED)
     views = (
+        View("curve", "Rate and trajectory error", ("ate_rmse_m",)),
         View("curve", "Rate and tracked share", ("tracked_fraction",)),
         View("map", "Trajectories", note=drawn.NOTE),
     )
@@ -66,7 +62,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         offset, seed = self.params.repeat(repeat)
-        listed = {"start_offsets", "seeds", "ate_limit_m"}
+        listed = {"start_offsets", "seeds", *verdicts.THRESHOLDS}
         shared = {name: value for name, value in self.params.identity().items() if name not in listed}
         return {**shared, "start_offset": offset, "seed": seed}
 
@@ -93,13 +89,14 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         _save(run, accuracy, coded.sequence, context)
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        yield self._success(outcome, baseline)
+        yield verdicts.success(outcome, baseline, self.params)
         same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"
-            yield Measurement("ate_to_raw_m", math.nan, reason=reason)
-            yield Measurement("ate_minus_raw_m", math.nan, reason=reason)
+            for metric in ("starts_in_time", "ate_to_raw_m", "ate_minus_raw_m"):
+                yield Measurement(metric, math.nan, reason=reason)
             return
+        yield verdicts.starts_in_time(outcome, same, self.params)
         yield _distance(outcome, same)
         difference = outcome.value("ate_rmse_m") - same.value("ate_rmse_m")
         missing = "one of the two runs has no ATE" if math.isnan(difference) else None
@@ -107,22 +104,6 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
         return drawn.drawing(outcome)
-
-    def _success(self, outcome: Outcome, baseline: list[Outcome]) -> Measurement:
-        """Whether enough is tracked and the error is within the limit given, or else within a multiple of raw's."""
-        if outcome.value("tracked_fraction") < SUCCESS_TRACKED:
-            return Measurement("success", 0.0)
-        limit_m = self.params.ate_limit_m
-        if limit_m is None:
-            errors_m = [value for raw in baseline if not math.isnan(value := raw.value("ate_rmse_m"))]
-            if not errors_m:
-                reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
-                return Measurement("success", math.nan, reason=reason)
-            limit_m = SUCCESS_ATE_RATIO * float(np.median(errors_m))
-        error_m = outcome.value("ate_rmse_m")
-        if math.isnan(error_m) and math.isnan(outcome.value("coverage_penalised_ate_m")):
-            return Measurement("success", math.nan, reason="the sequence has no ground truth")
-        return Measurement("success", float(error_m <= limit_m))
 
 
 def _check(run: SlamRun, frames: int, backend: str) -> None:
@@ -151,6 +132,7 @@ def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     states = [frame.state for frame in run.frames]
     lost = sum(before == "tracked" and now != "tracked" for before, now in pairwise(states))
     yield Measurement("tracked_fraction", len(stamps_s) / len(run.frames))
+    yield from _since_map(run)
     tracked = (frame.index for frame in run.frames if len(stamps_s) and frame.timestamp_s >= stamps_s[0] - 1e-6)
     yield _or_missing("first_tracked_frame", next(tracked, None), "no frame was tracked")
     yield Measurement("times_lost", float(lost))
@@ -166,6 +148,17 @@ def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     yield _or_missing("mean_inliers", np.mean(inliers) if inliers else None, "no frame was tracked")
     elapsed = [frame.elapsed_ms for frame in run.frames if math.isfinite(frame.elapsed_ms)]
     yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend does not time itself")
+
+
+def _since_map(run: SlamRun) -> Iterator[Measurement]:
+    """How long the first map took, whichever map was kept in the end, and how much of the rest has a pose."""
+    before = next((place for place, frame in enumerate(run.frames) if frame.state == "tracked"), len(run.frames))
+    yield Measurement("initialisation_frames", float(before))
+    if before == len(run.frames):
+        yield Measurement("tracked_since_map_fraction", math.nan, reason="there never was a map")
+        return
+    tracked = np.count_nonzero(run.trajectory.timestamps_s >= run.frames[before].timestamp_s - 1e-6)
+    yield Measurement("tracked_since_map_fraction", tracked / (len(run.frames) - before))
 
 
 def _or_missing(metric: str, value: float | np.floating | None, reason: str) -> Measurement:

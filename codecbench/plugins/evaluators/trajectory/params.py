@@ -18,7 +18,11 @@ class TrajectoryParams(Params):
     decoded frames) or `atc` (analyze then compress: tracking sees raw frames; mapping and loop closing see decoded
     keyframes). start_offsets, seeds: one repeat for each pair, with so many frames left out at the start.
     association_s: how far apart in time a frame and its ground truth may be. rpe_interval_s: over which relative
-    errors are taken. ate_limit_m: an error up to which a run is a success, in place of a multiple of the raw run's.
+    errors are taken.
+
+    What a success is can be changed without computing anything again. tracked_to_raw: the least share of the raw runs'
+    tracked share. ate_to_raw: the most times their error. ate_limit_m: an error in place of that multiple.
+    delay_frames: how many frames later than the raw run's the first map may come.
     """
 
     backend: str = "orb"
@@ -28,7 +32,10 @@ class TrajectoryParams(Params):
     seeds: Annotated[tuple[Count, ...], Field(min_length=1)] = (0,)
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     rpe_interval_s: Annotated[float, Field(gt=0.0)] = 1.0
+    tracked_to_raw: Annotated[float, Field(gt=0.0, le=1.0)] = 0.9
+    ate_to_raw: Annotated[float, Field(ge=1.0)] = 2.0
     ate_limit_m: Annotated[float, Field(gt=0.0)] | None = None
+    delay_frames: Count = 30
 
     @field_validator("start_offsets", "seeds")
     @classmethod

@@ -1,0 +1,70 @@
+"""`codecbench rank`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+from rich.text import Text
+
+from codecbench.cli.screen import Screen
+
+if TYPE_CHECKING:
+    from codecbench.core.results.ranking.words import Verdict
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+def rank(run: Path, format_: str) -> None:
+    """Say which codecs of the RUN folder are ahead, which cannot be told apart, and down to which rate each holds."""
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.ranking.words import verdicts
+
+    result = begun_run(run)
+    found = verdicts(result)
+    if format_ == "json":
+        click.echo(json.dumps([vars(verdict) for verdict in found], indent=1))
+    elif format_ == "markdown":
+        click.echo(markdown(found))
+    else:
+        show_verdicts(found)
+        if not found:
+            click.echo("nothing to rank: it takes a rate, and a headline of role task, quality or success")
+    if result.missing:
+        click.echo(f"{result.missing} cells of the plan have no record yet", err=True)
+
+
+def show_verdicts(found: list[Verdict]) -> None:
+    """The verdicts in the terminal."""
+    console = Screen()
+    if not console.is_terminal:
+        console = Screen(width=120)
+    for verdict in found:
+        console.print(Text(verdict.title, style="bold"))
+        if verdict.rows:
+            table = Table(show_edge=False, header_style="dim", box=None)
+            for head in verdict.heads:
+                table.add_column(Text(head), overflow="fold")
+            for row in verdict.rows:
+                table.add_row(*(Text(cell) for cell in row))
+            console.print(table)
+        for sentence in verdict.sentences:
+            console.print(Text(sentence))
+        console.print()
+
+
+def markdown(found: list[Verdict]) -> str:
+    """The verdicts as Markdown."""
+    from codecbench.core.results.markdown import escaped, foreign_table
+
+    parts = []
+    for verdict in found:
+        parts.append(f"### {escaped(verdict.title)}\n")
+        if verdict.rows:
+            parts.append(foreign_table(verdict.heads, verdict.rows))
+        parts.append("\n".join(f"- {escaped(sentence)}" for sentence in verdict.sentences) + "\n")
+    return "\n".join(parts)

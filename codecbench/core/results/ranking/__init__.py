@@ -1,0 +1,1 @@
+"""Codecs in order, as far as a run can tell them apart."""

@@ -1,0 +1,214 @@
+"""Codecs in order of the rate at which they serve a task equally well, as far as a run can tell them apart."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.results.bjontegaard import BdRate
+from codecbench.core.results.columns import Column
+from codecbench.core.results.limits import POOLED
+from codecbench.core.results.ranking.curve_values import Array, CurveValues, Of, curve_values
+from codecbench.core.results.ranking.paired import Evidence, combined, holm, joined_groups
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import anchor_of, bd_rates
+
+SIGNIFICANCE: Final = 0.01
+"""Chance that a ranking of codecs that are all alike puts any of them before another."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A codec's place. first, last: the places that it may have, from those that are told apart from it.
+
+    ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rate: against
+    the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and
+    where it was never asked for. missing, values: how many of its values are missing, of how many.
+    """
+
+    curve: str
+    first: int
+    last: int
+    ahead_of: tuple[str, ...]
+    group: str
+    bd_rate: BdRate | None
+    missing: int
+    values: int
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
+
+    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none.
+    """
+
+    column: Column
+    sequence: str
+    units: int
+    of: tuple[Of, ...]
+    ranked: tuple[Ranked, ...]
+    left_out: dict[str, str]
+    anchor: str
+
+
+def rankings(run: RunResult, *, brief: bool = False) -> list[Ranking]:
+    """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
+
+    A ranking over all of a single sequence is left out, as are those that would have less than two codecs. Nothing
+    where the run has no rate. brief: only the first of each column.
+    """
+    columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
+    if run.rate is None:
+        return []
+    found = []
+    for column in columns:
+        sequences = [entry.name for entry in run.plan.sequences]
+        rates = bd_rates(run, column, resamples=0)
+        gathered = {name: curve_values(run, column, name) for name in sequences}
+        groups = [sequences] if len(sequences) > 1 else []
+        groups += [] if groups and brief else [[name] for name in sequences]
+        made = (_ranking(run, column, group, gathered, rates) for group in groups)
+        found += [ranking for ranking in made if len(ranking.ranked) > 1]
+    return found
+
+
+_Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]
+
+
+def _ranking(
+    run: RunResult,
+    column: Column,
+    sequences: Sequence[str],
+    gathered: _Gathered,
+    rates: dict[tuple[str, str], BdRate],
+) -> Ranking:
+    values = {name: gathered[name][0] for name in sequences}
+    curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences})
+    evidence = _evidence(curves, values)
+    matrices = _told_apart(len(curves), evidence)
+    anchor = anchor_of({curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}, run.meaning.anchors)
+    any_curve = [next(iter(found.values())) for found in values.values() if found]
+    return Ranking(
+        column,
+        sequences[0] if len(sequences) == 1 else POOLED,
+        sum(curve.qualities.shape[1] for curve in any_curve),
+        tuple(sorted({curve.of for curve in any_curve})),
+        tuple(_placed(curves, values, matrices, rates, anchor)),
+        left_out,
+        anchor or "",
+    )
+
+
+def _comparable(
+    run: RunResult, column: Column, values: dict[str, dict[str, CurveValues]], reasons: dict[str, dict[str, str]]
+) -> tuple[list[str], dict[str, str]]:
+    """Curves that can be compared with another on every sequence, and why the others cannot."""
+    baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.meaning.baselines}
+    left_out: dict[str, str] = {}
+    for result in run.results:
+        curve = run.curves[result.cell.codec.name, result.cell.codec.label].curve
+        on = result.cell.sequence.name
+        if result.cell.evaluator.title == column.evaluator.title and on in values and curve not in values[on]:
+            left_out.setdefault(curve, reasons[on].get(curve) or f"{result.status}: {result.reason}")
+    known = dict.fromkeys(curve for found in values.values() for curve in found)
+    for curve in known:
+        absent = [sequence for sequence, found in values.items() if curve not in found]
+        if absent:
+            left_out.setdefault(curve, f"not run yet on {', '.join(absent)}")
+    curves = [curve for curve in known if curve not in left_out and curve not in baselines]
+    for curve in list(curves):
+        others = [other for other in curves if other != curve]
+        if not any(_compared(curve, other, values) is not None for other in others):
+            left_out[curve] = "no other codec was measured at its rates"
+    return [curve for curve in curves if curve not in left_out], {
+        curve: reason for curve, reason in left_out.items() if curve not in baselines
+    }
+
+
+def _compared(first: str, second: str, values: dict[str, dict[str, CurveValues]]) -> Evidence | None:
+    """By how much the first is better on average over sequences; None where they share no rate on one."""
+    parts = [found[first].better_than(found[second]) for found in values.values()]
+    present = [part for part in parts if part is not None]
+    return combined(present) if len(present) == len(parts) else None
+
+
+def _evidence(curves: list[str], values: dict[str, dict[str, CurveValues]]) -> dict[tuple[int, int], Evidence]:
+    """Of each pair of curves that can be compared, by position."""
+    pairs = {(i, j): _compared(curves[i], curves[j], values) for i, j in combinations(range(len(curves)), 2)}
+    return {pair: found for pair, found in pairs.items() if found is not None}
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """better: (N, N), whether the row is told to be better than the column. scores: (N,), least squares over pairs."""
+
+    better: NDArray[np.bool_]
+    scores: Array
+
+
+def _told_apart(count: int, evidence: dict[tuple[int, int], Evidence]) -> _Matrices:
+    better = np.zeros((count, count), dtype=bool)
+    if not evidence:
+        return _Matrices(better, np.zeros(count))
+    certain = holm(np.array([found.p_value for found in evidence.values()])) < SIGNIFICANCE
+    design = np.zeros((len(evidence), count))
+    for row, ((first, second), found) in enumerate(evidence.items()):
+        design[row, first], design[row, second] = 1.0, -1.0
+        winner, loser = (first, second) if found.mean > 0 else (second, first)
+        better[winner, loser] = certain[row]
+    scores: Array = np.linalg.lstsq(design, np.array([found.mean for found in evidence.values()]), rcond=None)[0]
+    return _Matrices(better, scores)
+
+
+def _placed(
+    curves: list[str],
+    values: dict[str, dict[str, CurveValues]],
+    matrices: _Matrices,
+    rates: dict[tuple[str, str], BdRate],
+    anchor: str | None,
+) -> list[Ranked]:
+    better = matrices.better
+    order = sorted(range(len(curves)), key=lambda place: -matrices.scores[place])
+    apart = (better | better.T)[np.ix_(order, order)]
+    groups = joined_groups(apart)
+    placed = []
+    for place, at in enumerate(order):
+        curve = curves[at]
+        of_curve = [found[curve] for found in values.values()]
+        placed.append(
+            Ranked(
+                curve,
+                1 + int(better[:, at].sum()),
+                len(curves) - int(better[at].sum()),
+                tuple(curves[other] for other in order if better[at, other]),
+                "".join(_letter(number) for number, group in enumerate(groups) if place in group),
+                None if curve == anchor else _over_sequences([rates.get((name, curve)) for name in values]),
+                sum(found.missing for found in of_curve),
+                sum(found.qualities.size for found in of_curve),
+            )
+        )
+    return placed
+
+
+def _letter(number: int) -> str:
+    return string.ascii_lowercase[number] if number < 26 else f"({number + 1})"
+
+
+def _over_sequences(found: list[BdRate | None]) -> BdRate | None:
+    """The geometric mean of the factors in rate, with a reason where a sequence has none."""
+    present = [rate for rate in found if rate is not None]
+    if len(found) == 1 or not present:
+        return present[0] if present else None
+    numbers = [rate.percent for rate in present if not rate.reason]
+    if len(numbers) < len(found):
+        return replace(present[0], percent=float("nan"), interval=None,
+                       reason=f"only {len(numbers)} of {len(found)} sequences have one")  # fmt: skip
+    mean = 100.0 * (float(np.exp(np.mean(np.log1p(np.array(numbers) / 100.0)))) - 1.0)
+    return replace(present[0], percent=mean, interval=None)

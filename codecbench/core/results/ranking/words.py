@@ -1,0 +1,128 @@
+"""A ranking, and what holds at which rate, as sentences and rows for people."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from codecbench.core.results.columns import Column
+from codecbench.core.results.limits import POOLED, Limit, Standing, limits, pooled_rates
+from codecbench.core.results.ranking.ranking import Ranked, Ranking, rankings
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import SequenceCurve
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A title, a table (heads, rows) that may be empty, and sentences below it."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    sentences: tuple[str, ...]
+
+
+def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
+    """What the run decides: who is ahead by each task, then down to which rate each codec holds.
+
+    Each begins with all sequences together, where there are several; with `brief` that is all.
+    """
+    ranked: dict[Column, list[Verdict]] = defaultdict(list)
+    for ranking in rankings(run, brief=brief):
+        ranked[ranking.column].append(_ranked(ranking))
+    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in _successes(run))]
+    return [verdict for group in groups for verdict in (group[:1] if brief else group)]
+
+
+def _ranked(ranking: Ranking) -> Verdict:
+    against = f"rate beside {ranking.anchor}" if ranking.anchor else "rate"
+    heads = ("place", "codec", "group", against, "better than")
+    rows = tuple(
+        (_places(ranked), ranked.curve, ranked.group, _rate(ranked), ", ".join(ranked.ahead_of) or "–")
+        for ranked in ranking.ranked
+    )
+    return Verdict(
+        f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}",
+        heads,
+        rows,
+        tuple(_notes(ranking)),
+    )
+
+
+def _places(ranked: Ranked) -> str:
+    return str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
+
+
+def _rate(ranked: Ranked) -> str:
+    if ranked.bd_rate is None:
+        return "–"
+    return "–" if ranked.bd_rate.reason else f"{ranked.bd_rate.percent:+.0f} %"
+
+
+def _notes(ranking: Ranking) -> Iterator[str]:
+    if not any(ranked.ahead_of for ranked in ranking.ranked):
+        yield "No two of these codecs can be told apart."
+    else:
+        yield "Codecs that share a letter cannot be told apart."
+    for ranked in ranking.ranked:
+        if ranked.missing:
+            yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
+    for curve, reason in ranking.left_out.items():
+        yield f"{curve} has no place: {reason}."
+
+
+def _where(sequence: str) -> str:
+    return "all sequences together" if sequence == POOLED else sequence
+
+
+def _successes(run: RunResult) -> list[list[Column]]:
+    """Headlines of role `success` by evaluator: a run counts that succeeds in all."""
+    found: dict[str, list[Column]] = defaultdict(list)
+    for column in run.headlines("success"):
+        found[column.evaluator.title].append(column)
+    return list(found.values())
+
+
+def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
+    """One verdict for all sequences together, where there are several, and one for each: a sentence for each curve."""
+    by_sequence: dict[str, dict[str, Limit]] = defaultdict(dict)
+    found: dict[SequenceCurve, Limit] = limits(run, columns)
+    for (sequence, curve), limit in found.items():
+        by_sequence[sequence][curve] = limit
+    what = " and ".join(column.label for column in columns)
+    for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
+        sentences = [_sentence(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
+        yield Verdict(f"{_where(sequence)}: {what}", (), (), tuple(sentences))
+
+
+def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:
+    return sorted(limits_of_curves.items(), key=lambda pair: pair[1].rate)
+
+
+def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
+    """`jpeg quality=10 holds at 1/87 of raw's rate (0.28 bit/px, 5/5 runs, at least 57 % at 95 %); quality=5 fails`."""
+    if limit.settings and curve.split(" ")[0] in run.meaning.baselines:
+        return f"{curve} itself: {limit.settings[0]}."
+    if limit.lowest is None or run.rate is None:
+        return f"{curve}: {limit.words(run.rate)}."
+    standing = limit.lowest
+    words = f"{f'{curve} {standing.point}'.strip()} holds at {_share(run, sequence, standing)} ({standing})"
+    return f"{words}; {limit.after_words()}."
+
+
+def _share(run: RunResult, sequence: str, standing: Standing) -> str:
+    """The rate as a share of the baseline's, and by itself."""
+    assert run.rate is not None
+    spent = f"{standing.rate * run.rate.factor:.3g} {run.rate.unit}"
+    rates = pooled_rates(run) if sequence == POOLED else run.rates
+    raw = [
+        (codec, rate)
+        for (on, codec, _), rate in rates.items()
+        if on == sequence and codec in run.meaning.baselines and not np.isnan(rate)
+    ]
+    if not raw or standing.rate <= 0 or raw[0][1] <= standing.rate:
+        return spent
+    return f"1/{raw[0][1] / standing.rate:.0f} of {raw[0][0]}'s rate, {spent}"

@@ -1,0 +1,61 @@
+"""Whether a run holds up beside those of the raw codec from the same starts."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from codecbench.core.contracts.evaluator import Measurement, Outcome
+from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
+
+THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "delay_frames")
+"""Parameters that only verdicts read, so that no run depends on them."""
+
+
+def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> Measurement:
+    """Whether enough is tracked from the first map on, and the error is within the limit.
+
+    Both are relative to the medians of the raw codec's runs: single runs differ by factors from one start to the next.
+    Without such runs all frames are to be tracked. Missing, with the reason, where raw frames give no map either and
+    where there is nothing to compare the error with.
+    """
+    if baseline and all(raw.value("tracked_fraction") == 0.0 for raw in baseline):
+        return _missing("success", "raw frames give no map here either, so that nothing can be said of codecs")
+    if outcome.value("tracked_fraction") == 0.0:
+        return Measurement("success", 0.0)
+    tracked = outcome.value("tracked_since_map_fraction")
+    raw_tracked = _median(baseline, "tracked_since_map_fraction") if baseline else 1.0
+    if math.isnan(tracked) or math.isnan(raw_tracked):
+        return _missing("success", "measured before frames since the first map were counted; measure it again")
+    if tracked < params.tracked_to_raw * raw_tracked:
+        return Measurement("success", 0.0)
+    limit_m = params.ate_limit_m or params.ate_to_raw * _median(baseline, "ate_rmse_m")
+    if math.isnan(limit_m):
+        reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
+        return _missing("success", reason)
+    error_m = outcome.value("ate_rmse_m")
+    if math.isnan(error_m) and math.isnan(outcome.value("held_ate_m")):
+        return _missing("success", "the sequence has no ground truth")
+    return Measurement("success", float(error_m <= limit_m))
+
+
+def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) -> Measurement:
+    """Whether the first map comes at most `delay_frames` later than in the raw codec's run from the same start."""
+    taken, raw_taken = (run.value("initialisation_frames") for run in (outcome, same))
+    if same.value("tracked_fraction") == 0.0:
+        return _missing("starts_in_time", "raw frames give no map from this start either")
+    if math.isnan(taken) or math.isnan(raw_taken):
+        return _missing("starts_in_time", "measured before frames up to the first map were counted; measure it again")
+    return Measurement("starts_in_time", float(taken <= raw_taken + params.delay_frames))
+
+
+def _median(runs: list[Outcome], metric: str) -> float:
+    """Over the runs that have the metric; NaN where none has."""
+    values = [value for run in runs if not math.isnan(value := run.value(metric))]
+    return float(np.median(values)) if values else math.nan
+
+
+def _missing(metric: str, reason: str) -> Measurement:
+    return Measurement(metric, math.nan, reason=reason)

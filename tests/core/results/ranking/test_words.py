@@ -1,0 +1,75 @@
+"""What a run decides, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from measured_runs import cell_result, run_of
+
+from codecbench.core.results.ranking.words import verdicts
+from codecbench.core.results.table import CellResult
+
+
+def tracked(codec: str, rate: float, held: list[float], drift: float, sequence: str = "s") -> list[CellResult]:
+    """The cells of a setting whose runs hold or not, with such a drift."""
+    cells = [cell_result(codec, rate, "size", own={("bits", ""): [rate]}, sequence_name=sequence)]
+    rng = np.random.default_rng(round(1000 * rate + 1000 * drift))
+    for repeat, value in enumerate(held):
+        own = {("held", ""): [value], ("drift", ""): [drift * float(np.exp(rng.normal(0.0, 0.05)))]}
+        cells.append(cell_result(codec, rate, "track", own=own, repeat=repeat, sequence_name=sequence))
+    return cells
+
+
+HOLDS, FAILS = [1.0] * 5, [0.0] * 5
+
+
+def example(sequence: str = "s") -> list[CellResult]:
+    cells = tracked("raw", 24.0, HOLDS, 1.0, sequence)
+    for codec, factor in (("plain", 1.0), ("mine", 0.5)):
+        for rate, held in ((0.25, FAILS), (0.5, HOLDS), (1.0, HOLDS)):
+            cells += tracked(codec, rate * factor, held, factor / rate, sequence)
+    return cells
+
+
+def test_a_run_is_decided_in_a_table_and_a_sentence_for_each_codec() -> None:
+    ranking, held = verdicts(run_of(*example()))
+    assert ranking.title == "s: drift, 5 repeats"
+    assert ranking.heads == ("place", "codec", "group", "rate beside plain", "better than")
+    assert [row[:3] for row in ranking.rows] == [("1", "mine", "a"), ("2", "plain", "b")]
+    assert ranking.rows[0][4] == "plain"
+    assert ranking.sentences == ("Codecs that share a letter cannot be told apart.",)
+    assert held.title == "s: held"
+    assert held.sentences == (
+        "mine q=0.25 holds at 1/96 of raw's rate, 0.25 bpp (5/5 runs, at least 57 % at 95 %); "
+        "q=0.125 fails (0/5 runs, at most 43 % at 95 %).",
+        "plain q=0.5 holds at 1/48 of raw's rate, 0.5 bpp (5/5 runs, at least 57 % at 95 %); "
+        "q=0.25 fails (0/5 runs, at most 43 % at 95 %).",
+        "raw itself: 5/5 runs, at least 57 % at 95 %.",
+    )
+
+
+def test_what_is_missing_is_said() -> None:
+    crashed = cell_result("mine", 0.5, "track", repeat=4, status="crashed", reason="signal 11")
+    cells = [cell for cell in example() if (cell.cell.codec.params["q"], cell.cell.repeat) != (0.5, 4)]
+    others = [cell for cell in example() if cell.cell.codec.name == "plain" and cell.cell.repeat == 4]
+    ranking, held = verdicts(run_of(*cells, crashed, *(cell for cell in others if cell.cell.codec.params["q"] == 0.5)))
+    assert "mine: 1 of 15 values are missing; each counts as the worst." in ranking.sentences
+    assert any("mine" in sentence and "4/5 runs" in sentence for sentence in held.sentences)
+
+
+def test_several_sequences_come_together_first_and_alone_in_brief() -> None:
+    run = run_of(*example("one"), *example("two"))
+    titles = [verdict.title for verdict in verdicts(run)]
+    assert titles == [
+        "all sequences together: drift, 10 repeats", "one: drift, 5 repeats", "two: drift, 5 repeats",
+        "all sequences together: held", "one: held", "two: held",
+    ]  # fmt: skip
+    brief = verdicts(run, brief=True)
+    assert [verdict.title for verdict in brief] == [titles[0], titles[3]]
+    assert "10/10 runs" in brief[1].sentences[0]
+
+
+def test_codecs_that_cannot_be_told_apart_are_said_to_be_so() -> None:
+    cells = [*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001)]
+    ranking, held = verdicts(run_of(*cells))
+    assert ranking.sentences == ("No two of these codecs can be told apart.",)
+    assert held.sentences[0].startswith("plain: cannot tell of q=1.0 (2/2 runs; at least 2 more would tell)")
