@@ -58,7 +58,7 @@ class Matcher:
         found, descriptors = (
             self._detector.detectAndCompute(gray, None) if min(gray.shape) >= _SMALLEST_SIDE else ((), None)
         )
-        if not found:
+        if not found or descriptors is None:
             return NO_KEYPOINTS
         pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64)
         if self._distortion.any():

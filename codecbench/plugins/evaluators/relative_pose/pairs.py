@@ -15,6 +15,7 @@ from codecbench.plugins.evaluators.relative_pose.matching import Matcher
 from codecbench.plugins.evaluators.relative_pose.two_view import near_epipolar_lines
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.true_poses import Poses
+from codecbench.slam.geometry.transforms import se3_inverse
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def pair_of(
         return f"no later frame is {baseline:g} scene distances ({baseline * distance_m:.3g} m) away"
     second = first + 1 + int(far_enough[0])
     motion = relative_motion(poses, first, second)
-    shared = min(overlap(motion, camera, distance_m), overlap(np.linalg.inv(motion), camera, distance_m))
+    shared = min(overlap(motion, camera, distance_m), overlap(se3_inverse(motion), camera, distance_m))
     if shared < min_overlap:
         return f"frame {second}, the first so far away, shows only {100 * shared:.0f} % of the same"
     return Pair(first, second, motion)

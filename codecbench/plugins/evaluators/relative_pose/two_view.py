@@ -48,7 +48,7 @@ def estimate_motion(first: Floats, second: Floats, matrix: Floats, threshold_px:
         return None
     obeying = mask.ravel() > 0
     rays = [np.column_stack([p[obeying], np.ones(obeying.sum())]) @ np.linalg.inv(matrix).T for p in (first, second)]
-    return _in_front(essential, rays[0], rays[1])
+    return _in_front(np.asarray(essential, np.float64), rays[0], rays[1])
 
 
 def _in_front(essential: Floats, first: Floats, second: Floats) -> TwoViewMotion:

@@ -44,8 +44,8 @@ def town() -> list[Panel]:
     for quarter in range(4):
         along, across = _COLUMNS * _BLOCK_X, _ROWS * _BLOCK_Y
         along, across = (along, across) if quarter % 2 == 0 else (across, along)
-        row = _row(along + 2 * _HALF_STREET, stock, rng)
-        panels += placed(placed(row, (0.0, across / 2 + _HALF_STREET, 0.0)), middle, 90.0 * quarter)
+        houses = _row(along + 2 * _HALF_STREET, stock, rng)
+        panels += placed(placed(houses, (0.0, across / 2 + _HALF_STREET, 0.0)), middle, 90.0 * quarter)
     return panels
 
 
