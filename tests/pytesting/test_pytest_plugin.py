@@ -98,6 +98,7 @@ def test_the_suite_and_the_benchmarks_run_together(first_run: Repository) -> Non
     assert "failed" not in done.stdout
 
 
+@pytest.mark.slow
 def test_nothing_changed_is_nothing_failed(repository: Repository) -> None:
     before = repository.baseline
     done = repository.pytest(*documented_commands()[1])
@@ -131,6 +132,7 @@ def test_a_slowdown_fails(repository: Repository) -> None:
     assert "test_decode[posterize]" in (done.stdout + done.stderr).split("Performance has regressed")[1]
 
 
+@pytest.mark.slow
 def test_a_slowdown_that_pytest_benchmark_allows_is_caught_in_units_of_the_yardstick(repository: Repository) -> None:
     once = "zlib.compress(samples.tobytes())"
     repository.edit(once, f"({once}, {once})[1]")

@@ -174,7 +174,7 @@ def test_a_metric_that_an_evaluator_gains_is_missing_until_it_is_asked_for(place
     assert place.run() == (2, 2)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_cells_are_computed_again_by_name(place: Place) -> None:
     place.run()
     coded = {path: path.stat().st_mtime_ns for path in (place.folder / "runs/changing/coded").glob("*.bits")}

@@ -126,7 +126,7 @@ def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     assert "0 kernels to compile, 0 failed" in place.call("warm-up", "counting.yaml")
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_run_compiles_ahead_and_says_so(place: Place) -> None:
     place.call("run", "counting.yaml")
     assert "halving.kernels.halve.counting" in place.kept

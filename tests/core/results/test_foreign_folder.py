@@ -294,6 +294,7 @@ def spoil(run: Path) -> None:
     path.with_stem(described["id"]).write_text(json.dumps({"checksum": digest(described), **described}))
 
 
+@pytest.mark.slow
 def test_hostile_text_of_a_folder_is_text_wherever_it_is_shown(run: Path, place: Path, tmp_path: Path) -> None:
     spoil(run)
     formats = [["--format", name] for name in ("csv", "json", "markdown", "latex")]

@@ -94,7 +94,7 @@ def test_it_moves_sideways_enough_to_start_a_map_at_once():
 # Pictures
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_frames_are_the_same_in_another_process(tmp_path):
     sequence = small(frames=3)
     code = (

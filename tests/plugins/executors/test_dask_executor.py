@@ -133,6 +133,7 @@ def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up
         assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
 
 
+@pytest.mark.slow
 def test_workers_that_are_all_lost_are_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those that are killed while they start, which dask's nannies do not start again."""
     monkeypatch.setattr("codecbench.plugins.executors.dask._LOOK_EVERY_S", 1.0)
@@ -159,6 +160,7 @@ def test_a_cluster_without_workers_is_told_in_time(bench: Bench) -> None:
                 outcomes(executor, Task("b", slow_pid, 0.0))
 
 
+@pytest.mark.slow
 def test_a_large_task_survives_the_worker_that_held_it() -> None:
     with started(DaskParams()) as executor:
         first = outcomes(executor, Task("a", slow_pid, 0.5), Task("b", slow_pid, 0.5))
@@ -277,6 +279,7 @@ def kill_at_random(bench: Bench, kills: int, seed: int) -> None:
     assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
 
 
+@pytest.mark.slow
 def test_workers_killed_at_random_change_nothing(bench: Bench) -> None:
     kill_at_random(bench, kills=4, seed=0)
 

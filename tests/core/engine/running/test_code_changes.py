@@ -58,6 +58,7 @@ def test_an_edit_is_told_until_its_cells_are_made_again(place: Place) -> None:
     assert "other code" not in run(place).output
 
 
+@pytest.mark.slow
 def test_new_cells_on_bitstreams_of_other_code_do_not_hide_it(place: Place) -> None:
     run(place, "--recompute", "quality")
     assert "codec posterize: other code made 1 kept cell" in run(place).stderr
@@ -75,6 +76,7 @@ def test_the_report_says_which_code_made_what(place: Place) -> None:
     assert len(re.findall(r"<td class=\"text\">codec raw</td>.*", page)) == 1
 
 
+@pytest.mark.slow
 def test_records_without_code_are_said_to_be_unknown_in_one_line(place: Place) -> None:
     store = Store(place.folder / "runs" / "m")
     for cell in store.read_plan().cells:

@@ -130,6 +130,7 @@ def hosts(bench: Bench, codecs: str, evaluators: str, more: str = "") -> Iterato
         yield Setup(net, cluster, own)
 
 
+@pytest.mark.slow
 def test_hosts_that_share_only_a_network_find_the_same(bench: Bench) -> None:
     needs_namespaces()
     local = bench.plan(matrix(CODECS, "wandering, whole, alone"))

@@ -26,7 +26,7 @@ class Conditions:
     electrons: float = 8000.0
     brightness: float = 1.0
     swing_stops: float = 0.0
-    lens_blur_px: float = 0.6
+    lens_blur_px: float = 0.5
     contrast: float = 1.0
     distinctness: float = 1.0
 
