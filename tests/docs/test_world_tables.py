@@ -50,7 +50,7 @@ def test_the_slope_of_a_spectrum_is_that_of_noise_made_with_it() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("world", ["room", "corridor_loop", "street", "field"])
 def test_frames_are_within_the_range_of_real_ones(world: str, data_folder: Path) -> None:
-    """Between the least and the largest value of the frames of both real sequences, but for the corridor's keypoints."""
+    """Between the least and the largest value of both real sequences, but for the corridor's keypoints."""
     real = [world_tables.spread(Tum.create(path=data_folder / name).open()) for name in world_tables.REAL]
     least, largest = np.min([low for low, _, _ in real], axis=0), np.max([high for _, _, high in real], axis=0)
     middle = world_tables.spread(Synthetic.create(world=world, severity=0.5).open())[1]
