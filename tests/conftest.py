@@ -12,6 +12,9 @@ import pytest
 TIERS = ("thorough", "slow")
 """Marks of tests that take longer, and options that run them: a tier's option runs those of the shorter tiers too."""
 
+LONGEST = ("test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
+"""Files that begin first, so that no process is left alone with one of them in the end."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     for tier in TIERS:
@@ -38,6 +41,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen, rest = [], []
     for item in items:
         (rest if any(item.get_closest_marker(tier) for tier in left_out) else chosen).append(item)
+    chosen.sort(key=lambda item: item.path.name not in LONGEST)
     items[:] = chosen
     config.hook.pytest_deselected(items=rest)
 

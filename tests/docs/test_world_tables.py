@@ -48,7 +48,9 @@ def test_the_slope_of_a_spectrum_is_that_of_noise_made_with_it() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("world", ["room", "corridor_loop", "street", "field"])
+@pytest.mark.parametrize(
+    "world", ["room", "street", *(pytest.param(world, marks=pytest.mark.slow) for world in ("corridor_loop", "field"))]
+)
 def test_frames_are_within_the_range_of_real_ones(world: str, data_folder: Path) -> None:
     """Between the least and the largest value of both real sequences, but for the corridor's keypoints."""
     real = [world_tables.spread(Tum.create(path=data_folder / name).open()) for name in world_tables.REAL]

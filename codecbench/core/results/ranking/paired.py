@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 _ROUNDING: Final = 1e-12
 """Relative differences up to this are none."""
+_MOST_STEPS: Final = 10_000
+"""Of the search for groups."""
 
 
 @dataclass(frozen=True)
@@ -103,18 +105,38 @@ def holm(p_values: Array) -> Array:
 def joined_groups(apart: NDArray[np.bool_]) -> list[tuple[int, ...]]:
     """The largest groups of which no two members are told apart, in order; everybody is in one or more.
 
-    apart: (N, N), symmetric. Maximal cliques of the complement, by Bron and Kerbosch 1973, doi:10.1145/362342.362367.
+    apart: (N, N), symmetric, in order of place. Maximal cliques of the complement, by Bron and Kerbosch 1973,
+    doi:10.1145/362342.362367, with a pivot. There can be more of them than anybody could list: then the longest runs of
+    neighbours in order, which are at most N.
     """
-    near = ~apart
+    near = [set(np.flatnonzero(~row).tolist()) - {place} for place, row in enumerate(apart)]
     found: list[tuple[int, ...]] = []
+    waiting: list[tuple[tuple[int, ...], set[int], set[int]]] = [((), set(range(len(near))), set())]
+    for _ in range(_MOST_STEPS):
+        if not waiting:
+            return sorted(found)
+        members, candidates, done = waiting.pop()
+        if not candidates and not done and members:
+            found.append(tuple(sorted(members)))
+        if not candidates:
+            continue
+        pivot = max(sorted(candidates | done), key=lambda place: len(near[place]))
+        for place in sorted(candidates - near[pivot]):
+            waiting.append(((*members, place), candidates & near[place], done & near[place]))
+            candidates.remove(place)
+            done.add(place)
+    return longest_runs(apart)
 
-    def extend(members: tuple[int, ...], candidates: list[int], done: list[int]) -> None:
-        if not candidates and not done:
-            found.append(members)
-        for place, candidate in enumerate(candidates):
-            rest = [other for other in candidates[place + 1 :] if near[candidate, other]]
-            before = [other for other in done + candidates[:place] if near[candidate, other]]
-            extend((*members, candidate), rest, before)
 
-    extend((), list(range(len(apart))), [])
-    return sorted(found)
+def longest_runs(apart: NDArray[np.bool_]) -> list[tuple[int, ...]]:
+    """The longest runs of neighbours in order of which no two are told apart."""
+    found: list[tuple[int, ...]] = []
+    start = 0
+    for end in range(len(apart)):
+        first = start
+        while apart[first : end + 1, end].any():
+            first += 1
+        if first > start:
+            found.append(tuple(range(start, end)))
+            start = first
+    return [*found, tuple(range(start, len(apart)))]

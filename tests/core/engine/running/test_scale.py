@@ -124,7 +124,7 @@ def whole_process(*words: str | Path, site: Path) -> Process:
 
 @pytest.mark.parametrize(
     ("sequences", "codecs", "evaluators"),
-    [pytest.param(2, 5, 20, id="short"), pytest.param(10, 100, 100, id="long", marks=LONG)],
+    [pytest.param(2, 5, 20, id="short", marks=pytest.mark.slow), pytest.param(10, 100, 100, id="long", marks=LONG)],
 )
 def test_no_op_cells_are_planned_scheduled_and_tabulated(
     bench: Bench, sequences: int, codecs: int, evaluators: int

@@ -18,6 +18,7 @@ from codecbench.core.results.ranking.paired import (
     evidence_of_repeats,
     holm,
     joined_groups,
+    longest_runs,
 )
 
 
@@ -97,3 +98,23 @@ def test_groups_are_the_largest_without_a_pair_that_is_apart(count: int, random:
     subsets = [subset for size in range(1, count + 1) for subset in combinations(range(count), size) if joined(subset)]
     largest = [subset for subset in subsets if not any(set(subset) < set(other) for other in subsets)]
     assert joined_groups(apart) == sorted(largest)
+
+
+def test_groups_beyond_number_are_runs_and_many_codecs_take_no_time() -> None:
+    assert joined_groups(np.zeros((300, 300), dtype=bool)) == [tuple(range(300))]
+    apart = np.kron(np.eye(40, dtype=bool), np.ones((3, 3), dtype=bool)) & ~np.eye(120, dtype=bool)
+    assert joined_groups(apart) == longest_runs(apart), "3 to the power of 40 groups"
+
+
+@pytest.mark.parametrize("density", [0.0, 0.1, 0.4, 1.0])
+def test_runs_are_the_longest_without_two_told_apart(density: float, rng: np.random.Generator) -> None:
+    for count in (1, 2, 6, 9):
+        apart = np.triu(rng.random((count, count)) < density, 1)
+        apart |= apart.T
+        runs = [
+            tuple(range(first, end + 1))
+            for first in range(count)
+            for end in range(first, count)
+            if not apart[first : end + 1, first : end + 1].any()
+        ]
+        assert longest_runs(apart) == [run for run in runs if not any(set(run) < set(other) for other in runs)]
