@@ -79,7 +79,7 @@ def test_modules_of_the_folder_where_the_program_starts_are_not_loaded(tmp_path:
 
 
 def kill_program(folder: Path) -> list[psutil.Process]:
-    """Kill a program one of whose workers is in C, with `folder` for its temporary files; returns what it had started."""
+    """Kill a program one of whose workers is in C, its temporary files in `folder`; returns what it had started."""
     note = folder / "pid"
     program = (
         f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}]\n"
