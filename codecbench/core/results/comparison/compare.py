@@ -56,7 +56,7 @@ def compare(
 ) -> list[Comparison]:
     """Every series of either snapshot, matched by sequence, codec setting, evaluator and metric.
 
-    metrics: patterns (`quality.psnr*`) of `evaluator.metric` to look at; all where none is given.
+    metrics: patterns (`NAME.*`) of `evaluator.metric` to look at; all where none is given.
     """
     patterns = list(metrics)
     first, second = ({series.key: series for series in snapshot.series} for snapshot in (before, after))
