@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing.spawn
 import pickle
@@ -23,6 +24,9 @@ from codecbench.core.contracts.confinement import CONFINED_PID, confining_words
 from codecbench.plugins.executors.fork_server import hidden_main
 from codecbench.plugins.executors.isolation import WorkerFiles
 
+_STARTING = threading.Lock()
+"""Held while a worker starts: the program that starts is one setting of the whole process, and pools have threads."""
+
 
 class ConfinedContext(SpawnContext):
     """A multiprocessing context that starts a pool's one worker confined.
@@ -35,7 +39,13 @@ class ConfinedContext(SpawnContext):
         super().__init__()
         self._files = files
         self._pid = 0
+        self._closed = False
         self.Process = self._process  # type: ignore[misc, assignment]
+
+    def close(self) -> None:
+        """Start no further worker: a pool replaces one that died until it has stopped, and its files serve the next."""
+        with _STARTING:
+            self._closed = True
 
     def RLock(self) -> Any:  # noqa: N802 - named by multiprocessing
         return _LockOfOneEnd()
@@ -52,6 +62,12 @@ class ConfinedContext(SpawnContext):
 
     def _begin(self, start: Any) -> None:
         """Have `start` run the interpreter by a script that confines it, and write down which process that is."""
+        with _STARTING:
+            if self._closed:
+                raise OSError(errno.ESHUTDOWN, "the worker's place is taken")  # what pebble expects where none starts
+            self._begin_alone(start)
+
+    def _begin_alone(self, start: Any) -> None:
         self._files.scratch.mkdir(exist_ok=True)
         script = self._files.identity.with_suffix(".sh")
         interpreter = multiprocessing.spawn.get_executable()

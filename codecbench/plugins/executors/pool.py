@@ -51,6 +51,7 @@ class _Slot:
     company: tuple[str, ...] = ()
     confined: bool = False
     pool: ProcessPool | None = None
+    confining: ConfinedContext | None = None
     task: Task | None = None
     future: Future[Any] | None = None
     launched: float = 0.0
@@ -140,11 +141,12 @@ class WorkerPool:
         slot.launched, slot.started, slot.gone_since = time.monotonic(), None, None
         if slot.pool is None or not slot.pool.active:
             self._discard(slot)
+            slot.confining = ConfinedContext(slot.files) if slot.confined else None
             slot.pool = ProcessPool(
                 max_workers=1,
                 initializer=enter_worker,
                 initargs=(slot.files, self._prepare, None if slot.confined else Surroundings.now()),
-                context=ConfinedContext(slot.files) if slot.confined else self._context,
+                context=slot.confining or self._context,
             )
         future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
         slot.future = future
@@ -233,6 +235,8 @@ class WorkerPool:
         pool, slot.pool = slot.pool, None
         if pool is None:
             return
+        if slot.confining is not None:
+            slot.confining.close()
         pool.stop()  # type: ignore[no-untyped-call]
         with suppress(OSError, ValueError):
             _kill_tree(json.loads(slot.files.identity.read_text())["pid"])

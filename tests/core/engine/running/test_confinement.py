@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import functools
 import json
+import multiprocessing.spawn
 import os
 import pickle
+import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -17,6 +20,8 @@ from installed_command import Done, Place
 from codecbench.core.contracts.confinement import VARIABLE, confinement, status_inside
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.results.collect import open_run
+from codecbench.plugins.executors.confined_context import ConfinedContext
+from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 pytestmark = pytest.mark.thorough
 
@@ -300,3 +305,30 @@ def subclass_of_a_call() -> object:
     import subprocess
 
     return subprocess.Popen
+
+
+@pytest.mark.skipif(bool(impossible()), reason=impossible())
+def test_workers_that_start_at_once_are_not_confined_in_each_other(tmp_path: Path) -> None:
+    contexts = []
+    for number in range(2):
+        (tmp_path / str(number)).mkdir()
+        contexts.append(ConfinedContext(WorkerFolder(str(tmp_path / str(number))).files(0)))
+    interpreter = multiprocessing.spawn.get_executable()
+    started = []
+
+    def start() -> int:
+        time.sleep(0.2)  # for the other to come in between
+        started.append(Path(os.fsdecode(multiprocessing.spawn.get_executable())).read_text())
+        return 1
+
+    threads = [threading.Thread(target=context._begin, args=(start,)) for context in contexts]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(started)) == 2
+    assert all(f"-- {os.fsdecode(interpreter)} " in script for script in started), started
+    assert multiprocessing.spawn.get_executable() == interpreter
+    contexts[0].close()
+    with pytest.raises(OSError, match="place is taken"):
+        contexts[0]._begin(start)
