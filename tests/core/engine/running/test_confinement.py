@@ -316,14 +316,18 @@ def test_workers_that_start_at_once_are_not_confined_in_each_other(tmp_path: Pat
     interpreter = multiprocessing.spawn.get_executable()
     started = []
 
+    entered = threading.Event()
+
     def start() -> int:
-        time.sleep(0.2)  # for the other to come in between
         started.append(Path(os.fsdecode(multiprocessing.spawn.get_executable())).read_text())
+        entered.set()
+        time.sleep(0.5)  # for the other to come in between
         return 1
 
     threads = [threading.Thread(target=context._begin, args=(start,)) for context in contexts]
     for thread in threads:
         thread.start()
+        assert entered.wait(30)
     for thread in threads:
         thread.join()
     assert len(set(started)) == 2
