@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
-from codecbench.slam.atlas import Atlas
+from codecbench.slam.atlas.atlas import Atlas
+from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor, Features
+from codecbench.slam.features.gray import ImageArray, to_gray
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.decoded_keyframes import use_decoded
 from codecbench.slam.mapping.initialization import Initializer
 from codecbench.slam.options import Options
-from codecbench.slam.result import ClosedLoop, FrameState, Result, State
-from codecbench.slam.tracked_map import TrackedMap
+from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, Result, State
+from codecbench.slam.tracking.localizer import Localizer
 
-ImageArray = NDArray[np.uint8]
 KeyframeImage = Callable[[ImageArray], ImageArray]
+
+
+@dataclass(frozen=True)
+class BuiltMap:
+    """The largest map of a run: its localizer, the `trajectory` of the frames in it, and of which frames (K,) its
+    keyframes are."""
+
+    localizer: Localizer
+    trajectory: FrameTrajectory
+    keyframe_indices: NDArray[np.int64]
 
 
 class System:
@@ -152,17 +162,16 @@ class System:
         return self._extractor.extract(gray)
 
 
-def to_gray(image: NDArray[Any]) -> ImageArray:
-    """The image in gray (height, width), by BT.601 where it has three channels, red first.
-
-    Raises TypeError for what is not a uint8 array (height, width) or (height, width, 1 or 3).
-    """
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
-        raise TypeError(f"image: got {getattr(image, 'dtype', type(image).__name__)}; expected a uint8 array")
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[:, :, 0]
-    if image.ndim == 2:
-        return np.ascontiguousarray(image)
-    if image.ndim == 3 and image.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-    raise TypeError(f"image: got shape {image.shape}; expected (height, width) or (height, width, 3)")
+def build_map(
+    frames: Iterable[tuple[ImageArray, float]], camera: Camera, options: Options | None = None, seed: int = 0
+) -> BuiltMap | None:
+    """The largest map that SLAM makes of images with their times in seconds, or None where it makes none."""
+    options = options or Options()
+    system = System(camera, options, seed)
+    for image, timestamp_s in frames:
+        system.process(image, timestamp_s)
+    result = system.finish()
+    if not result.maps:
+        return None
+    slam_map = next(found for found in system.maps if found.index == result.main.index)
+    return BuiltMap(Localizer(slam_map, camera, options), result.trajectory, result.keyframe_indices)

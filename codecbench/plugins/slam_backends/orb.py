@@ -27,7 +27,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-from codecbench.slam.localizer import BuiltMap, build_map
+from codecbench.slam.system import BuiltMap, build_map
 
 
 class OrbParams(Params):

@@ -15,8 +15,9 @@ from codecbench.plugins.evaluators.trajectory.alignment import Similarity, Undef
 from codecbench.plugins.evaluators.true_poses import Poses, true_poses
 from codecbench.plugins.slam_backends.orb import Orb
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
-from codecbench.slam.localizer import BuiltMap, Localizer, Location
 from codecbench.slam.result import FrameTrajectory
+from codecbench.slam.system import BuiltMap
+from codecbench.slam.tracking.localizer import Localizer, Location
 
 Way = Literal["tracked", "relocalized"]
 

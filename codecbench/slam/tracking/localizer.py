@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import FeatureExtractor, Features
+from codecbench.slam.features.gray import ImageArray, to_gray
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.frame import TrackingFrame
@@ -17,8 +16,6 @@ from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.map.projection import project_map_points
 from codecbench.slam.options import Options
 from codecbench.slam.places.recognition import PlaceRecognition, relocalization_candidates
-from codecbench.slam.result import FrameTrajectory
-from codecbench.slam.system import ImageArray, System, to_gray
 from codecbench.slam.tracking.relocalization import relocalize
 from codecbench.slam.tracking.tracker import Tracker, match_projections
 
@@ -29,16 +26,6 @@ class Location:
 
     camera_from_world: Array
     inliers: int
-
-
-@dataclass(frozen=True)
-class BuiltMap:
-    """The largest map of a run: its localizer, the `trajectory` of the frames in it, and of which frames (K,) its
-    keyframes are."""
-
-    localizer: Localizer
-    trajectory: FrameTrajectory
-    keyframe_indices: NDArray[np.int64]
 
 
 class Localizer:
@@ -110,18 +97,3 @@ class Localizer:
         distances = np.linalg.norm(self.map.keyframes.centers_world[self._keyframes] - center, axis=1)
         distances[~alike] += distances.max() + 1.0
         return int(self._keyframes[np.argmin(distances)])
-
-
-def build_map(
-    frames: Iterable[tuple[ImageArray, float]], camera: Camera, options: Options | None = None, seed: int = 0
-) -> BuiltMap | None:
-    """The largest map that SLAM makes of images with their times in seconds, or None where it makes none."""
-    options = options or Options()
-    system = System(camera, options, seed)
-    for image, timestamp_s in frames:
-        system.process(image, timestamp_s)
-    result = system.finish()
-    if not result.maps:
-        return None
-    slam_map = next(found for found in system.maps if found.index == result.main.index)
-    return BuiltMap(Localizer(slam_map, camera, options), result.trajectory, result.keyframe_indices)

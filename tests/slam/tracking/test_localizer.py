@@ -7,11 +7,11 @@ import pytest
 from map_scenes import FACTORS, build_map, observe_scene
 from rendered_scenes import CAMERA, Floats, Room, features_at, looking, path_pose, random_descriptors
 
-from codecbench.slam import localizer as module
+from codecbench.slam import system as module
 from codecbench.slam.features.extractor import Features
-from codecbench.slam.localizer import Localizer
 from codecbench.slam.options import Options
 from codecbench.slam.thresholds import LOCAL_MIN_INLIERS, RELOCALIZED_MIN_INLIERS
+from codecbench.slam.tracking.localizer import Localizer
 
 pytestmark = pytest.mark.thorough
 

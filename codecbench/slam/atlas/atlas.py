@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codecbench.slam import thresholds
+from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
@@ -12,7 +13,6 @@ from codecbench.slam.mapping.loop_detection import LoopDetector
 from codecbench.slam.mapping.mapper import Mapper
 from codecbench.slam.places.recognition import relocalization_candidates
 from codecbench.slam.result import MergedMaps
-from codecbench.slam.tracked_map import TrackedMap
 
 
 class Atlas:
