@@ -30,6 +30,10 @@ class EncoderNotes:
             self._known[job_id] = self._read(job_id)
         return self._known[job_id]
 
+    def damaged(self, job_id: str) -> bool:
+        """Whether there is a note of a job's bitstreams that cannot be read."""
+        return not self.read(job_id) and self._path(job_id).exists()
+
     def _read(self, job_id: str) -> str:
         try:
             document = json_from_bytes(read_plain(self._path(job_id)))

@@ -113,9 +113,10 @@ class Store:
         if not path.exists():
             return False
         try:
-            if len(BitstreamFile(path, job_id)) == frames:
+            whole = len(BitstreamFile(path, job_id)) == frames
+            if whole and not self.encoders.damaged(job_id):
                 return True
-            reason = "it has another number of frames"
+            reason = "its note of who encoded it is damaged" if whole else "it has another number of frames"
         except BitstreamDamage as error:
             reason = str(error)
         self.drop_coded(job_id, reason)

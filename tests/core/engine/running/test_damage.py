@@ -67,9 +67,12 @@ KINDS = {
     "artifact": "records/*/*/diary.txt",
     "index": "records/index.jsonl",
     "bitstreams": "coded/*.bits",
+    "encoder": "coded/*.code",
     "plan": "plan.json",
     "matrix": "matrix.yaml",
 }
+CODED = ("bitstreams", "encoder")
+"""Kinds that no table reads, and a run only where it needs bitstreams."""
 FLIPS = 200
 
 
@@ -160,7 +163,7 @@ def noticed_by_resuming(folder: Path, plan: Plan, caplog: pytest.LogCaptureFixtu
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bitstreams"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in CODED])
 def test_no_flipped_bit_changes_a_table_silently(
     kind: str, folder: Path, plan: Plan, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -194,6 +197,17 @@ def test_every_flipped_bit_of_bitstreams_is_noticed_where_they_are_read(folder: 
             pytest.fail(f"bit {bit} was not noticed")
 
 
+def test_every_flipped_bit_of_a_note_of_who_encoded_is_noticed(folder: Path, plan: Plan) -> None:
+    for number, job in enumerate(plan.jobs):
+        path = Store(folder).coded_path(job.id).with_suffix(".code")
+        known = Store(folder).encoders.read(job.id)
+        assert known
+        for bit in flips(path, FLIPS // len(plan.jobs), number):
+            store = Store(folder)
+            assert store.encoders.read(job.id) == known or store.encoders.damaged(job.id), bit
+        assert Store(folder).has_coded(job.id, job.sequence.frames)
+
+
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=() if kind == "record" else pytest.mark.slow) for kind in KINDS]
 )
@@ -202,13 +216,14 @@ def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Pat
     path = sorted(folder.glob(KINDS[kind]))[0]
     for bit in flips(path, 1, 7):
         before = command(site, "table", folder)
-        again = ["--recompute", "error"] if kind == "bitstreams" else []
+        again = ["--recompute", "error"] if kind in CODED else []
         done = command(site, "run", "small.yaml", "--out", folder, "--quiet", *again)
         assert done.returncode == 0, done.stderr
         assert sound(folder, plan), (kind, bit)
         assert table(folder) == expected
         said = before.stderr + done.stderr + (folder / "run.log").read_text()
         assert kind == "index" or "damaged" in said or "again" in said, said
+        assert kind != "encoder" or "its note of who encoded it is damaged" in said
 
 
 def test_two_bitstream_files_that_changed_places_are_noticed(folder: Path, plan: Plan, site: Path) -> None:
