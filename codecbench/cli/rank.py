@@ -19,13 +19,20 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
-def rank(run: Path, format_: str) -> None:
+@click.option(
+    "--rate",
+    "rates",
+    type=click.FloatRange(min=0, min_open=True),
+    multiple=True,
+    help="Say which codec to take at this rate, in the unit of tables (bit/px); may be given several times.",
+)
+def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
     """Say which codecs of the RUN folder are ahead, which cannot be told apart, and down to which rate each holds."""
     from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.ranking.words import verdicts
+    from codecbench.core.results.ranking.words import verdicts, verdicts_at
 
     result = begun_run(run)
-    found = verdicts(result)
+    found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
     if format_ == "json":
         click.echo(json.dumps([vars(verdict) for verdict in found], indent=1))
     elif format_ == "markdown":

@@ -71,6 +71,13 @@ def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
         return -np.log10(values) if column.metric.scale == "log" else -values
 
 
+def from_quality(quality: float, column: Column) -> float:
+    """A value of a column from what `as_quality` made of it."""
+    if column.metric.better == "higher":
+        return quality
+    return float(10.0**-quality) if column.metric.scale == "log" else -quality
+
+
 _Pair = tuple[CellResult, CellResult]
 
 

@@ -28,26 +28,44 @@ _STEPS: Final = 33
 class CurveValues:
     """The settings of a curve, in order of rate.
 
-    log_rates: (S,). qualities: (S, U), better when higher, of the same U frames or repeats for every curve; none is
-    missing. missing: how many were, each of which counts as the worst that anybody had. of: frames or repeats.
+    points: (S,) names. log_rates: (S,). qualities: (S, U), better when higher, of the same U frames or repeats for
+    every curve; none is missing. missing: how many were, each of which counts as the worst that anybody had. of: frames
+    or repeats.
     """
 
+    points: tuple[str, ...]
     log_rates: Array
     qualities: Array
     missing: int
     of: Of
 
-    def better_than(self, other: CurveValues) -> Evidence | None:
-        """By how much this curve is better, on average over the log of the rates that both have; None for none."""
+    def better_than(self, other: CurveValues, at: float | None = None) -> Evidence | None:
+        """By how much this curve is better, on average over the log of the rates that both have; None for none.
+
+        With `at`, at that rate alone.
+        """
         low = max(self.log_rates[0], other.log_rates[0])
         high = min(self.log_rates[-1], other.log_rates[-1])
+        if at is not None:
+            if not (self.reaches(at) and other.reaches(at)):
+                return None
+            low = high = float(np.log(at))
         if low - high > np.log(_EQUAL_RATES):
             return None
-        at = np.linspace(low, high, _STEPS) if high > low else np.array([0.5 * (low + high)])
-        differences = self._mean(at) - other._mean(at)
+        shared = np.linspace(low, high, _STEPS) if high > low else np.array([0.5 * (low + high)])
+        differences = self.mean(shared) - other.mean(shared)
         return evidence_of_frames(differences) if self.of == "frames" else evidence_of_repeats(differences)
 
-    def _mean(self, at: Array) -> Array:
+    def reaches(self, rate: float) -> bool:
+        """Whether a rate lies among those of the settings, give or take what counts as equal."""
+        margin = np.log(_EQUAL_RATES)
+        return bool(self.log_rates[0] - margin <= np.log(rate) <= self.log_rates[-1] + margin)
+
+    def nearest(self, rate: float) -> str:
+        """The setting with the rate nearest to this one."""
+        return self.points[int(np.argmin(np.abs(self.log_rates - np.log(rate))))]
+
+    def mean(self, at: Array) -> Array:
         """(U,) mean over some log rates, linear between settings."""
         weights = [np.interp(at, self.log_rates, unit).mean() for unit in np.eye(len(self.log_rates))]
         return np.asarray(np.array(weights) @ self.qualities)
@@ -76,14 +94,16 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
     finite = table[np.isfinite(table)]
     bounded = np.clip(np.where(np.isnan(table), finite.min(), table), finite.min(), finite.max())
     places: dict[str, list[int]] = defaultdict(list)
-    for place, key in enumerate(measured):
+    keys = list(measured)
+    for place, key in enumerate(keys):
         places[run.curves[key[1:]].curve].append(place)
-    rates = np.log([run.rates[key] for key in measured])
+    rates = np.log([run.rates[key] for key in keys])
     found = {}
     for curve, members in places.items():
         order = sorted(members, key=lambda place: rates[place])
         lost = int(missing[order].sum())
-        found[curve] = CurveValues(rates[order], bounded[order], lost, of)
+        points = tuple(run.curves[keys[place][1:]].point for place in order)
+        found[curve] = CurveValues(points, rates[order], bounded[order], lost, of)
     return found, left_out
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import kendalltau
 
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
@@ -17,7 +18,7 @@ from codecbench.core.results.limits import POOLED
 from codecbench.core.results.ranking.curve_values import Array, CurveValues, Of, curve_values
 from codecbench.core.results.ranking.paired import Evidence, combined, holm, joined_groups
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import anchor_of, bd_rates
+from codecbench.core.results.verdicts import anchor_of, bd_rates, from_quality
 
 SIGNIFICANCE: Final = 0.01
 """Chance that a ranking of codecs that are all alike puts any of them before another."""
@@ -29,7 +30,8 @@ class Ranked:
 
     ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rate: against
     the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and
-    where it was never asked for. missing, values: how many of its values are missing, of how many.
+    where it was never asked for. missing, values: how many of its values are missing, of how many. In a ranking at one
+    rate, value is the column's mean there, between settings, and nearest the setting with the nearest rate.
     """
 
     curve: str
@@ -40,13 +42,17 @@ class Ranked:
     bd_rate: BdRate | None
     missing: int
     values: int
+    value: float | None = None
+    nearest: str = ""
 
 
 @dataclass(frozen=True)
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none.
+    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none. rate: at
+    which codecs are compared; None for all rates that they share. foretold: by sequence, Kendall's tau-b of the order
+    there and the order of all other sequences together; empty for a single sequence.
     """
 
     column: Column
@@ -56,13 +62,16 @@ class Ranking:
     ranked: tuple[Ranked, ...]
     left_out: dict[str, str]
     anchor: str
+    rate: float | None
+    foretold: dict[str, float]
 
 
-def rankings(run: RunResult, *, brief: bool = False) -> list[Ranking]:
+def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
     """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
 
     A ranking over all of a single sequence is left out, as are those that would have less than two codecs. Nothing
-    where the run has no rate. brief: only the first of each column.
+    where the run has no rate. brief: only the first of each column. at: the rate, in its metric's unit, at which codecs
+    are compared, linearly between the logarithms of their settings' rates; all rates that two codecs share, without it.
     """
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
     if run.rate is None:
@@ -74,7 +83,7 @@ def rankings(run: RunResult, *, brief: bool = False) -> list[Ranking]:
         gathered = {name: curve_values(run, column, name) for name in sequences}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]
-        made = (_ranking(run, column, group, gathered, rates) for group in groups)
+        made = (_ranking(run, column, group, gathered, rates, at) for group in groups)
         found += [ranking for ranking in made if len(ranking.ranked) > 1]
     return found
 
@@ -88,10 +97,11 @@ def _ranking(
     sequences: Sequence[str],
     gathered: _Gathered,
     rates: dict[tuple[str, str], BdRate],
+    at: float | None,
 ) -> Ranking:
     values = {name: gathered[name][0] for name in sequences}
-    curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences})
-    evidence = _evidence(curves, values)
+    curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences}, at)
+    evidence = _evidence(curves, values, at)
     matrices = _told_apart(len(curves), evidence)
     anchor = anchor_of({curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}, run.meaning.anchors)
     any_curve = [next(iter(found.values())) for found in values.values() if found]
@@ -100,14 +110,35 @@ def _ranking(
         sequences[0] if len(sequences) == 1 else POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
-        tuple(_placed(curves, values, matrices, rates, anchor)),
+        tuple(_placed(curves, values, matrices, rates, anchor, column, at)),
         left_out,
         anchor or "",
+        at,
+        _foretold(curves, values, at),
     )
 
 
+def _foretold(curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None) -> dict[str, float]:
+    """How well the order on each sequence is foretold by the others' (Kendall 1945, doi:10.1093/biomet/33.3.239)."""
+
+    def scores(names: list[str]) -> Array:
+        evidence = _evidence(curves, {name: values[name] for name in names}, at)
+        return _told_apart(len(curves), evidence).scores
+
+    if len(values) < 2 or len(curves) < 2:
+        return {}
+    return {
+        name: float(kendalltau(scores([name]), scores([other for other in values if other != name])).statistic)
+        for name in values
+    }
+
+
 def _comparable(
-    run: RunResult, column: Column, values: dict[str, dict[str, CurveValues]], reasons: dict[str, dict[str, str]]
+    run: RunResult,
+    column: Column,
+    values: dict[str, dict[str, CurveValues]],
+    reasons: dict[str, dict[str, str]],
+    at: float | None,
 ) -> tuple[list[str], dict[str, str]]:
     """Curves that can be compared with another on every sequence, and why the others cannot."""
     baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.meaning.baselines}
@@ -122,26 +153,30 @@ def _comparable(
         absent = [sequence for sequence, found in values.items() if curve not in found]
         if absent:
             left_out.setdefault(curve, f"not run yet on {', '.join(absent)}")
+        elif at is not None and (away := [name for name, found in values.items() if not found[curve].reaches(at)]):
+            left_out.setdefault(curve, f"its settings do not reach this rate on {', '.join(away)}")
     curves = [curve for curve in known if curve not in left_out and curve not in baselines]
     for curve in list(curves):
         others = [other for other in curves if other != curve]
-        if not any(_compared(curve, other, values) is not None for other in others):
+        if not any(_compared(curve, other, values, at) is not None for other in others):
             left_out[curve] = "no other codec was measured at its rates"
     return [curve for curve in curves if curve not in left_out], {
         curve: reason for curve, reason in left_out.items() if curve not in baselines
     }
 
 
-def _compared(first: str, second: str, values: dict[str, dict[str, CurveValues]]) -> Evidence | None:
+def _compared(first: str, second: str, values: dict[str, dict[str, CurveValues]], at: float | None) -> Evidence | None:
     """By how much the first is better on average over sequences; None where they share no rate on one."""
-    parts = [found[first].better_than(found[second]) for found in values.values()]
+    parts = [found[first].better_than(found[second], at) for found in values.values()]
     present = [part for part in parts if part is not None]
     return combined(present) if len(present) == len(parts) else None
 
 
-def _evidence(curves: list[str], values: dict[str, dict[str, CurveValues]]) -> dict[tuple[int, int], Evidence]:
+def _evidence(
+    curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None
+) -> dict[tuple[int, int], Evidence]:
     """Of each pair of curves that can be compared, by position."""
-    pairs = {(i, j): _compared(curves[i], curves[j], values) for i, j in combinations(range(len(curves)), 2)}
+    pairs = {(i, j): _compared(curves[i], curves[j], values, at) for i, j in combinations(range(len(curves)), 2)}
     return {pair: found for pair, found in pairs.items() if found is not None}
 
 
@@ -173,6 +208,8 @@ def _placed(
     matrices: _Matrices,
     rates: dict[tuple[str, str], BdRate],
     anchor: str | None,
+    column: Column,
+    rate: float | None,
 ) -> list[Ranked]:
     better = matrices.better
     order = sorted(range(len(curves)), key=lambda place: -matrices.scores[place])
@@ -192,9 +229,16 @@ def _placed(
                 None if curve == anchor else _over_sequences([rates.get((name, curve)) for name in values]),
                 sum(found.missing for found in of_curve),
                 sum(found.qualities.size for found in of_curve),
+                None if rate is None else from_quality(_mean_at(of_curve, rate), column),
+                "" if rate is None else of_curve[0].nearest(rate),
             )
         )
     return placed
+
+
+def _mean_at(of_curve: list[CurveValues], rate: float) -> float:
+    """The mean over sequences of the mean quality at a rate."""
+    return float(np.mean([found.mean(np.log([rate])).mean() for found in of_curve]))
 
 
 def _letter(number: int) -> str:

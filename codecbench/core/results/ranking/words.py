@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,13 @@ class Verdict:
     sentences: tuple[str, ...]
 
 
+def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
+    """Which codec to take at a rate, in the unit that people are shown, by each task."""
+    if run.rate is None:
+        return []
+    return [_ranked(run, ranking) for ranking in rankings(run, at=rate / run.rate.factor)]
+
+
 def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     """What the run decides: who is ahead by each task, then down to which rate each codec holds.
 
@@ -32,24 +40,54 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     """
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
-        ranked[ranking.column].append(_ranked(ranking))
+        ranked[ranking.column].append(_ranked(run, ranking))
     groups = [*ranked.values(), *(list(_held(run, columns)) for columns in _successes(run))]
     return [verdict for group in groups for verdict in (group[:1] if brief else group)]
 
 
-def _ranked(ranking: Ranking) -> Verdict:
-    against = f"rate beside {ranking.anchor}" if ranking.anchor else "rate"
-    heads = ("place", "codec", "group", against, "better than")
+def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
+    title = f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
+    if ranking.rate is None:
+        shown = {f"rate beside {ranking.anchor}" if ranking.anchor else "rate": _rate}
+    else:
+        title += f", at {_spent(run, ranking.rate)}"
+        shown = {ranking.column.heading: partial(_value, ranking.column), "nearest setting": _nearest}
+    heads = ("place", "codec", "group", *shown, "better than")
     rows = tuple(
-        (_places(ranked), ranked.curve, ranked.group, _rate(ranked), ", ".join(ranked.ahead_of) or "–")
+        (_places(ranked), ranked.curve, ranked.group, *(cell(ranked) for cell in shown.values()),
+         ", ".join(ranked.ahead_of) or "–")
         for ranked in ranking.ranked
-    )
-    return Verdict(
-        f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}",
-        heads,
-        rows,
-        tuple(_notes(ranking)),
-    )
+    )  # fmt: skip
+    taken = () if ranking.rate is None else (_taken(run, ranking),)
+    return Verdict(title, heads, rows, (*taken, *_notes(ranking)))
+
+
+def _taken(run: RunResult, ranking: Ranking) -> str:
+    """Which codec to take at the ranking's rate, and how sure that is."""
+    assert ranking.rate is not None
+    first, *others = ranking.ranked
+    words = f"At {_spent(run, ranking.rate)} take {f'{first.curve} {first.nearest}'.strip()}"
+    behind = set(first.ahead_of)
+    alike = [other.curve for other in others if other.curve not in behind]
+    if not alike:
+        return f"{words}: it is better than every other, {', '.join(first.ahead_of)}."
+    if not behind:
+        return f"{words}, or any of the others: it has the best average, and no other can be told from it."
+    told = f"it is better than {', '.join(first.ahead_of)}"
+    return f"{words}: {told}. It cannot be told from {', '.join(alike)}, of which it has the best average."
+
+
+def _spent(run: RunResult, rate: float) -> str:
+    assert run.rate is not None
+    return f"{rate * run.rate.factor:.3g} {run.rate.unit}"
+
+
+def _value(column: Column, ranked: Ranked) -> str:
+    return "–" if ranked.value is None else f"{ranked.value * column.factor:.4g}"
+
+
+def _nearest(ranked: Ranked) -> str:
+    return ranked.nearest or "–"
 
 
 def _places(ranked: Ranked) -> str:
@@ -67,6 +105,13 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield "No two of these codecs can be told apart."
     else:
         yield "Codecs that share a letter cannot be told apart."
+    if ranking.foretold:
+        least = min(ranking.foretold, key=lambda name: ranking.foretold[name])
+        mean = sum(ranking.foretold.values()) / len(ranking.foretold)
+        yield (
+            f"The order on a sequence is foretold by the others' with Kendall's tau {mean:.2f} on average, "
+            f"{ranking.foretold[least]:.2f} on {least}."
+        )
     for ranked in ranking.ranked:
         if ranked.missing:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
@@ -116,7 +161,7 @@ def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
 def _share(run: RunResult, sequence: str, standing: Standing) -> str:
     """The rate as a share of the baseline's, and by itself."""
     assert run.rate is not None
-    spent = f"{standing.rate * run.rate.factor:.3g} {run.rate.unit}"
+    spent = _spent(run, standing.rate)
     rates = pooled_rates(run) if sequence == POOLED else run.rates
     raw = [
         (codec, rate)

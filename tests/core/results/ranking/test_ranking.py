@@ -240,3 +240,37 @@ def test_without_a_rate_there_is_no_ranking(rng: np.random.Generator) -> None:
     cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng))
     assert rankings(run_of(*(cell for cell in cells if cell.cell.evaluator.name == "track"))) == []
     assert DRIFT.role == "task"
+
+
+def test_at_one_rate_codecs_are_compared_there_alone(rng: np.random.Generator) -> None:
+    """Two curves that cross: which is ahead depends on the rate, and the value is the one between two settings."""
+
+    def power(exponent: float) -> Errors:
+        return lambda rate: rate**-exponent * np.exp(rng.normal(0.0, 0.02, STARTS))
+
+    far = starts("far", falling(1.0, rng), rates=(8.0, 16.0))
+    run = run_of(*starts("steep", power(2.0)), *starts("flat", power(0.5)), *far)
+    low, high = (rankings(run, at=rate)[0] for rate in (0.35, 1.4))
+    assert places(low) == {"flat": (1, 1), "steep": (2, 2)}
+    assert places(high) == {"steep": (1, 1), "flat": (2, 2)}
+    assert row(low, "flat").value == pytest.approx(0.35**-0.5, rel=0.03)
+    assert row(low, "steep").value == pytest.approx(0.35**-2, rel=0.03)
+    assert (row(low, "flat").nearest, row(high, "flat").nearest) == ("q=0.25", "q=1.0")
+    assert low.left_out == {"far": "its settings do not reach this rate on s"}
+    assert places(rankings(run, at=0.24)[0]) == {"flat": (1, 1), "steep": (2, 2)}
+    assert rankings(run, at=0.1) == []
+
+
+def test_the_order_on_a_sequence_is_foretold_by_the_others(rng: np.random.Generator) -> None:
+    factors = {"plain": 1.0, "good": 0.5, "bad": 2.0}
+    turned = {"plain": 1.0, "good": 2.0, "bad": 0.5}
+    cells = [
+        cell
+        for sequence, of_codecs in (("s", factors), ("t", factors), ("v", factors), ("u", turned))
+        for name, factor in of_codecs.items()
+        for cell in starts(name, falling(factor, rng, 0.01), sequence=sequence)
+    ]
+    together, *each = rankings(run_of(*cells))
+    assert together.foretold["u"] == pytest.approx(-1.0)
+    assert [together.foretold[name] for name in "stv"] == pytest.approx([1.0, 1.0, 1.0])
+    assert all(ranking.foretold == {} for ranking in each)

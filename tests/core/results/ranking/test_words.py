@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from measured_runs import cell_result, run_of
 
-from codecbench.core.results.ranking.words import verdicts
+from codecbench.core.results.ranking.words import verdicts, verdicts_at
 from codecbench.core.results.table import CellResult
 
 
@@ -73,3 +73,22 @@ def test_codecs_that_cannot_be_told_apart_are_said_to_be_so() -> None:
     ranking, held = verdicts(run_of(*cells))
     assert ranking.sentences == ("No two of these codecs can be told apart.",)
     assert held.sentences[0].startswith("plain: cannot tell of q=1.0 (2/2 runs; at least 2 more would tell)")
+
+
+def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:
+    run = run_of(*example("one"), *example("two"))
+    together, one, _ = verdicts_at(run, 0.3)
+    assert together.title == "all sequences together: drift, 10 repeats, at 0.3 bpp"
+    assert together.heads == ("place", "codec", "group", "drift [m]", "nearest setting", "better than")
+    assert [row[:3] for row in one.rows] == [("1", "mine", "a"), ("2", "plain", "b")]
+    assert one.sentences[0] == "At 0.3 bpp take mine q=0.25: it is better than every other, plain."
+    assert together.sentences[0] == one.sentences[0]
+    assert (
+        "The order on a sequence is foretold by the others' with Kendall's tau 1.00 on average" in together.sentences[2]
+    )
+    assert verdicts_at(run, 7.0) == []
+    alike = run_of(*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001))
+    (undecided,) = verdicts_at(alike, 1.0)
+    assert undecided.sentences[0].endswith(
+        "or any of the others: it has the best average, and no other can be told from it."
+    )
