@@ -107,6 +107,7 @@ def test_tables_in_every_format(place: Path, run: Path, shape: str, format_: str
         assert len(json.loads(out)) == (3 if shape == "--wide" else 15)
 
 
+@pytest.mark.thorough
 def test_tables_as_parquet_equal_those_from_python(place: Path, run: Path) -> None:
     call(place, "table", str(run), "--tidy", "--format", "parquet", "--out", "tidy.parquet")
     call(place, "table", str(run), "--format", "parquet", status=2)
@@ -136,6 +137,7 @@ def test_status_report_plot_and_compare(place: Path, run: Path) -> None:
     assert json.loads(call(place, "compare", "baseline.json", str(run), "--format", "json"))["counts"]["same"] >= 2
 
 
+@pytest.mark.thorough
 def test_schema_describes_what_is_installed(place: Path) -> None:
     whole = json.loads(call(place, "schema"))
     assert "shift" in json.dumps(whole["properties"]["codecs"])

@@ -103,6 +103,7 @@ def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
     assert "pass  params" in done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("codec_class", "said"),
     [
@@ -132,6 +133,7 @@ def test_a_codec_that_ends_or_stops_its_process_fails_its_check_alone(
     assert time.monotonic() - begun < 60
 
 
+@pytest.mark.thorough
 def test_a_codec_that_ends_its_process_when_constructed_costs_itself(tmp_path: Path) -> None:
     done = with_broken(tmp_path, "EndsWhenConstructed").call("verify", "broken", "raw", "--only", "bytes")
     assert done.status == 1
@@ -168,6 +170,7 @@ def test_json_on_standard_output_stands_alone() -> None:
     assert "pass  params" in done.stderr
 
 
+@pytest.mark.thorough
 def test_an_unavailable_codec_is_skipped_with_its_remedy(tmp_path: Path) -> None:
     place = with_broken(tmp_path, "LosesARow", requires=("no_such_library",))
     done = place.call("verify", "--only", "params")
@@ -178,6 +181,7 @@ def test_an_unavailable_codec_is_skipped_with_its_remedy(tmp_path: Path) -> None
     assert "FAIL" in named.stdout
 
 
+@pytest.mark.thorough
 def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> None:
     install_posterize(tmp_path)
     command = [sys.executable, "-m", "codecbench", "verify", "posterize"]
@@ -229,6 +233,7 @@ def corpus(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "corpus"))
 
 
+@pytest.mark.thorough
 def test_a_corpus_is_all_that_its_manifest_says(corpus: Path) -> None:
     entries = read_manifest(corpus)
     settings = sum(len(installed().load("codec", name).examples) for name in CORPUS_CODECS)
@@ -271,6 +276,7 @@ def edited(corpus: Path, of: str, /, **fields: Any) -> None:
     (corpus / "manifest.json").write_text(json.dumps(manifest))
 
 
+@pytest.mark.thorough
 def test_a_decoder_that_gives_other_pixels_fails(corpus: Path, broken: Any) -> None:
     broken("NotLossless")
     done = verify("raw", "--check-corpus", str(corpus))

@@ -88,6 +88,7 @@ def test_a_block_that_differs_is_named(run: Path) -> None:
     assert "README.md: real: differs" in out
 
 
+@pytest.mark.thorough
 def test_the_readme_s_table_is_made_from_a_run(run: Path, written: str) -> None:
     heads, *rows = table_rows(written)
     wide = codecbench.open_run(run).wide

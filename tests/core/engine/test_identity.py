@@ -138,6 +138,7 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path)
 
 
+@pytest.mark.thorough
 def test_a_codec_that_gains_a_parameter_keeps_its_cells_and_one_with_another_default_does_not(place: Place) -> None:
     assert place.run() == (2, 0)
     assert place.column("largest") == ["1.0", "15.0"]

@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 KERNELS = """
 from codecbench.core.kernels.compiled import compiled
 
@@ -66,11 +68,13 @@ def output(process: subprocess.Popen[str]) -> str:
     return out.strip()
 
 
+@pytest.mark.thorough
 def test_processes_that_come_together_compile_once(tmp_path: Path) -> None:
     together = [start(tmp_path, PLUS) for _ in range(3)]
     assert sorted(output(process) for process in together) == ["3 0", "3 0", "3 1"]
 
 
+@pytest.mark.thorough
 def test_who_finds_the_lock_held_waits_for_it(tmp_path: Path) -> None:
     assert output(start(tmp_path, PLUS)) == "3 1"
     (kept,) = (tmp_path / "cache" / "kernels").glob("*.bin")
@@ -85,6 +89,7 @@ def test_who_finds_the_lock_held_waits_for_it(tmp_path: Path) -> None:
     assert output(waiting) == "3 0"
 
 
+@pytest.mark.thorough
 def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> None:
     assert output(start(tmp_path, PLUS)) == "3 1"
     (kept,) = (tmp_path / "cache" / "kernels").glob("*.bin")
@@ -97,6 +102,7 @@ def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> 
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
 
 
+@pytest.mark.thorough
 def test_a_named_tuple_is_known_by_its_module_and_its_fields(tmp_path: Path) -> None:
     environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     for home, fields, expected in (

@@ -90,6 +90,7 @@ def project(warm: Path, tmp_path: Path) -> Project:
     return made
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("file", "old", "new", "result"),
     [

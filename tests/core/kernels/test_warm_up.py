@@ -106,6 +106,7 @@ def place(recorded: Place, tmp_path: Path) -> Place:
     return made
 
 
+@pytest.mark.thorough
 def test_what_a_matrix_calls_is_recorded(recorded: Place) -> None:
     entries = json.loads(recorded.manifest.read_text())
     assert [(entry["kernel"], entry["build"], entry["arguments"]) for entry in entries] == [
@@ -115,6 +116,7 @@ def test_what_a_matrix_calls_is_recorded(recorded: Place) -> None:
     assert recorded.kept == [], "recording leaves the cache alone"
 
 
+@pytest.mark.thorough
 def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     out = place.call("warm-up", "fast.yaml")
     assert "compiled: kernel halving.kernels:halve fast" in out

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from distributions import install_edges, install_posterize
 
+pytestmark = pytest.mark.thorough
+
 MATRIX = """
 version: 1
 name: foreign

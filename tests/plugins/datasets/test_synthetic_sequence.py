@@ -117,6 +117,7 @@ def test_frames_do_not_depend_on_which_others_are_asked_for(own_cache):
     np.testing.assert_array_equal(alone, within)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "change", [{"seed": 1}, {"noise": 0.5}, {"motion_blur": 0.5}, {"speed": 0.5}, {"width": 97}, {"color": "gray"}]
 )

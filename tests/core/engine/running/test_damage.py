@@ -209,7 +209,7 @@ def test_every_flipped_bit_of_a_note_of_who_encoded_is_noticed(folder: Path, pla
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=() if kind == "record" else pytest.mark.slow) for kind in KINDS]
+    "kind", [pytest.param(kind, marks=pytest.mark.thorough if kind == "record" else pytest.mark.slow) for kind in KINDS]
 )
 def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Path, plan: Plan, site: Path) -> None:
     expected = table(whole)
@@ -226,6 +226,7 @@ def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Pat
         assert kind != "encoder" or "its note of who encoded it is damaged" in said
 
 
+@pytest.mark.thorough
 def test_two_bitstream_files_that_changed_places_are_noticed(folder: Path, plan: Plan, site: Path) -> None:
     expected = table(folder)
     first, second = (Store(folder).coded_path(job.id) for job in plan.jobs)
