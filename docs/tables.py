@@ -57,7 +57,8 @@ BLOCKS = {
     ),
     "known": Block(
         "docs/task-metrics.md", "run", "tasks",
-        ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames", "block"),
+        ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames",
+         "degrees of freedom"),
         task_tables.known_order,
     ),
     "conditions": Block(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from codecbench.core.results.blocks import PairedDifference, paired_difference
 from codecbench.core.results.markdown import table
+from codecbench.core.results.paired_difference import PairedDifference, paired_difference
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import frame_matrix
 
@@ -27,7 +27,7 @@ def known_order(run: RunResult, heads: Heads) -> Iterator[str]:
         means = [f"{series[kept].mean():.4g}" for series in (better, worse)]
         name = f"`{column.evaluator.name}.{column.metric.name}`"
         rows.append([name, *means, shown(found), chance(found.p_value), f"{found.detectable:.2g}",
-                     str(found.frames), str(found.block)])  # fmt: skip
+                     str(found.frames), f"{found.freedom:g}"])  # fmt: skip
     yield table(heads, rows)
 
 

@@ -42,6 +42,10 @@ def test_the_example_is_what_is_printed(tmp_path: Path) -> None:
         assert [found[at] for at in (0, 1, 2, 4)] == [expected[at] for at in (0, 1, 2, 4)]
         assert number(found[3]) == pytest.approx(number(expected[3]), abs=10.0)
     assert printed.splitlines()[0] in ran
+    (at_rate,) = re.findall(r"```\n\$ codecbench rank runs/small --rate 1.2\n(.*?)```", PAGE, re.DOTALL)
+    for found, expected in zip(rows(call(tmp_path, "rank", "runs/small", "--rate", "1.2")), rows(at_rate), strict=True):
+        assert [found[at] for at in (0, 1, 2, 4, 5)] == [expected[at] for at in (0, 1, 2, 4, 5)]
+        assert float(found[3]) == pytest.approx(float(expected[3]), abs=0.03)
     (verdict,) = json.loads(call(tmp_path, "rank", "runs/small", "--format", "json"))
     assert [row[1] for row in verdict["rows"]] == ["jpeg2000", "jpeg", "jpeg_qf"]
     assert "| jpeg2000 |" in call(tmp_path, "rank", "runs/small", "--format", "markdown")

@@ -1,4 +1,4 @@
-"""Blocks of neighbours: how to draw from, and how sure to be of, frames of which each resembles the next.
+"""Blocks of neighbours: how to draw from frames of which each resembles the next.
 
 Sources: the moving-block bootstrap of Kuensch, Annals of Statistics 17(3), 1989, doi:10.1214/aos/1176347265; the length
 of its blocks after Politis and White, Econometric Reviews 23(1), 2004, doi:10.1081/ETR-120028836, with the correction
@@ -10,90 +10,24 @@ small, as they are for a few hundred frames, would find differences where there 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+
+from codecbench.core.results.evidence import FEWEST_FRAMES
 
 Values = NDArray[np.float64]
 
-SIGNIFICANCE: Final = 0.05
-"""Two-sided, of intervals and of the smallest difference that can be shown."""
-POWER: Final = 0.8
-"""How often a difference of that size would be found."""
-_FEWEST: Final = 8
-"""Values below which nothing can be said of how they depend on each other."""
 LENGTHENING: Final = 1.5
 _NOISE: Final = 2.0
 """Standard errors (of base-10 log n / n) up to which an autocorrelation counts as none (Politis and White)."""
 
 
-@dataclass(frozen=True)
-class PairedDifference:
-    """By how much the mean of one series of frames exceeds that of another of the same frames.
-
-    mean: the difference. standard_error: of the moving-block bootstrap. interval: of 95 %. p_value: two-sided, that no
-    difference would look like this. detectable: the smallest difference that so many frames show at 5 % in four of five
-    cases. frames: that have both values. missing: that have one. block: its length in frames. All numbers are NaN for
-    fewer than eight frames.
-    """
-
-    mean: float
-    standard_error: float
-    interval: tuple[float, float]
-    p_value: float
-    detectable: float
-    frames: int
-    missing: int
-    block: int
-
-
-def paired_difference(first: Values, second: Values) -> PairedDifference:
-    """What (N,) values of the same frames in the same order say of the difference `first` - `second`.
-
-    Source of the test: the mean over its standard error beside Student's t with as many degrees of freedom as there are
-    whole blocks, less one. Equal series have a p-value of 1.
-    """
-    if first.shape != second.shape or first.ndim != 1:
-        raise ValueError(f"two series of the same frames have one length; got {first.shape} and {second.shape}")
-    both = np.isfinite(first) & np.isfinite(second)
-    differences = first[both] - second[both]
-    missing = int(np.count_nonzero(np.isfinite(first) != np.isfinite(second)))
-    count = len(differences)
-    if count < _FEWEST:
-        nan = math.nan
-        return PairedDifference(nan, nan, (nan, nan), nan, nan, count, missing, 1)
-    block = block_length(differences)
-    error, mean = standard_error(differences, block), float(differences.mean())
-    freedom = max(count / block - 1.0, 1.0)
-    reach = float(student.ppf(1.0 - SIGNIFICANCE / 2.0, freedom))
-    if error > 0.0:
-        chance = float(2.0 * student.sf(abs(mean) / error, freedom))
-    else:
-        chance = 1.0 if mean == 0.0 else 0.0
-    detectable = (reach + float(student.ppf(POWER, freedom))) * error
-    interval = (mean - reach * error, mean + reach * error)
-    return PairedDifference(mean, error, interval, chance, detectable, count, missing, block)
-
-
-def standard_error(series: Values, block: int) -> float:
-    """Standard error of the mean of a series (N,) by the moving-block bootstrap, in its closed form.
-
-    The variance of the means of all N - block + 1 runs of neighbours, over the number of blocks in a resample. As the
-    mean of all is estimated from the same series, the share of one block is added.
-    """
-    count = len(series)
-    sums = np.concatenate([[0.0], np.cumsum(series - series.mean())])
-    means = (sums[block:] - sums[:-block]) / block
-    return float(np.sqrt(np.mean(means**2) * block / count * count / max(count - block, 1)))
-
-
 def block_length(series: Values) -> int:
     """The length of blocks for the standard error of the mean of a series (N,), up to N / 3; 1 for fewer than eight."""
     count = len(series)
-    if count < _FEWEST:
+    if count < FEWEST_FRAMES:
         return 1
     longest = max(1, math.floor(min(3.0 * math.sqrt(count), count / 3.0)))
     return int(np.clip(round(LENGTHENING * _best_length(series)), math.ceil(count ** (1.0 / 3.0)), longest))

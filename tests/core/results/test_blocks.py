@@ -1,18 +1,11 @@
-"""Moving blocks against series whose dependence, and whose standard error, is known in closed form."""
+"""Blocks of neighbours: how long, and what is drawn."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from codecbench.core.results.blocks import (
-    PairedDifference,
-    block_length,
-    drawn_blocks,
-    longest_block,
-    paired_difference,
-    standard_error,
-)
+from codecbench.core.results.blocks import block_length, drawn_blocks, longest_block
 
 
 def autoregressive(rng: np.random.Generator, count: int, memory: float) -> np.ndarray:
@@ -23,23 +16,6 @@ def autoregressive(rng: np.random.Generator, count: int, memory: float) -> np.nd
     return series[100:]
 
 
-def against_nothing(series: np.ndarray) -> PairedDifference:
-    return paired_difference(series, np.zeros_like(series))
-
-
-def test_the_closed_form_is_what_resampling_gives(rng: np.random.Generator) -> None:
-    series = autoregressive(rng, 120, 0.5)
-    means = [series[drawn_blocks(rng, 120, 8)].mean() for _ in range(20_000)]
-    # Resampling knows nothing of the mean's own uncertainty, and fills its last block only as far as it must.
-    assert standard_error(series, 8) * np.sqrt(1 - 8 / 120) == pytest.approx(np.std(means), rel=0.03)
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.5, 0.8])
-def test_the_standard_error_is_that_of_the_process(rng: np.random.Generator, memory: float) -> None:
-    found = np.mean([against_nothing(autoregressive(rng, 1000, memory)).standard_error for _ in range(30)])
-    assert found == pytest.approx(1.0 / (1.0 - memory) / np.sqrt(1000), rel=0.12)
-
-
 def test_what_resembles_its_neighbours_is_drawn_in_longer_blocks(rng: np.random.Generator) -> None:
     white, slow = rng.normal(size=400), autoregressive(rng, 400, 0.9)
     assert block_length(white) == 8  # the cube root of 400, rounded up
@@ -47,53 +23,6 @@ def test_what_resembles_its_neighbours_is_drawn_in_longer_blocks(rng: np.random.
     assert longest_block(np.array([white, slow])) == block_length(slow)
     assert [block_length(np.ones(count)) for count in (3, 7, 8, 27)] == [1, 1, 2, 3]
     assert longest_block(np.empty((0, 9))) == 1
-
-
-def test_a_difference_that_is_not_there_is_seldom_found(rng: np.random.Generator) -> None:
-    for memory, most in ((0.0, 0.08), (0.5, 0.11)):
-        chances = [against_nothing(autoregressive(rng, 400, memory)).p_value for _ in range(400)]
-        assert np.mean(np.array(chances) < 0.05) < most
-        assert np.mean(np.array(chances) < 0.01) < 0.04
-
-
-def test_a_difference_that_can_be_shown_is_found_in_four_of_five_cases(rng: np.random.Generator) -> None:
-    error = 1.0 / np.sqrt(200)
-    size = against_nothing(rng.normal(size=200)).detectable
-    assert size == pytest.approx(2.9 * error, rel=0.15)
-    found = [against_nothing(rng.normal(2.9 * error, 1.0, 200)).p_value < 0.05 for _ in range(400)]
-    assert 0.7 < np.mean(found) < 0.9
-
-
-def test_equal_series_differ_in_nothing(rng: np.random.Generator) -> None:
-    series = rng.normal(size=100)
-    same = paired_difference(series, series.copy())
-    assert (same.mean, same.p_value, same.detectable, same.frames, same.missing) == (0.0, 1.0, 0.0, 100, 0)
-
-
-def test_what_both_share_takes_no_part(rng: np.random.Generator) -> None:
-    scene, wobble = 100.0 * autoregressive(rng, 200, 0.9), rng.normal(size=200)
-    found = paired_difference(scene + 1.0 + 0.1 * wobble, scene)
-    assert found.mean == pytest.approx(1.0, abs=0.05)
-    assert found.p_value < 1e-9
-    assert found.interval[0] < 1.0 < found.interval[1]
-    swapped = paired_difference(scene, scene + 1.0 + 0.1 * wobble)
-    assert (swapped.mean, swapped.p_value) == (pytest.approx(-found.mean), pytest.approx(found.p_value))
-
-
-def test_frames_that_one_lacks_are_counted_and_take_no_part(rng: np.random.Generator) -> None:
-    first, second = rng.normal(size=50), rng.normal(size=50)
-    first[:4], second[2:7] = np.nan, np.inf
-    found = paired_difference(first, second)
-    assert (found.frames, found.missing) == (43, 5)
-    assert found.mean == pytest.approx(np.mean(first[7:] - second[7:]))
-
-
-def test_too_few_frames_say_nothing() -> None:
-    found = paired_difference(np.arange(7.0), np.zeros(7))
-    assert np.isnan([found.mean, found.standard_error, *found.interval, found.p_value, found.detectable]).all()
-    assert found.frames == 7
-    with pytest.raises(ValueError, match=r"one length; got \(7,\) and \(8,\)"):
-        paired_difference(np.zeros(7), np.zeros(8))
 
 
 @pytest.mark.parametrize(("count", "block"), [(10, 3), (9, 3), (4, 9), (5, 1)])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.results.columns import Column
-from codecbench.core.results.ranking.paired import Evidence, evidence_of_frames, evidence_of_repeats
+from codecbench.core.results.evidence import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.results.run_result import Key, RunResult
 from codecbench.core.results.table import CellResult
 from codecbench.core.results.verdicts import as_quality, frame_matrix, values_of_repeats

@@ -14,9 +14,10 @@ from scipy.stats import kendalltau
 
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
+from codecbench.core.results.evidence import Evidence, combined
 from codecbench.core.results.limits import POOLED
 from codecbench.core.results.ranking.curve_values import Array, CurveValues, Of, curve_values
-from codecbench.core.results.ranking.paired import Evidence, combined, holm, joined_groups
+from codecbench.core.results.ranking.groups import holm, joined_groups
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import anchor_of, bd_rates, from_quality
 

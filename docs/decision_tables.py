@@ -1,0 +1,63 @@
+"""Which codec to take at which rate, as a run decides it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from codecbench.core.results.limits import POOLED
+from codecbench.core.results.markdown import table
+from codecbench.core.results.ranking.ranking import Ranked, Ranking, rankings
+from codecbench.core.results.run_result import RunResult
+
+Heads = tuple[str, ...]
+RATES: Final = (0.2, 0.5, 1.0)
+"""At which a codec is chosen, in bits a pixel."""
+
+
+def answer(run: RunResult, heads: Heads) -> Iterator[str]:
+    """The README's answer: the first task, over all sequences."""
+    yield table(heads, [row(ranking) for ranking in decided(run) if ranking.sequence == POOLED][: len(RATES)])
+    yield "![The share of frames located over the rate, one line a codec](docs/images/decide.svg)"
+
+
+def every_task(run: RunResult, heads: Heads) -> Iterator[str]:
+    """Every task over all sequences together."""
+    rows = [[ranking.column.label, *row(ranking)] for ranking in decided(run) if ranking.sequence == POOLED]
+    yield table(heads, sorted(rows, key=lambda cells: cells[0]))
+
+
+def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
+    """The first task on each sequence."""
+    first = next(ranking.column for ranking in decided(run))
+    of_first = [ranking for ranking in decided(run) if ranking.column == first and ranking.sequence != POOLED]
+    rows = [[ranking.sequence, *row(ranking)] for ranking in of_first]
+    yield table(heads, sorted(rows, key=lambda cells: cells[0]))
+
+
+def decided(run: RunResult) -> list[Ranking]:
+    """Rankings at each of RATES, by task and then by rate."""
+    assert run.rate is not None
+    found = [ranking for rate in RATES for ranking in rankings(run, at=rate / run.rate.factor)]
+    columns = list(dict.fromkeys(ranking.column for ranking in found))
+    return sorted(found, key=lambda ranking: columns.index(ranking.column))
+
+
+def row(ranking: Ranking) -> list[str]:
+    """The rate, what to take, its value, what it is better than, not told from, how well the order is foretold."""
+    first, *others = ranking.ranked
+    alike = [other.curve for other in others if other.curve not in first.ahead_of]
+    assert ranking.rate is not None
+    return [
+        f"{ranking.rate:g} bit/px",
+        f"`{first.curve} {first.nearest}`",
+        shown(ranking, first),
+        ", ".join(first.ahead_of) or "–",
+        ", ".join(alike) or "–",
+        f"{sum(ranking.foretold.values()) / len(ranking.foretold):.2f}" if ranking.foretold else "–",
+    ]
+
+
+def shown(ranking: Ranking, ranked: Ranked) -> str:
+    assert ranked.value is not None
+    return f"{ranked.value * ranking.column.factor:.3g}"
