@@ -45,15 +45,14 @@ def decided(run: RunResult) -> list[Ranking]:
 
 def row(ranking: Ranking) -> list[str]:
     """The rate, what to take, its value, what it is better than, not told from, how well the order is foretold."""
-    first, *others = ranking.ranked
-    alike = [other.curve for other in others if other.curve not in first.ahead_of]
+    taken = ranking.taken
     assert ranking.rate is not None
     return [
         f"{ranking.rate:g} bit/px",
-        f"`{first.curve} {first.nearest}`",
-        shown(ranking, first),
-        ", ".join(first.ahead_of) or "–",
-        ", ".join(alike) or "–",
+        f"`{taken.curve} {taken.nearest}`",
+        shown(ranking, taken),
+        ", ".join(taken.ahead_of) or "–",
+        ", ".join(ranking.as_good) or "–",
         f"{sum(ranking.foretold.values()) / len(ranking.foretold):.2f}" if ranking.foretold else "–",
     ]
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import benchmark_tables
+import decision_tables
 import multilevel_table
 import run_tables
 import task_tables
@@ -45,9 +46,15 @@ README = (
     "Kodak: bit/px",
     "Kodak: features kept",
 )
+DECIDED = ("at", "take", "value", "better than", "not told from", "order foretold")
 TIMES = "docs/performance.md"
 WORLDS = "docs/worlds.md"
 BLOCKS = {
+    "answer": Block("README.md", "run", "decide", DECIDED, decision_tables.answer),
+    "tasks-decided": Block("docs/verdict.md", "run", "decide", ("task", *DECIDED), decision_tables.every_task),
+    "sequences-decided": Block(
+        "docs/verdict.md", "run", "decide", ("sequence", *DECIDED), decision_tables.every_sequence
+    ),
     "real": Block("README.md", "run", "real", README, run_tables.readme),
     "sequences": Block("docs/real.md", "run", "real", CODING, run_tables.every_sequence),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),

@@ -66,6 +66,16 @@ class Ranking:
     rate: float | None
     foretold: dict[str, float]
 
+    @property
+    def taken(self) -> Ranked:
+        """The codec to take: the first in order than which none is told to be better; of a circle, the first."""
+        return next((ranked for ranked in self.ranked if ranked.first == 1), self.ranked[0])
+
+    @property
+    def as_good(self) -> tuple[str, ...]:
+        """Other curves than which none is told to be better."""
+        return tuple(each.curve for each in self.ranked if each.first == 1 and each is not self.taken)
+
 
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
     """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.

@@ -65,16 +65,17 @@ def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
 def _taken(run: RunResult, ranking: Ranking) -> str:
     """Which codec to take at the ranking's rate, and how sure that is."""
     assert ranking.rate is not None
-    first, *others = ranking.ranked
-    words = f"At {_spent(run, ranking.rate)} take {f'{first.curve} {first.nearest}'.strip()}"
-    behind = set(first.ahead_of)
-    alike = [other.curve for other in others if other.curve not in behind]
-    if not alike:
-        return f"{words}: it is better than every other, {', '.join(first.ahead_of)}."
-    if not behind:
-        return f"{words}, or any of the others: it has the best average, and no other can be told from it."
-    told = f"it is better than {', '.join(first.ahead_of)}"
-    return f"{words}: {told}. It cannot be told from {', '.join(alike)}, of which it has the best average."
+    taken = ranking.taken
+    parts = [f"At {_spent(run, ranking.rate)} take {f'{taken.curve} {taken.nearest}'.strip()}"]
+    if ranking.as_good:
+        parts[0] += f", or {', '.join(ranking.as_good)}, which cannot be told from it"
+    if taken.ahead_of:
+        every = len(taken.ahead_of) + 1 == len(ranking.ranked)
+        parts.append(f"it is better than {'every other: ' if every else ''}{', '.join(taken.ahead_of)}")
+    behind = [each.curve for each in ranking.ranked if each.first > 1 and each.curve not in taken.ahead_of]
+    if behind:
+        parts.append(f"others are better than {', '.join(behind)}")
+    return "; ".join(parts) + "."
 
 
 def _spent(run: RunResult, rate: float) -> str:

@@ -81,7 +81,7 @@ def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:
     assert together.title == "all sequences together: drift, 10 repeats, at 0.3 bpp"
     assert together.heads == ("place", "codec", "group", "drift [m]", "nearest setting", "better than")
     assert [row[:3] for row in one.rows] == [("1", "mine", "a"), ("2", "plain", "b")]
-    assert one.sentences[0] == "At 0.3 bpp take mine q=0.25: it is better than every other, plain."
+    assert one.sentences[0] == "At 0.3 bpp take mine q=0.25; it is better than every other: plain."
     assert together.sentences[0] == one.sentences[0]
     assert (
         "The order on a sequence is foretold by the others' with Kendall's tau 1.00 on average" in together.sentences[2]
@@ -89,6 +89,4 @@ def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:
     assert verdicts_at(run, 7.0) == []
     alike = run_of(*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001))
     (undecided,) = verdicts_at(alike, 1.0)
-    assert undecided.sentences[0].endswith(
-        "or any of the others: it has the best average, and no other can be told from it."
-    )
+    assert undecided.sentences[0] == "At 1 bpp take mine q=1.0, or plain, which cannot be told from it."
