@@ -16,9 +16,9 @@ RATES: Final = (0.2, 0.5, 1.0)
 
 
 def answer(run: RunResult, heads: Heads) -> Iterator[str]:
-    """The README's answer: the first task, over all sequences."""
-    yield table(heads, [row(ranking) for ranking in decided(run) if ranking.sequence == POOLED][: len(RATES)])
-    yield "![The share of frames located over the rate, one line a codec](docs/images/decide.svg)"
+    """The README's answer."""
+    yield from every_task(run, heads)
+    yield "![Map points found over the rate in the office, one line a codec](docs/images/decide.svg)"
 
 
 def every_task(run: RunResult, heads: Heads) -> Iterator[str]:
@@ -44,7 +44,7 @@ def decided(run: RunResult) -> list[Ranking]:
 
 
 def row(ranking: Ranking) -> list[str]:
-    """The rate, what to take, its value, what it is better than, not told from, how well the order is foretold."""
+    """The rate, what to take and its value, who is worse, as good, or not there, how well the order is foretold."""
     taken = ranking.taken
     assert ranking.rate is not None
     return [
@@ -53,6 +53,7 @@ def row(ranking: Ranking) -> list[str]:
         shown(ranking, taken),
         ", ".join(taken.ahead_of) or "–",
         ", ".join(ranking.as_good) or "–",
+        ", ".join(ranking.left_out) or "–",
         f"{sum(ranking.foretold.values()) / len(ranking.foretold):.2f}" if ranking.foretold else "–",
     ]
 
