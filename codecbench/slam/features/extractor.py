@@ -7,7 +7,7 @@ aim of ORB-SLAM V-A (a quota for each level, corners in every cell), by ranking 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,6 +19,17 @@ from codecbench.slam.options import Options
 
 CELL_PX = 10.0
 """Side of the cells by which features are looked up, pixels."""
+
+
+class View(NamedTuple):
+    """Features as compiled code reads them, to look them up by place; see Features."""
+
+    pixels: Any
+    octaves: Any
+    descriptors: Any
+    cell_starts: Any
+    cell_members: Any
+    grid: Any
 
 
 @dataclass
@@ -40,6 +51,11 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    @property
+    def view(self) -> View:
+        """The features as compiled code reads them."""
+        return View(self.pixels, self.octaves, self.descriptors, self.cell_starts, self.cell_members, self.grid)
 
 
 class FeatureExtractor:

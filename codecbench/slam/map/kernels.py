@@ -14,6 +14,7 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.sorting import stable_order
 
 _NEXT, _KEYFRAME, _FEATURE = 0, 1, 2  # columns of the links
 
@@ -126,6 +127,36 @@ def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) ->
             counts[links[link, _KEYFRAME]] += 1
             link = links[link, _NEXT]
     return counts
+
+
+@compiled
+def rank_covisible(points: Any, left_out: int, keyframe_count: int, heads: Any, links: Any) -> Any:
+    """The keyframes that see any of `points` (K,), but for `left_out`, and how many they see (K,), most first and then
+    the oldest; negative indices are skipped."""
+    counts = count_covisible(points, keyframe_count, heads, links)
+    if left_out >= 0:
+        counts[left_out] = 0
+    seeing, most = np.nonzero(counts)[0], 0
+    for k in seeing:
+        most = max(most, counts[k])
+    shortfalls = np.empty(len(seeing), np.int64)
+    for i in range(len(seeing)):
+        shortfalls[i] = most - counts[seeing[i]]
+    keyframes = seeing[stable_order(shortfalls, most + 1)]
+    return keyframes, counts[keyframes]
+
+
+@compiled
+def resolve_points(points: Any, replaced_by: Any, alive: Any) -> Any:
+    """`points` (N,) with replaced ones exchanged for their replacements and dead ones for -1."""
+    resolved = np.full(len(points), -1, np.int64)
+    for i in range(len(points)):
+        point = points[i]
+        while point >= 0 and replaced_by[point] >= 0:
+            point = replaced_by[point]
+        if point >= 0 and alive[point]:
+            resolved[i] = point
+    return resolved
 
 
 @compiled

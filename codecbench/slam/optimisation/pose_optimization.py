@@ -49,13 +49,14 @@ def optimize_pose(
     if pose.shape != (4, 4) or intrinsics.shape != (4,):
         raise ValueError(f"optimize_pose: pose {pose.shape} and intrinsics {intrinsics.shape} must be (4, 4) and (4,)")
     inliers = np.zeros(count, dtype=np.bool_)
-    _optimize(pose, points_world, pixels, weights, intrinsics, inliers)
+    optimize_in_place(pose, points_world, pixels, weights, intrinsics, inliers)
     pose[:3, :3] = orthonormalize(pose[:3, :3])
     return pose, inliers
 
 
 @compiled
-def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+    """optimize_pose for compiled code: moves `pose` and marks the `inliers`; the rotation is off by rounding."""
     active = np.ones(len(points), dtype=np.bool_)
     trial_active = np.empty_like(active)
     for round_index in range(_ROUNDS):
