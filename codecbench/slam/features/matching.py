@@ -63,29 +63,31 @@ def search_windows(queries: Queries, view: View, free: Any, max_distance: int, r
     matches = np.full(len(pixels), -1, np.int64)
     owners = np.full(len(feature_pixels), -1, np.int64)
     distances = np.full(len(feature_pixels), _FAR, np.int64)
+    near = np.empty(len(feature_pixels) + 1, np.int64)
     for q in range(len(pixels)):
-        x, y, radius = pixels[q, 0], pixels[q, 1], radii[q]
+        x, y, radius, low, high = pixels[q, 0], pixels[q, 1], radii[q], octaves_low[q], octaves_high[q]
         first_column = max(int((x - radius - grid[0]) / CELL_PX), 0)
         last_column = min(int((x + radius - grid[0]) / CELL_PX), columns - 1)
         first_line = max(int((y - radius - grid[1]) / CELL_PX), 0)
         last_line = min(int((y + radius - grid[1]) / CELL_PX), lines - 1)
         if first_column > last_column:
             continue
-        best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
+        count = 0
         for line in range(first_line, last_line + 1):
             for m in range(starts[line * columns + first_column], starts[line * columns + last_column + 1]):
                 f = members[m]
-                octave = feature_octaves[f]
-                if not free[f] or octave < octaves_low[q] or octave > octaves_high[q]:
-                    continue
-                if abs(feature_pixels[f, 0] - x) > radius or abs(feature_pixels[f, 1] - y) > radius:
-                    continue
-                distance = hamming(descriptors, rows[q], feature_descriptors, f)
-                if distance < best:
-                    second, second_octave = best, best_octave
-                    best, best_feature, best_octave = distance, f, octave
-                elif distance < second:
-                    second, second_octave = distance, octave
+                octave, dx, dy = feature_octaves[f], abs(feature_pixels[f, 0] - x), abs(feature_pixels[f, 1] - y)
+                near[count] = f  # no branch, which nobody could predict
+                count += free[f] & (octave >= low) & (octave <= high) & (dx <= radius) & (dy <= radius)
+        best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
+        for k in range(count):
+            f = near[k]
+            distance = hamming(descriptors, rows[q], feature_descriptors, f)
+            if distance < best:
+                second, second_octave = best, best_octave
+                best, best_feature, best_octave = distance, f, feature_octaves[f]
+            elif distance < second:
+                second, second_octave = distance, feature_octaves[f]
         if best > max_distance or (best_octave == second_octave and best > ratio * second):
             continue
         claim(q, best_feature, best, matches, owners, distances)

@@ -182,12 +182,12 @@ def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: 
 @compiled
 def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
     """The points that any of `keyframes` sees, ascending (P,)."""
-    seen = np.zeros(point_count, np.bool_)
+    seen = np.zeros(point_count + 1, np.bool_)  # the last is for features without a point
     for k in keyframes:
         for f in range(keyframe_points.shape[1]):
-            if keyframe_points[k, f] >= 0:
-                seen[keyframe_points[k, f]] = True
-    return np.nonzero(seen)[0]
+            point = keyframe_points[k, f]
+            seen[np.uint64(point if point >= 0 else point_count)] = True
+    return np.nonzero(seen[:point_count])[0]
 
 
 @compiled

@@ -83,13 +83,11 @@ def _match_on_lines(
             continue
         first = starts[max(octaves[f] - thresholds.TRIANGULATION_OCTAVES_APART, 0)]
         last = starts[min(octaves[f] + thresholds.TRIANGULATION_OCTAVES_APART + 1, len(starts) - 1)]
-        _mark_near_line(
-            fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
-        )
+        _mark_near_line(fundamental, pixels[f, 0], pixels[f, 1], xs, ys, reaches, first, last, near)
         count = _list_marked(eights, near, last - first, hits)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1
-        for k in hits[:count]:
-            other = candidates[first + k]
+        for k in range(count):
+            other = candidates[first + hits[k]]
             distance = hamming(descriptors, f, descriptors_b, other)
             if distance < best_distance:
                 best, best_distance = other, distance
@@ -99,15 +97,18 @@ def _match_on_lines(
 
 
 @compiled
-def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, near: Any) -> None:
-    """Mark the places (N,) within their reach of the epipolar line of a pixel, many at once."""
+def _mark_near_line(
+    b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, first: int, last: int, near: Any
+) -> None:
+    """Mark which of the places `first` to `last` are within their reach of the epipolar line of a pixel, many at once."""
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
     b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
     c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
     scale = 1.0 / max(math.sqrt(a * a + b * b), 1e-300)
     p, q, r = np.float32(a * scale), np.float32(b * scale), np.float32(c * scale)
-    for k in range(len(xs)):
-        near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
+    start = np.uint64(first)
+    for k in range(np.uint64(last - first)):
+        near[k] = abs(p * xs[start + k] + q * ys[start + k] + r) <= reaches[start + k]
 
 
 @compiled
