@@ -174,7 +174,14 @@ def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessia
     hessian[2, 0], hessian[2, 1], hessian[2, 2] = h20, h21, h22
     hessian[3, 0], hessian[3, 1], hessian[3, 2], hessian[3, 3] = h30, h31, h32, h33
     hessian[4, 0], hessian[4, 1], hessian[4, 2], hessian[4, 3], hessian[4, 4] = h40, h41, h42, h43, h44
-    hessian[5, 0], hessian[5, 1], hessian[5, 2], hessian[5, 3], hessian[5, 4], hessian[5, 5] = h50, h51, h52, h53, h54, h55
+    hessian[5, 0], hessian[5, 1], hessian[5, 2], hessian[5, 3], hessian[5, 4], hessian[5, 5] = (
+        h50,
+        h51,
+        h52,
+        h53,
+        h54,
+        h55,
+    )
     return cost, depths / max(in_front, 1)
 
 

@@ -14,7 +14,14 @@ from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Indices, Map
 from codecbench.slam.map.projection import Projections
-from codecbench.slam.tracking.search import Lens, columns_of, optimize_shown, search_last, search_local, search_projections
+from codecbench.slam.tracking.search import (
+    Lens,
+    columns_of,
+    optimize_shown,
+    search_last,
+    search_local,
+    search_projections,
+)
 
 
 class Tracker:
