@@ -2,9 +2,9 @@
 
     python tests/benchmarks/slam_frames.py office=$CODECBENCH_DATA/fr3_office_715 street=$CODECBENCH_DATA/kitti00_half*2
 
-runs `codecbench.slam` on the gray images of each folder in TUM's layout, enlarged where `*FACTOR` says so, after a short
-run that compiles. Times are CPU time of the process. With `--memory FRAMES` the images are shown forth and back until
-there were so many frames, and only memory is measured.
+runs `codecbench.slam` on the gray images of each folder in TUM's layout, enlarged where `*FACTOR` says so, after a
+short run that compiles. Times are CPU time of the process. With `--memory FRAMES` the images are shown forth and back
+until there were so many frames, and only memory is measured.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def _greatest(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, be
 
 @compiled
 def score_corners(level: Any, scores: Any) -> None:
-    """Fill `scores` (height, width) uint8 with the FAST score of each pixel of `level`; 0 within three of the border."""
+    """Fill `scores` (height, width) uint8 with the FAST scores of a `level`'s pixels; 0 within three of the border."""
     height, width = level.shape
     scores[:] = 0
     if width <= 2 * _RADIUS:

@@ -115,7 +115,7 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
 
 @compiled
 def orient_patches(level: Any, corners: Any, angles: Any) -> None:
-    """Fill `angles` (N,), radians in -pi..pi, with the directions from corners to the intensity centroids of their discs
+    """Fill `angles` (N,), radians in -pi..pi, with the directions from corners to their discs' intensity centroids
     (ORB, equation 3).
 
     Rows of the disc go in pairs, above and below the corner; 16 bits hold the sums over rows.

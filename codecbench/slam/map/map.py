@@ -118,7 +118,7 @@ class Map:
         return order, weights
 
     def rank_covisible(self, points: Indices, left_out: int = NONE) -> tuple[Indices, Indices]:
-        """Keyframes that see any of `points`, but for `left_out`, most first, and how many they see; NONE is skipped."""
+        """Keyframes but `left_out` that see any of `points`, most first, and how many they see; NONE is skipped."""
         keyframes, counts = map_kernels.rank_covisible(
             points, left_out, self.keyframes.count, self.points.heads, self._links
         )

@@ -101,7 +101,7 @@ def _match_on_lines(
 def _mark_near_line(
     b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, first: int, last: int, near: Any
 ) -> None:
-    """Mark which of the places `first` to `last` are within their reach of the epipolar line of a pixel, many at once."""
+    """Mark which places, `first` to `last`, are within their reach of the epipolar line of a pixel, many at once."""
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
     b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
     c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]

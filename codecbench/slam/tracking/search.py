@@ -49,8 +49,8 @@ def search_last(
 ) -> int:  # fmt: skip
     """Search the points of the last frame (N,) by feature, -1 for none, in windows round where they should appear.
 
-    `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points `shown`
-    (F,) are filled in. Returns how many were found.
+    `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points
+    `shown` (F,) are filled in. Returns how many were found.
     """
     seen = np.nonzero(last_points >= 0)[0]
     ahead, pixels = project_ahead(last_points[seen], table.positions, camera_from_world, lens.intrinsics)
@@ -115,7 +115,7 @@ def search_local(
 def optimize_shown(
     camera_from_world: Any, shown: Any, positions: Any, pixels: Any, octaves: Any, inverse_sigma2: Any, intrinsics: Any
 ) -> int:
-    """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers are no longer shown.
+    """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers leave `shown`.
 
     Returns the inliers; with fewer than four points nothing happens. See optimize_pose.
     """
