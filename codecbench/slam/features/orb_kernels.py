@@ -37,11 +37,11 @@ def find_corners(level: Any, quota: int, scores: Any) -> Any:
     """At most `quota` corners x, y (N, 2) of a level: of the low threshold where the high one leaves too few to choose
     from. `scores` is an image of the level's size that is overwritten."""
     score_corners(level, scores)
-    corners, found = list_corners(scores, FAST_THRESHOLD_LOW)
-    high = 0
-    for score in found:
-        high += score > FAST_THRESHOLD
-    threshold = FAST_THRESHOLD if high >= FAST_CANDIDATES_PER_FEATURE * quota else FAST_THRESHOLD_LOW
+    threshold = FAST_THRESHOLD
+    corners, found = list_corners(scores, threshold)
+    if len(corners) < FAST_CANDIDATES_PER_FEATURE * quota:
+        threshold = FAST_THRESHOLD_LOW
+        corners, found = list_corners(scores, threshold)
     height, width = level.shape
     kept = select_evenly(corners, found, threshold, quota, height, width, BORDER_PX)
     chosen = np.empty((len(kept), 2), np.int64)
