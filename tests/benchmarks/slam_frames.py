@@ -1,8 +1,8 @@
 """Where the time of a SLAM frame goes, how long frames take, and how memory grows, as Markdown tables.
 
-    python tests/benchmarks/slam_frames.py office=$CODECBENCH_DATA/fr3_office_715 street=$CODECBENCH_DATA/kitti00_half*2
+    python tests/benchmarks/slam_frames.py office=$CODECBENCH_DATA/fr3_office_715 street=$CODECBENCH_DATA/kitti00_half@2
 
-runs `codecbench.slam` on the gray images of each folder in TUM's layout, enlarged where `*FACTOR` says so, after a
+runs `codecbench.slam` on the gray images of each folder in TUM's layout, enlarged where `@FACTOR` says so, after a
 short run that compiles. Times are CPU time of the process. With `--memory FRAMES` the images are shown forth and back
 until there were so many frames, and only memory is measured.
 """
@@ -176,14 +176,14 @@ def memory_rows(pictures: Pictures, frames: int) -> Iterator[list[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sequences", nargs="+", metavar="NAME=FOLDER[*FACTOR]")
+    parser.add_argument("sequences", nargs="+", metavar="NAME=FOLDER[@FACTOR]")
     parser.add_argument("--frames", type=int, default=715, help="most frames of a sequence")
     parser.add_argument("--memory", type=int, metavar="FRAMES", help="measure memory over so many frames instead")
     chosen = parser.parse_args()
     every = []
     for text in chosen.sequences:
         name, _, place = text.partition("=")
-        folder, _, factor = place.partition("*")
+        folder, _, factor = place.rpartition("@") if "@" in place else (place, "", "")
         every.append(read(name, folder, float(factor or 1.0)))
     if chosen.memory:
         heads = ("sequence", "frames", "keyframes made", "left", "points made", "arrays", "a frame")

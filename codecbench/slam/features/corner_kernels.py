@@ -10,12 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba.cpython.unsafe.numbers import trailing_zeros
+from numba.cpython.unsafe import numbers as bits
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.blocks import spans
 
 _RADIUS = 3
+_trailing_zeros: Any = bits.trailing_zeros
 
 
 @compiled
@@ -131,7 +132,7 @@ def _list_peaks(words: Any, y: int, corners: Any, found: Any, count: int) -> int
     for k in range(len(words)):
         word = words[k]
         while word != np.uint64(0):
-            shift = np.uint64(trailing_zeros(word)) & np.uint64(56)
+            shift = np.uint64(_trailing_zeros(word)) & np.uint64(56)
             corners[count, 0], corners[count, 1] = 8 * k + np.int64(shift >> np.uint64(3)), y
             found[count] = np.uint8(word >> shift)
             word &= ~(np.uint64(255) << shift)
