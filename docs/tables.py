@@ -89,6 +89,16 @@ BLOCKS = {
     ),
     "solvers": Block(TIMES, "benchmarks", "", ("solvers", "median"), benchmark_tables.medians("test_slam_solvers")),
     "processes": Block(TIMES, "printed", "processes", ("what", "measured"), benchmark_tables.printed),
+    "frame_steps": Block(TIMES, "printed", "frames", ("step", "office", "street"), benchmark_tables.printed),
+    "frame_times": Block(
+        TIMES, "printed", "frames",
+        ("frames of", "number", "mean", "median", "95 %", "99 %", "worst", "keyframes", "others"),
+        benchmark_tables.printed,
+    ),
+    "frame_memory": Block(
+        TIMES, "printed", "memory",
+        ("sequence", "frames", "keyframes made", "left", "points made", "arrays", "a frame"), benchmark_tables.printed,
+    ),
     "runs": Block(TIMES, "printed", "runs", ("command", "time"), benchmark_tables.printed),
     "scale": Block("docs/scaling.md", "printed", "scale", ("what", "measured"), benchmark_tables.printed),
     "fuzz": Block(

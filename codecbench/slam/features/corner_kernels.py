@@ -10,10 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba.cpython.unsafe import numbers as bits
 
 from codecbench.core.kernels.compiled import compiled
+from codecbench.slam.features.blocks import spans
 
 _RADIUS = 3
+_trailing_zeros: Any = bits.trailing_zeros
 
 
 @compiled
@@ -30,56 +33,64 @@ def _greatest(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, be
 
 @compiled
 def score_corners(level: Any, scores: Any) -> None:
-    """Fill `scores` (height, width) uint8 with the FAST score of each pixel of `level`; 0 within three of the border.
-
-    Indices are unsigned: they cannot mean the end of a row, and so the loop becomes vector code.
-    """
+    """Fill `scores` (height, width) uint8 with the FAST scores of a `level`'s pixels; 0 within three of the border."""
     height, width = level.shape
     scores[:] = 0
     if width <= 2 * _RADIUS:
         return
+    both = spans(_RADIUS, width - _RADIUS)
     for y in range(_RADIUS, height - _RADIUS):
         u3, u2, u1, row = level[y - 3], level[y - 2], level[y - 1], level[y]
         d1, d2, d3, out = level[y + 1], level[y + 2], level[y + 3], scores[y]
-        for x in range(np.uint64(_RADIUS), np.uint64(width - _RADIUS)):
-            l1, l2, l3 = x - np.uint64(1), x - np.uint64(2), x - np.uint64(3)
-            r1, r2, r3 = x + np.uint64(1), x + np.uint64(2), x + np.uint64(3)
-            c = row[x]
-            p0, p1, p2, p3, p4, p5, p6, p7 = u3[x], u3[r1], u2[r2], u1[r3], row[r3], d1[r3], d2[r2], d3[r1]
-            p8, p9, pa, pb, pc, pd, pe, pf = d3[x], d3[l1], d2[l2], d1[l3], row[l3], u1[l3], u2[l2], u3[l1]
-            bright = max(
-                max(
-                    max(_least(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9), _least(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb)),
-                    max(_least(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd), _least(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf)),
-                ),
-                max(
-                    max(_least(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1), _least(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3)),
-                    max(_least(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5), _least(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7)),
-                ),
-            )
-            dark = min(
+        for start, end in both:
+            _score_span(u3, u2, u1, row, d1, d2, d3, out, start, end)
+
+
+@compiled(inline="always")
+def _score_span(u3: Any, u2: Any, u1: Any, row: Any, d1: Any, d2: Any, d3: Any, out: Any, start: int, end: int) -> None:
+    """Fill `out` from `start` to `end` with the scores of `row`, between three rows up and three down.
+
+    Indices are unsigned: they cannot mean the end of a row, and so the loop becomes vector code.
+    """
+    for x in range(np.uint64(start), np.uint64(end)):
+        l1, l2, l3 = x - np.uint64(1), x - np.uint64(2), x - np.uint64(3)
+        r1, r2, r3 = x + np.uint64(1), x + np.uint64(2), x + np.uint64(3)
+        c = row[x]
+        p0, p1, p2, p3, p4, p5, p6, p7 = u3[x], u3[r1], u2[r2], u1[r3], row[r3], d1[r3], d2[r2], d3[r1]
+        p8, p9, pa, pb, pc, pd, pe, pf = d3[x], d3[l1], d2[l2], d1[l3], row[l3], u1[l3], u2[l2], u3[l1]
+        bright = max(
+            max(
+                max(_least(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9), _least(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb)),
+                max(_least(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd), _least(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf)),
+            ),
+            max(
+                max(_least(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1), _least(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3)),
+                max(_least(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5), _least(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7)),
+            ),
+        )
+        dark = min(
+            min(
                 min(
-                    min(
-                        _greatest(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
-                        _greatest(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
-                    ),
-                    min(
-                        _greatest(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
-                        _greatest(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
-                    ),
+                    _greatest(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
+                    _greatest(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
                 ),
                 min(
-                    min(
-                        _greatest(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
-                        _greatest(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
-                    ),
-                    min(
-                        _greatest(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
-                        _greatest(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
-                    ),
+                    _greatest(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
+                    _greatest(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
                 ),
-            )
-            out[x] = max(np.uint8(max(bright, c) - c), np.uint8(c - min(dark, c)))
+            ),
+            min(
+                min(
+                    _greatest(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
+                    _greatest(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
+                ),
+                min(
+                    _greatest(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
+                    _greatest(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
+                ),
+            ),
+        )
+        out[x] = max(np.uint8(max(bright, c) - c), np.uint8(c - min(dark, c)))
 
 
 @compiled
@@ -92,27 +103,38 @@ def list_corners(scores: Any, threshold: int) -> Any:
     found = np.empty(len(corners), np.uint8)
     peaks = np.zeros((width + 7) // 8 * 8, np.uint8)
     words = peaks.view(np.uint64)
-    count = 0
+    count, both = 0, spans(_RADIUS, width - _RADIUS)
     for y in range(_RADIUS, height - _RADIUS):
-        _keep_peaks(scores[y - 1], scores[y], scores[y + 1], threshold, peaks)
-        for w in range(len(words)):
-            if words[w] == 0:
-                continue
-            for x in range(8 * w, 8 * w + 8):
-                if peaks[x] > 0:
-                    corners[count, 0], corners[count, 1], found[count] = x, y, peaks[x]
-                    count += 1
+        above, row, below = scores[y - 1], scores[y], scores[y + 1]
+        for start, end in both:
+            _keep_peaks(above, row, below, threshold, peaks, start, end)
+        count = _list_peaks(words, y, corners, found, count)
     return corners[:count].copy(), found[:count].copy()
 
 
-@compiled
-def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any) -> None:
-    """Fill `peaks` (width,) with the scores of `row` above the threshold and all eight neighbours, 0 elsewhere."""
+@compiled(inline="always")
+def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any, start: int, end: int) -> None:
+    """Fill `peaks` from `start` to `end` with the scores of `row` above the threshold and all eight neighbours, 0
+    elsewhere."""
     limit = np.uint8(threshold)
-    for x in range(np.uint64(1), np.uint64(len(row) - 1)):
+    for x in range(np.uint64(start), np.uint64(end)):
         before, after = x - np.uint64(1), x + np.uint64(1)
         rival = max(
             max(max(above[before], above[x]), max(above[after], row[before])),
             max(max(row[after], below[before]), max(below[x], below[after])),
         )
         peaks[x] = row[x] if row[x] > max(rival, limit) else np.uint8(0)
+
+
+@compiled(inline="always")
+def _list_peaks(words: Any, y: int, corners: Any, found: Any, count: int) -> int:
+    """Write down the pixels of a row that are not 0, eight of which are a word, lowest first; returns the new count."""
+    for k in range(len(words)):
+        word = words[k]
+        while word != np.uint64(0):
+            shift = np.uint64(_trailing_zeros(word)) & np.uint64(56)
+            corners[count, 0], corners[count, 1] = 8 * k + np.int64(shift >> np.uint64(3)), y
+            found[count] = np.uint8(word >> shift)
+            word &= ~(np.uint64(255) << shift)
+            count += 1
+    return count

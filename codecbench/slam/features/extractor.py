@@ -7,26 +7,29 @@ aim of ORB-SLAM V-A (a quota for each level, corners in every cell), by ranking 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.slam import thresholds
-from codecbench.slam.features.corner_kernels import list_corners, score_corners
-from codecbench.slam.features.orb_kernels import (
-    blur_level,
-    describe_patches,
-    index_cells,
-    orient_patches,
-    select_evenly,
-)
+from codecbench.slam.features.orb_kernels import describe_corners, find_corners, index_cells
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
 
 CELL_PX = 10.0
 """Side of the cells by which features are looked up, pixels."""
+
+
+class View(NamedTuple):
+    """Features as compiled code reads them, to look them up by place; see Features."""
+
+    pixels: Any
+    octaves: Any
+    descriptors: Any
+    cell_starts: Any
+    cell_members: Any
+    grid: Any
 
 
 @dataclass
@@ -49,9 +52,17 @@ class Features:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    @property
+    def view(self) -> View:
+        """The features as compiled code reads them."""
+        return View(self.pixels, self.octaves, self.descriptors, self.cell_starts, self.cell_members, self.grid)
+
 
 class FeatureExtractor:
-    """Finds ORB features; `extract` gives the same features for the same image, always."""
+    """Finds ORB features; `extract` gives the same features for the same image, always.
+
+    The images that it works on are kept from frame to frame: one thread at a time.
+    """
 
     def __init__(self, camera: Camera, options: Options) -> None:
         self._camera = camera
@@ -60,18 +71,31 @@ class FeatureExtractor:
         shares = 1.0 / factors
         self._quotas = np.floor(options.features * shares / shares.sum() + 0.5).astype(np.int64)
         self._quotas[0] += options.features - self._quotas.sum()
+        sizes = [(max(round(camera.height / f), 1), max(round(camera.width / f), 1)) for f in factors]
+        self._ratios = np.array([[camera.width / width, camera.height / height] for height, width in sizes])
+        self._levels = [np.empty(size, np.uint8) for size in sizes[1:]]
+        self._spare = [np.empty(size, np.uint8) for size in sizes]
         low, high = camera.bounds[:2], camera.bounds[2:]
         columns, rows = np.ceil((high - low + 1.0) / CELL_PX)
         self._grid = np.array([low[0], low[1], max(columns, 1.0), max(rows, 1.0)])
 
     def extract(self, gray: NDArray[np.uint8]) -> Features:
         """Features of a gray image (height, width), uint8."""
-        parts = [self._extract_level(level, octave) for octave, level in enumerate(self._pyramid(gray))]
-        pixels = np.concatenate([part[0] for part in parts])
-        octaves = np.concatenate([np.full(len(part[0]), i, np.int32) for i, part in enumerate(parts)])
-        angles = np.concatenate([part[1] for part in parts])
-        descriptors = np.concatenate([part[2] for part in parts]).view(np.uint64)
-        return self.index(self._camera.undistort(pixels), octaves, angles, descriptors)
+        limit, count = int(self._quotas.sum()), 0
+        pixels, angles = np.empty((limit, 2)), np.empty(limit)
+        octaves, descriptors = np.empty(limit, np.int32), np.empty((limit, 32), np.uint8)
+        for octave, level in enumerate(self._pyramid(gray)):
+            spare = self._spare[octave]
+            corners = find_corners(level, self._quotas[octave], spare)
+            end = count + len(corners)
+            made = slice(count, end)
+            describe_corners(level, corners, self._ratios[octave], spare, pixels[made], angles[made], descriptors[made])
+            octaves[made] = octave
+            count = end
+        found = slice(count)
+        return self.index(
+            self._camera.undistort(pixels[found]), octaves[found], angles[found], descriptors[found].view(np.uint64)
+        )
 
     def index(
         self, pixels: NDArray[Any], octaves: NDArray[Any], angles: NDArray[Any], descriptors: NDArray[Any]
@@ -81,34 +105,9 @@ class FeatureExtractor:
         return Features(pixels, octaves, angles, descriptors, starts, members, self._grid)
 
     def _pyramid(self, gray: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-        height, width = gray.shape
+        """The image and ever smaller ones; the next frame's overwrite them."""
         levels = [np.ascontiguousarray(gray)]
-        for factor in self.scale_factors[1:]:
-            size = (max(round(width / factor), 1), max(round(height / factor), 1))
-            level = cv2.resize(levels[-1], size, interpolation=cv2.INTER_LINEAR)
-            levels.append(np.asarray(level, dtype=np.uint8))
+        for level in self._levels:
+            cv2.resize(levels[-1], level.shape[::-1], dst=level, interpolation=cv2.INTER_LINEAR)
+            levels.append(level)
         return levels
-
-    def _extract_level(
-        self, level: NDArray[np.uint8], octave: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-        corners = _select_corners(level, int(self._quotas[octave]))
-        if len(corners) == 0:
-            return np.empty((0, 2)), np.empty(0), np.empty((0, 32), np.uint8)
-        angles = orient_patches(level, corners)
-        descriptors = describe_patches(blur_level(level), corners, angles)
-        # The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
-        ratio = np.array([self._camera.width / level.shape[1], self._camera.height / level.shape[0]])
-        return (corners + 0.5) * ratio - 0.5, angles, descriptors
-
-
-def _select_corners(level: NDArray[np.uint8], quota: int) -> NDArray[np.int64]:
-    """At most `quota` corners x, y (N, 2): of the low threshold where the high one leaves too few to choose from."""
-    image = np.empty_like(level)
-    score_corners(level, image)
-    corners, scores = list_corners(image, thresholds.FAST_THRESHOLD_LOW)
-    enough = np.count_nonzero(scores > thresholds.FAST_THRESHOLD) >= thresholds.FAST_CANDIDATES_PER_FEATURE * quota
-    threshold = thresholds.FAST_THRESHOLD if enough else thresholds.FAST_THRESHOLD_LOW
-    height, width = level.shape
-    kept = select_evenly(corners, scores, threshold, quota, height, width, thresholds.BORDER_PX)
-    return np.asarray(corners[kept])

@@ -7,13 +7,13 @@ nearest in Hamming distance (ties: the first), so that no feature is used twice.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.features.extractor import CELL_PX, Features
+from codecbench.slam.features.extractor import CELL_PX, Features, View
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.thresholds import ROTATION_BINS, ROTATION_PEAKS
@@ -39,50 +39,55 @@ def match_in_windows(
     (Q, 4). `free` (N,) marks the features that may be taken. A best match beyond `max_distance` bits, or not nearer
     than `ratio` times the second best on the same level, is refused. Returns feature indices (Q,), -1 for none.
     """
-    return np.asarray(
-        _match_in_windows(
-            pixels, radii, octaves_low, octaves_high, descriptors,
-            features.pixels, features.octaves, features.descriptors,
-            features.cell_starts, features.cell_members, features.grid,
-            free, max_distance, ratio,
-        )
-    )  # fmt: skip
+    queries = Queries(pixels, radii, octaves_low, octaves_high, np.arange(len(pixels)), descriptors)
+    return np.asarray(search_windows(queries, features.view, free, max_distance, ratio))
+
+
+class Queries(NamedTuple):
+    """What is searched in windows: see match_in_windows; the descriptor of query q is row `rows[q]` of a table."""
+
+    pixels: Any
+    radii: Any
+    octaves_low: Any
+    octaves_high: Any
+    rows: Any
+    descriptors: Any
 
 
 @compiled
-def _match_in_windows(
-    pixels: Any, radii: Any, octaves_low: Any, octaves_high: Any, descriptors: Any,
-    feature_pixels: Any, feature_octaves: Any, feature_descriptors: Any,
-    starts: Any, members: Any, grid: Any,
-    free: Any, max_distance: int, ratio: float,
-) -> Any:  # fmt: skip
-    columns, rows = int(grid[2]), int(grid[3])
+def search_windows(queries: Queries, view: View, free: Any, max_distance: int, ratio: float) -> Any:
+    """match_in_windows for compiled code."""
+    pixels, radii, octaves_low, octaves_high, rows, descriptors = queries
+    feature_pixels, feature_octaves, feature_descriptors, starts, members, grid = view
+    columns, lines = int(grid[2]), int(grid[3])
     matches = np.full(len(pixels), -1, np.int64)
     owners = np.full(len(feature_pixels), -1, np.int64)
     distances = np.full(len(feature_pixels), _FAR, np.int64)
+    near = np.empty(len(feature_pixels) + 1, np.int64)
     for q in range(len(pixels)):
-        x, y, radius = pixels[q, 0], pixels[q, 1], radii[q]
+        x, y, radius, low, high = pixels[q, 0], pixels[q, 1], radii[q], octaves_low[q], octaves_high[q]
         first_column = max(int((x - radius - grid[0]) / CELL_PX), 0)
         last_column = min(int((x + radius - grid[0]) / CELL_PX), columns - 1)
-        first_row = max(int((y - radius - grid[1]) / CELL_PX), 0)
-        last_row = min(int((y + radius - grid[1]) / CELL_PX), rows - 1)
+        first_line = max(int((y - radius - grid[1]) / CELL_PX), 0)
+        last_line = min(int((y + radius - grid[1]) / CELL_PX), lines - 1)
         if first_column > last_column:
             continue
-        best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
-        for row in range(first_row, last_row + 1):
-            for m in range(starts[row * columns + first_column], starts[row * columns + last_column + 1]):
+        count = 0
+        for line in range(first_line, last_line + 1):
+            for m in range(starts[line * columns + first_column], starts[line * columns + last_column + 1]):
                 f = members[m]
-                octave = feature_octaves[f]
-                if not free[f] or octave < octaves_low[q] or octave > octaves_high[q]:
-                    continue
-                if abs(feature_pixels[f, 0] - x) > radius or abs(feature_pixels[f, 1] - y) > radius:
-                    continue
-                distance = hamming(descriptors, q, feature_descriptors, f)
-                if distance < best:
-                    second, second_octave = best, best_octave
-                    best, best_feature, best_octave = distance, f, octave
-                elif distance < second:
-                    second, second_octave = distance, octave
+                octave, dx, dy = feature_octaves[f], abs(feature_pixels[f, 0] - x), abs(feature_pixels[f, 1] - y)
+                near[count] = f  # no branch, which nobody could predict
+                count += free[f] & (octave >= low) & (octave <= high) & (dx <= radius) & (dy <= radius)
+        best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
+        for k in range(count):
+            f = near[k]
+            distance = hamming(descriptors, rows[q], feature_descriptors, f)
+            if distance < best:
+                second, second_octave = best, best_octave
+                best, best_feature, best_octave = distance, f, feature_octaves[f]
+            elif distance < second:
+                second, second_octave = distance, feature_octaves[f]
         if best > max_distance or (best_octave == second_octave and best > ratio * second):
             continue
         claim(q, best_feature, best, matches, owners, distances)

@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 
 from codecbench.core.kernels.compiled import compiled
+from codecbench.slam.features.blocks import spans
+from codecbench.slam.features.corner_kernels import list_corners, score_corners
 from codecbench.slam.features.orb_pattern import ORB_PATTERN
 from codecbench.slam.features.sorting import stable_order
-from codecbench.slam.thresholds import BLUR_SIGMA_PX, PATCH_RADIUS_PX
+from codecbench.slam.thresholds import (
+    BLUR_SIGMA_PX,
+    BORDER_PX,
+    FAST_CANDIDATES_PER_FEATURE,
+    FAST_THRESHOLD,
+    FAST_THRESHOLD_LOW,
+    PATCH_RADIUS_PX,
+)
 
 _RADIUS = PATCH_RADIUS_PX
 _PATTERN_X = np.ascontiguousarray(ORB_PATTERN.reshape(512, 2)[:, 0]).astype(np.float32)
@@ -21,6 +30,43 @@ _DISC = (np.abs(np.arange(_COLUMNS) - _RADIUS) <= _HALF_WIDTHS[:, None]).astype(
 _GAUSSIAN = np.exp(-0.5 * (np.arange(-3, 4) / BLUR_SIGMA_PX) ** 2)
 _SIDE = tuple(np.uint16(w) for w in np.rint(256.0 * _GAUSSIAN[:3] / _GAUSSIAN.sum()))  # 256ths, the outermost first
 _CENTER = np.uint16(256 - 2 * sum(int(w) for w in _SIDE))
+
+
+@compiled
+def find_corners(level: Any, quota: int, scores: Any) -> Any:
+    """At most `quota` corners x, y (N, 2) of a level: of the low threshold where the high one leaves too few to choose
+    from. `scores` is an image of the level's size that is overwritten."""
+    score_corners(level, scores)
+    threshold = FAST_THRESHOLD
+    corners, found = list_corners(scores, threshold)
+    if len(corners) < FAST_CANDIDATES_PER_FEATURE * quota:
+        threshold = FAST_THRESHOLD_LOW
+        corners, found = list_corners(scores, threshold)
+    height, width = level.shape
+    kept = select_evenly(corners, found, threshold, quota, height, width, BORDER_PX)
+    chosen = np.empty((len(kept), 2), np.int64)
+    for i in range(len(kept)):
+        chosen[i, 0], chosen[i, 1] = corners[kept[i], 0], corners[kept[i], 1]
+    return chosen
+
+
+@compiled
+def describe_corners(
+    level: Any, corners: Any, ratio: Any, blurred: Any, pixels: Any, angles: Any, descriptors: Any
+) -> None:
+    """Fill `pixels` (N, 2) in the image, `angles` (N,) and `descriptors` (N, 32) of the corners (N, 2) of a level.
+
+    `ratio` (2,) is the image's size over the level's; `blurred` is an image of the level's size that is overwritten.
+    The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
+    """
+    if len(corners) == 0:
+        return  # the level may be smaller than the smoothing is wide
+    for i in range(len(corners)):
+        for k in range(2):
+            pixels[i, k] = (corners[i, k] + 0.5) * ratio[k] - 0.5
+    orient_patches(level, corners, angles)
+    blur_level(level, blurred)
+    describe_patches(blurred, corners, angles, descriptors)
 
 
 @compiled
@@ -68,12 +114,12 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
 
 
 @compiled
-def orient_patches(level: Any, corners: Any) -> Any:
-    """Direction (N,), radians in -pi..pi, from each corner to the intensity centroid of its disc (ORB, equation 3).
+def orient_patches(level: Any, corners: Any, angles: Any) -> None:
+    """Fill `angles` (N,), radians in -pi..pi, with the directions from corners to their discs' intensity centroids
+    (ORB, equation 3).
 
     Rows of the disc go in pairs, above and below the corner; 16 bits hold the sums over rows.
     """
-    angles = np.empty(len(corners))
     sums, moments = np.empty(_COLUMNS, np.int16), np.empty(_COLUMNS, np.int16)
     for i in range(len(corners)):
         x, y = corners[i, 0], corners[i, 1]
@@ -93,35 +139,36 @@ def orient_patches(level: Any, corners: Any) -> Any:
             m10 += (k - _RADIUS) * sums[k]
             m01 += moments[k]
         angles[i] = math.atan2(float(m01), float(m10))
-    return angles
 
 
 @compiled
-def blur_level(level: Any) -> Any:
-    """The level (height, width) uint8 smoothed by a Gaussian of seven pixels both ways, mirrored at the border.
+def blur_level(level: Any, blurred: Any) -> None:
+    """Fill `blurred` with the level (height, width) uint8 smoothed by a Gaussian of seven pixels both ways, mirrored at
+    the border.
 
     Both passes round to 8 bits: their sums fit into 16, and vectors hold twice as many of them.
     """
     height, width = level.shape
-    blurred = np.empty_like(level)
     line = np.empty(width + 6, np.uint8)  # a row smoothed from above and below, with three pixels more at each end
     r0, r1, r2, r3, r4, r5, r6 = line, line[1:], line[2:], line[3:], line[4:], line[5:], line[6:]
-    last = height - 1
+    last, both = height - 1, spans(0, width)
     for y in range(height):
         d1, d2, d3 = last - abs(last - y - 1), last - abs(last - y - 2), last - abs(last - y - 3)
         u1, u2, u3 = abs(y - 1), abs(y - 2), abs(y - 3)
-        _weigh(level[u3], level[u2], level[u1], level[y], level[d1], level[d2], level[d3], line[3 : width + 3])
+        a, b, c, d, e, f, g = level[u3], level[u2], level[u1], level[y], level[d1], level[d2], level[d3]
+        for start, end in both:
+            _weigh(a, b, c, d, e, f, g, line[3:], start, end)
         for k in range(3):
             line[k], line[width + 5 - k] = line[6 - k], line[width - 1 + k]
-        _weigh(r0, r1, r2, r3, r4, r5, r6, blurred[y])
-    return blurred
+        for start, end in both:
+            _weigh(r0, r1, r2, r3, r4, r5, r6, blurred[y], start, end)
 
 
 @compiled(inline="always")  # a call costs as much as half a row
-def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any) -> None:
-    """Fill `out` (N,) with the weighted mean of the first N values of seven rows."""
+def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any, start: int, end: int) -> None:
+    """Fill `out` from `start` to `end` with the weighted mean of seven rows."""
     far, middle, near = _SIDE
-    for x in range(np.uint64(len(out))):
+    for x in range(np.uint64(start), np.uint64(end)):
         outer = np.uint16(far * np.uint16(np.uint16(a[x]) + np.uint16(g[x])))
         outer = np.uint16(outer + np.uint16(middle * np.uint16(np.uint16(b[x]) + np.uint16(f[x]))))
         inner = np.uint16(near * np.uint16(np.uint16(c[x]) + np.uint16(e[x])))
@@ -130,9 +177,9 @@ def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any) -> 
 
 
 @compiled
-def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
-    """Descriptors (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section 4)."""
-    descriptors = np.empty((len(corners), 32), np.uint8)
+def describe_patches(blurred: Any, corners: Any, angles: Any, descriptors: Any) -> None:
+    """Fill `descriptors` (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section
+    4)."""
     stride = np.int32(blurred.shape[1])
     flat = blurred.reshape(-1)
     offsets = np.empty(512, np.int32)
@@ -151,7 +198,6 @@ def describe_patches(blurred: Any, corners: Any, angles: Any) -> Any:
                 darker = flat[np.uint64(offsets[k])] < flat[np.uint64(offsets[k + 1])]
                 value |= np.int64(darker) << bit  # type: ignore[assignment]
             descriptors[i, byte] = value
-    return descriptors
 
 
 @compiled

@@ -86,25 +86,24 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
     columns, rows = int(grid[2]), int(grid[3])
     winners = np.full(len(pixels_b), -1, np.int64)
     distances = np.full(len(pixels_b), thresholds.HAMMING_LOW + 1, np.int64)
+    near = np.empty(len(pixels_b) + 1, np.int64)
     for i in range(len(points)):
         radius = thresholds.FUSE_WINDOW_PX * scale_factors[octaves[i]]
         x, y = pixels[i, 0] - grid[0], pixels[i, 1] - grid[1]
         left, right = max(int((x - radius) / CELL_PX), 0), min(int((x + radius) / CELL_PX) + 1, columns)
-        best, best_distance = -1, thresholds.HAMMING_LOW + 1
+        count, octave = 0, octaves[i]
         for row in range(max(int((y - radius) / CELL_PX), 0), min(int((y + radius) / CELL_PX) + 1, rows)):
-            for f in members[starts[row * columns + left] : starts[row * columns + right]]:
-                if octaves_b[f] < octaves[i] - 1 or octaves_b[f] > octaves[i]:
-                    continue
-                dx, dy, scale = (
-                    pixels_b[f, 0] - pixels[i, 0],
-                    pixels_b[f, 1] - pixels[i, 1],
-                    scale_factors[octaves_b[f]],
-                )
-                if dx * dx + dy * dy >= thresholds.CHI2_95_2DOF * scale * scale:
-                    continue
-                distance = hamming(descriptors, points[i], descriptors_b, f)
-                if distance < best_distance:
-                    best, best_distance = f, distance
+            for m in range(starts[row * columns + left], starts[row * columns + right]):
+                f = members[m]
+                dx, dy = pixels_b[f, 0] - pixels[i, 0], pixels_b[f, 1] - pixels[i, 1]
+                limit = thresholds.CHI2_95_2DOF * scale_factors[octaves_b[f]] * scale_factors[octaves_b[f]]
+                near[count] = f  # no branch, which nobody could predict
+                count += (octaves_b[f] >= octave - 1) & (octaves_b[f] <= octave) & (dx * dx + dy * dy < limit)
+        best, best_distance = -1, thresholds.HAMMING_LOW + 1
+        for k in range(count):
+            distance = hamming(descriptors, points[i], descriptors_b, near[k])
+            if distance < best_distance:
+                best, best_distance = near[k], distance
         if best >= 0 and best_distance < distances[best]:
             winners[best], distances[best] = points[i], best_distance
     found = np.nonzero(winners >= 0)[0]

@@ -14,6 +14,7 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.sorting import stable_order
 
 _NEXT, _KEYFRAME, _FEATURE = 0, 1, 2  # columns of the links
 
@@ -129,6 +130,36 @@ def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) ->
 
 
 @compiled
+def rank_covisible(points: Any, left_out: int, keyframe_count: int, heads: Any, links: Any) -> Any:
+    """The keyframes that see any of `points` (K,), but for `left_out`, and how many they see (K,), most first and then
+    the oldest; negative indices are skipped."""
+    counts = count_covisible(points, keyframe_count, heads, links)
+    if left_out >= 0:
+        counts[left_out] = 0
+    seeing, most = np.nonzero(counts)[0], 0
+    for k in seeing:
+        most = max(most, counts[k])
+    shortfalls = np.empty(len(seeing), np.int64)
+    for i in range(len(seeing)):
+        shortfalls[i] = most - counts[seeing[i]]
+    keyframes = seeing[stable_order(shortfalls, most + 1)]
+    return keyframes, counts[keyframes]
+
+
+@compiled
+def resolve_points(points: Any, replaced_by: Any, alive: Any) -> Any:
+    """`points` (N,) with replaced ones exchanged for their replacements and dead ones for -1."""
+    resolved = np.full(len(points), -1, np.int64)
+    for i in range(len(points)):
+        point = points[i]
+        while point >= 0 and replaced_by[point] >= 0:
+            point = replaced_by[point]
+        if point >= 0 and alive[point]:
+            resolved[i] = point
+    return resolved
+
+
+@compiled
 def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: Any) -> Any:
     """Observations of `points` by keyframes `wanted` (K,) bool: index into `points`, keyframe, feature, (M,) each."""
     total = 0
@@ -151,12 +182,12 @@ def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: 
 @compiled
 def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
     """The points that any of `keyframes` sees, ascending (P,)."""
-    seen = np.zeros(point_count, np.bool_)
+    seen = np.zeros(point_count + 1, np.bool_)  # the last is for features without a point
     for k in keyframes:
         for f in range(keyframe_points.shape[1]):
-            if keyframe_points[k, f] >= 0:
-                seen[keyframe_points[k, f]] = True
-    return np.nonzero(seen)[0]
+            point = keyframe_points[k, f]
+            seen[np.uint64(point if point >= 0 else point_count)] = True
+    return np.nonzero(seen[:point_count])[0]
 
 
 @compiled

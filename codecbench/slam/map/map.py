@@ -85,14 +85,7 @@ class Map:
 
     def resolve_points(self, points: Indices) -> Indices:
         """`points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
-        resolved = points.copy()
-        while True:
-            replaced = (resolved >= 0) & (self.points.replaced_by[resolved] >= 0)
-            if not replaced.any():
-                break
-            resolved[replaced] = self.points.replaced_by[resolved[replaced]]
-        resolved[(resolved >= 0) & ~self.points.alive[resolved]] = NONE
-        return resolved
+        return np.asarray(map_kernels.resolve_points(points, self.points.replaced_by, self.points.alive))
 
     def refresh_points(self, points: Indices, descriptors: bool = True) -> None:
         """Recompute what a point derives from its observations: normal, distances, descriptor."""
@@ -116,16 +109,20 @@ class Map:
         if keyframe not in self._covisible:
             self._covisible[keyframe] = self._find_covisible(keyframe)
         keyframes, weights = self._covisible[keyframe]
-        end = np.searchsorted(-weights, -min_points, side="right") if min_points > 1 else None
+        end = np.count_nonzero(weights >= min_points)
         return keyframes[:end][:limit], weights[:end][:limit]
 
     def _find_covisible(self, keyframe: int) -> tuple[Indices, Indices]:
-        weights = self.covisibility(self.keyframes.points[keyframe])
-        weights[keyframe] = 0
-        order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
-        weights = weights[order]
+        order, weights = self.rank_covisible(self.keyframes.points[keyframe], keyframe)
         order.flags.writeable = weights.flags.writeable = False  # they are shared
         return order, weights
+
+    def rank_covisible(self, points: Indices, left_out: int = NONE) -> tuple[Indices, Indices]:
+        """Keyframes but `left_out` that see any of `points`, most first, and how many they see; NONE is skipped."""
+        keyframes, counts = map_kernels.rank_covisible(
+            points, left_out, self.keyframes.count, self.points.heads, self._links
+        )
+        return keyframes, counts
 
     def points_of(self, keyframes: Indices) -> Indices:
         """The points that any of `keyframes` sees, ascending."""

@@ -14,6 +14,7 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.matching import claim
+from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
 from codecbench.slam.map.kernels import median_depth
@@ -66,8 +67,8 @@ def _match_on_lines(
     """
     fundamental, epipole = fundamental_between(views.poses[keyframe], views.poses[neighbor], camera_matrix)
     candidates, starts = _candidates(neighbor, epipole, views, scale_factors)
-    xs, ys = np.empty((2, len(candidates)), np.float32)
-    reaches = np.empty(len(candidates), np.float32)
+    count = len(candidates)  # three arrays: parts of one would not be known to be contiguous, and not be vector code
+    xs, ys, reaches = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for k, f in enumerate(candidates):
         xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
         reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF) * scale_factors[views.octaves[neighbor, f]]
@@ -83,13 +84,11 @@ def _match_on_lines(
             continue
         first = starts[max(octaves[f] - thresholds.TRIANGULATION_OCTAVES_APART, 0)]
         last = starts[min(octaves[f] + thresholds.TRIANGULATION_OCTAVES_APART + 1, len(starts) - 1)]
-        _mark_near_line(
-            fundamental, pixels[f, 0], pixels[f, 1], xs[first:last], ys[first:last], reaches[first:last], near
-        )
+        _mark_near_line(fundamental, pixels[f, 0], pixels[f, 1], xs, ys, reaches, first, last, near)
         count = _list_marked(eights, near, last - first, hits)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1
-        for k in hits[:count]:
-            other = candidates[first + k]
+        for k in range(count):
+            other = candidates[first + hits[k]]
             distance = hamming(descriptors, f, descriptors_b, other)
             if distance < best_distance:
                 best, best_distance = other, distance
@@ -99,15 +98,18 @@ def _match_on_lines(
 
 
 @compiled
-def _mark_near_line(b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, near: Any) -> None:
-    """Mark the places (N,) within their reach of the epipolar line of a pixel, many at once."""
+def _mark_near_line(
+    b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, first: int, last: int, near: Any
+) -> None:
+    """Mark which places, `first` to `last`, are within their reach of the epipolar line of a pixel, many at once."""
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
     b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
     c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
     scale = 1.0 / max(math.sqrt(a * a + b * b), 1e-300)
     p, q, r = np.float32(a * scale), np.float32(b * scale), np.float32(c * scale)
-    for k in range(len(xs)):
-        near[k] = abs(p * xs[k] + q * ys[k] + r) <= reaches[k]
+    start = np.uint64(first)
+    for k in range(np.uint64(last - first)):
+        near[k] = abs(p * xs[start + k] + q * ys[start + k] + r) <= reaches[start + k]
 
 
 @compiled
@@ -134,17 +136,18 @@ def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -
     """
     count = views.counts[neighbor]
     octaves = views.octaves[neighbor]
-    kept, starts, made = np.empty(count, np.int64), np.zeros(len(scale_factors) + 1, np.int64), 0
+    kept, levels, made = np.empty(count, np.int64), np.empty(count, np.int64), 0
+    starts = np.zeros(len(scale_factors) + 1, np.int64)
+    for f in range(count):
+        nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[octaves[f]]
+        dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
+        if views.points[neighbor, f] < 0 and dx * dx + dy * dy >= nearest:
+            kept[made], levels[made] = f, octaves[f]
+            starts[octaves[f] + 1] += 1
+            made += 1
     for octave in range(len(scale_factors)):
-        nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[octave]
-        for f in range(count):
-            if octaves[f] == octave and views.points[neighbor, f] < 0:
-                dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
-                if dx * dx + dy * dy >= nearest:
-                    kept[made] = f
-                    made += 1
-        starts[octave + 1] = made
-    return kept[:made], starts
+        starts[octave + 1] += starts[octave]
+    return kept[stable_order(levels[:made], len(scale_factors))], starts
 
 
 @compiled

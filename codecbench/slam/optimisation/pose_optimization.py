@@ -49,13 +49,14 @@ def optimize_pose(
     if pose.shape != (4, 4) or intrinsics.shape != (4,):
         raise ValueError(f"optimize_pose: pose {pose.shape} and intrinsics {intrinsics.shape} must be (4, 4) and (4,)")
     inliers = np.zeros(count, dtype=np.bool_)
-    _optimize(pose, points_world, pixels, weights, intrinsics, inliers)
+    optimize_in_place(pose, points_world, pixels, weights, intrinsics, inliers)
     pose[:3, :3] = orthonormalize(pose[:3, :3])
     return pose, inliers
 
 
 @compiled
-def _optimize(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+    """optimize_pose for compiled code: moves `pose` and marks the `inliers`; the rotation is off by rounding."""
     active = np.ones(len(points), dtype=np.bool_)
     trial_active = np.empty_like(active)
     for round_index in range(_ROUNDS):
@@ -127,13 +128,12 @@ def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessia
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     threshold = math.sqrt(CHI2_95_2DOF)
-    hessian[:] = 0.0
-    gradient[:] = 0.0
     cost, depths, in_front = 0.0, 0.0, 0
+    g0 = g1 = g2 = g3 = g4 = g5 = h00 = h11 = h20 = h21 = h22 = h30 = h31 = h32 = h33 = 0.0
+    h40 = h41 = h42 = h43 = h44 = h50 = h51 = h52 = h53 = h54 = h55 = 0.0
     r00, r01, r02, t0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
     r10, r11, r12, t1 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
     r20, r21, r22, t2 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
-    j0, j1 = np.empty(6), np.empty(6)
     for i in range(points.shape[0]):
         if not active[i]:
             continue
@@ -156,15 +156,32 @@ def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessia
             cost += chi2
         depths += z
         in_front += 1
-        j0[0], j0[1], j0[2] = fx * inverse_z, 0.0, -fx * x * inverse_z
-        j0[3], j0[4], j0[5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
-        j1[0], j1[1], j1[2] = 0.0, fy * inverse_z, -fy * y * inverse_z
-        j1[3], j1[4], j1[5] = -fy * (1.0 + y * y), fy * x * y, fy * x
-        for a in range(6):
-            w0, w1 = weight * j0[a], weight * j1[a]
-            gradient[a] += w0 * e0 + w1 * e1
-            for b in range(a + 1):
-                hessian[a, b] += w0 * j0[b] + w1 * j1[b]
+        a0, a2, a3, a4, a5 = fx * inverse_z, -fx * x * inverse_z, -fx * x * y, fx * (1.0 + x * x), -fx * y
+        b1, b2, b3, b4, b5 = fy * inverse_z, -fy * y * inverse_z, -fy * (1.0 + y * y), fy * x * y, fy * x
+        c0, c2, c3, c4, c5 = weight * a0, weight * a2, weight * a3, weight * a4, weight * a5
+        d1, d2, d3, d4, d5 = weight * b1, weight * b2, weight * b3, weight * b4, weight * b5
+        g0, g1, g2 = g0 + c0 * e0, g1 + d1 * e1, g2 + (c2 * e0 + d2 * e1)
+        g3, g4, g5 = g3 + (c3 * e0 + d3 * e1), g4 + (c4 * e0 + d4 * e1), g5 + (c5 * e0 + d5 * e1)
+        h00, h11 = h00 + c0 * a0, h11 + d1 * b1
+        h20, h21, h22 = h20 + c2 * a0, h21 + d2 * b1, h22 + (c2 * a2 + d2 * b2)
+        h30, h31, h32, h33 = h30 + c3 * a0, h31 + d3 * b1, h32 + (c3 * a2 + d3 * b2), h33 + (c3 * a3 + d3 * b3)
+        h40, h41, h42 = h40 + c4 * a0, h41 + d4 * b1, h42 + (c4 * a2 + d4 * b2)
+        h43, h44 = h43 + (c4 * a3 + d4 * b3), h44 + (c4 * a4 + d4 * b4)
+        h50, h51, h52 = h50 + c5 * a0, h51 + d5 * b1, h52 + (c5 * a2 + d5 * b2)
+        h53, h54, h55 = h53 + (c5 * a3 + d5 * b3), h54 + (c5 * a4 + d5 * b4), h55 + (c5 * a5 + d5 * b5)
+    gradient[0], gradient[1], gradient[2], gradient[3], gradient[4], gradient[5] = g0, g1, g2, g3, g4, g5
+    hessian[0, 0], hessian[1, 0], hessian[1, 1] = h00, 0.0, h11
+    hessian[2, 0], hessian[2, 1], hessian[2, 2] = h20, h21, h22
+    hessian[3, 0], hessian[3, 1], hessian[3, 2], hessian[3, 3] = h30, h31, h32, h33
+    hessian[4, 0], hessian[4, 1], hessian[4, 2], hessian[4, 3], hessian[4, 4] = h40, h41, h42, h43, h44
+    hessian[5, 0], hessian[5, 1], hessian[5, 2], hessian[5, 3], hessian[5, 4], hessian[5, 5] = (
+        h50,
+        h51,
+        h52,
+        h53,
+        h54,
+        h55,
+    )
     return cost, depths / max(in_front, 1)
 
 

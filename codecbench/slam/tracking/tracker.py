@@ -7,14 +7,21 @@ import numpy as np
 
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import Features
-from codecbench.slam.features.matching import keep_consistent_rotations, match_by_appearance, match_in_windows
+from codecbench.slam.features.matching import keep_consistent_rotations, match_by_appearance
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Indices, Map
-from codecbench.slam.map.projection import Projections, project_ahead, project_map_points
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
+from codecbench.slam.map.projection import Projections
+from codecbench.slam.tracking.search import (
+    Lens,
+    columns_of,
+    optimize_shown,
+    search_last,
+    search_local,
+    search_projections,
+)
 
 
 class Tracker:
@@ -26,6 +33,7 @@ class Tracker:
         self.last: TrackingFrame | None = None
         self._velocity: Array | None = None  # twist of one second; None: unknown
         self._interval_s = 0.0
+        self._lens = Lens(camera.intrinsics, camera.bounds, slam_map.scale_factors)
         self._inverse_sigma2 = slam_map.scale_factors**-2.0
 
     def start(self, frame: TrackingFrame, velocity: Array | None = None) -> None:
@@ -77,21 +85,13 @@ class Tracker:
 
     def _match_last(self, frame: TrackingFrame, window_px: float) -> int:
         assert self.last is not None
-        last, camera = self.last, self.camera
-        seen = last.matched
-        points = last.points[seen]
-        ahead, pixels = project_ahead(points, self.map.points.positions, frame.camera_from_world, camera.intrinsics)
-        seen, points = seen[ahead], points[ahead]
-        octaves = last.features.octaves[seen].astype(np.int64)
-        matches = match_in_windows(
-            pixels, window_px * self.map.scale_factors[octaves], octaves - 1, octaves + 1,
-            self.map.points.descriptors[points], frame.features, np.ones(len(frame.features), np.bool_),
-            thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO,
+        last, features = self.last, frame.features
+        return int(
+            search_last(
+                last.points, last.features.octaves, last.features.angles, window_px, columns_of(self.map.points),
+                self._lens, frame.camera_from_world, features.view, features.angles, frame.points,
+            )
         )  # fmt: skip
-        keep_consistent_rotations(matches, last.features.angles[seen], frame.features.angles)
-        found = matches >= 0
-        frame.points[matches[found]] = points[found]
-        return int(found.sum())
 
     def _track_by_keyframe(self, frame: TrackingFrame) -> bool:
         """Match by appearance with the last frame, then with the reference keyframe; pose by P3P and RANSAC."""
@@ -142,51 +142,38 @@ class Tracker:
 
     def optimize(self, frame: TrackingFrame) -> int:
         """Optimise the pose of `frame` over its points; outliers lose their match. Returns the inliers."""
-        matched = frame.matched
-        if len(matched) < 4:
-            return 0
-        pose, inliers = optimize_pose(
-            frame.camera_from_world,
-            self.map.points.positions[frame.points[matched]],
-            frame.features.pixels[matched],
-            self._inverse_sigma2[frame.features.octaves[matched]],
-            self.camera.intrinsics,
-        )
+        pose, features = frame.camera_from_world.copy(), frame.features
+        inliers = optimize_shown(
+            pose, frame.points, self.map.points.positions, features.pixels, features.octaves,
+            self._inverse_sigma2, self.camera.intrinsics,
+        )  # fmt: skip
         frame.camera_from_world = pose
-        frame.points[matched[~inliers]] = NONE
-        return int(inliers.sum())
+        return int(inliers)
 
     def track_local_map(self, frame: TrackingFrame) -> int:
         """Match `frame` with the local map and optimise its pose; returns the inliers."""
         local = self._local_points(frame)
         table = self.map.points
-        shown = frame.points[frame.points >= 0]
-        unseen = np.ones(table.count, np.bool_)
-        unseen[shown] = False
-        projections = project_map_points(
-            self.map, local[unseen[local]], frame.camera_from_world, self.camera, thresholds.VIEWING_COSINE
-        )
-        table.visible[projections.points] += 1
-        table.visible[shown] += 1
-        match_projections(self.map, frame, projections, 1.0)
+        search_local(
+            local, columns_of(table), table.count, self._lens, frame.camera_from_world, frame.features.view,
+            frame.points,
+        )  # fmt: skip
         inliers = self.optimize(frame)
         table.found[frame.points[frame.points >= 0]] += 1
         return inliers
 
     def _local_points(self, frame: TrackingFrame) -> Indices:
         """Points of the keyframes that share points with `frame` and of their neighbours; sets the reference."""
-        weights = self.map.covisibility(frame.points)
-        order = np.argsort(-weights, kind="stable")
-        first = order[weights[order] > 0][: thresholds.LOCAL_KEYFRAMES]
-        if len(first) == 0:
+        first = self.map.rank_covisible(frame.points)[0][: thresholds.LOCAL_KEYFRAMES].tolist()
+        if not first:
             return np.empty(0, np.int64)
-        frame.reference = int(first[0])
+        frame.reference = first[0]
         keyframes = list(first)
         chosen = set(keyframes)
         for keyframe in first[:10]:
             if len(keyframes) >= thresholds.LOCAL_KEYFRAMES:
                 break
-            for neighbor in self.map.neighbors(int(keyframe), 5)[0]:
+            for neighbor in self.map.neighbors(keyframe, 5)[0].tolist():
                 if neighbor not in chosen:
                     chosen.add(neighbor)
                     keyframes.append(neighbor)
@@ -196,13 +183,9 @@ class Tracker:
 
 def match_projections(slam_map: Map, frame: TrackingFrame, projections: Projections, widen: float) -> int:
     """Match projected points with the features of `frame` that show none yet; returns how many matched."""
-    frontal = projections.cosines > thresholds.FRONTAL_COSINE
-    radii = np.where(frontal, thresholds.LOCAL_WINDOW_FRONTAL_PX, thresholds.LOCAL_WINDOW_PX) * widen
-    matches = match_in_windows(
-        projections.pixels, radii * slam_map.scale_factors[projections.octaves],
-        projections.octaves - 1, projections.octaves, slam_map.points.descriptors[projections.points],
-        frame.features, frame.points < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO,
+    return int(
+        search_projections(
+            projections.points, projections.pixels, projections.octaves, projections.cosines, widen,
+            slam_map.points.descriptors, slam_map.scale_factors, frame.features.view, frame.points,
+        )
     )  # fmt: skip
-    found = matches >= 0
-    frame.points[matches[found]] = projections.points[found]
-    return int(found.sum())

@@ -33,16 +33,29 @@ def test_corners_and_scores_are_those_of_opencv(threshold: int, rng: np.random.G
 def test_smoothing_is_that_of_opencv_but_for_rounding(shape: tuple[int, int], rng: np.random.Generator) -> None:
     image = IMAGE[: shape[0], : shape[1]].copy()
     image[::3, ::3] = rng.integers(0, 256, image[::3, ::3].shape)
-    difference = blur_level(image).astype(int) - cv2.GaussianBlur(image, (7, 7), 2.0)
+    difference = _blurred(image).astype(int) - cv2.GaussianBlur(image, (7, 7), 2.0)
     assert np.abs(difference).max() <= 2
     assert abs(difference.mean()) < 0.1
-    assert (blur_level(np.full(shape, 255, np.uint8)) == 255).all()
+    assert (_blurred(np.full(shape, 255, np.uint8)) == 255).all()
+
+
+@pytest.mark.parametrize("width", [4, 31, 32, 33, 64, 75])
+def test_smoothing_is_two_rounded_weighted_means(width: int, rng: np.random.Generator) -> None:
+    image = rng.integers(0, 256, (9, width)).astype(np.uint8)
+    gaussian = np.exp(-0.5 * (np.arange(-3, 4) / 2.0) ** 2)
+    weights = np.rint(256.0 * gaussian / gaussian.sum()).astype(int)
+    weights[3] += 256 - weights.sum()
+    expected = image.astype(int)
+    for _ in range(2):  # along the columns, then along the rows
+        padded = np.pad(expected, ((3, 3), (0, 0)), mode="reflect")
+        expected = ((sum(w * padded[k : k + len(expected)] for k, w in enumerate(weights)) + 128) // 256).T
+    assert np.array_equal(_blurred(image), expected)
 
 
 def test_descriptors_and_angles_agree_with_opencv(rng: np.random.Generator) -> None:
     corners = rng.integers([25, 25], [295, 215], (200, 2))
-    angles = orient_patches(IMAGE, corners)
-    ours = describe_patches(cv2.GaussianBlur(IMAGE, (7, 7), 2.0), corners, angles)
+    angles, ours = _angles(IMAGE, corners), np.empty((len(corners), 32), np.uint8)
+    describe_patches(cv2.GaussianBlur(IMAGE, (7, 7), 2.0), corners, angles, ours)
     keypoints = [
         cv2.KeyPoint(float(x), float(y), 31.0, float(np.degrees(a)) % 360.0, 1.0, 0, i)
         for i, ((x, y), a) in enumerate(zip(corners, angles, strict=True))
@@ -54,12 +67,22 @@ def test_descriptors_and_angles_agree_with_opencv(rng: np.random.Generator) -> N
     assert np.mean(bits) < 1.0
 
 
+def test_orientation_is_that_of_the_intensity_centroid(rng: np.random.Generator) -> None:
+    image = rng.integers(0, 256, (60, 70)).astype(np.uint8)
+    corners = rng.integers([19, 19], [51, 41], (20, 2))
+    v, u = np.mgrid[-15:16, -15:16]
+    inside = np.abs(u) <= np.floor(np.sqrt(15.0**2 - v**2) + 0.5)
+    for (x, y), angle in zip(corners, _angles(image, corners), strict=True):
+        patch = image[y - 15 : y + 16, x - 15 : x + 16] * inside.astype(int)
+        assert angle == pytest.approx(np.arctan2(float((v * patch).sum()), float((u * patch).sum())), rel=1e-14)
+
+
 def test_orientation_follows_a_turned_image() -> None:
     center = np.array([[160, 120]])
     turn = cv2.getRotationMatrix2D((160.0, 120.0), 40.0, 1.0)
     smooth = cv2.GaussianBlur(IMAGE, (0, 0), 3.0)
     turned = cv2.warpAffine(smooth, turn, (320, 240))
-    change = float(orient_patches(smooth, center)[0] - orient_patches(turned, center)[0])
+    change = float(_angles(smooth, center)[0] - _angles(turned, center)[0])
     assert abs(np.angle(np.exp(1j * (change - np.radians(40.0))))) < np.radians(6.0)
 
 
@@ -86,6 +109,15 @@ def test_the_number_of_features_is_kept_and_the_extraction_repeats() -> None:
     assert sorted(first.cell_members.tolist()) == list(range(len(first)))
 
 
+def test_an_image_does_not_leave_traces_in_the_next_one() -> None:
+    extractor, other = FeatureExtractor(CAMERA, Options()), np.ascontiguousarray(IMAGE[::-1])
+    expected = FeatureExtractor(CAMERA, Options()).extract(other)
+    first = extractor.extract(IMAGE)
+    kept = first.descriptors.copy()
+    assert np.array_equal(extractor.extract(other).descriptors, expected.descriptors)
+    assert np.array_equal(first.descriptors, kept)
+
+
 def test_a_black_image_and_a_tiny_one_have_no_features() -> None:
     assert len(FeatureExtractor(CAMERA, Options()).extract(np.zeros((240, 320), np.uint8))) == 0
     tiny = Camera(20, 12, 20.0, 20.0, 10.0, 6.0)
@@ -107,3 +139,15 @@ def test_coarse_levels_lie_where_fine_ones_do(rng: np.random.Generator) -> None:
         nearest = offsets[np.arange(len(chosen)), np.linalg.norm(offsets, axis=2).argmin(axis=1)]
         assert len(chosen) >= 8
         assert np.abs(nearest.mean(axis=0)).max() < 0.25 * 1.2**octave
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    blurred = np.empty_like(image)
+    blur_level(image, blurred)
+    return blurred
+
+
+def _angles(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    angles = np.empty(len(corners))
+    orient_patches(image, corners, angles)
+    return angles

@@ -32,6 +32,38 @@ def test_windows_find_every_feature_at_its_place(rng: np.random.Generator) -> No
     assert np.array_equal(matches, np.arange(200))
 
 
+def test_windows_match_as_a_plain_search_does(rng: np.random.Generator) -> None:
+    count = 150
+    pixels, octaves = rng.uniform([0.0, 0.0], [319.0, 239.0], (count, 2)), rng.integers(0, 8, count).astype(np.int32)
+    descriptors = random_descriptors(rng, count)
+    features, free = features_at(pixels, descriptors, octaves), rng.random(count) < 0.8
+    which = rng.integers(0, count, 200)
+    queried = descriptors[which] ^ (random_descriptors(rng, 200) & random_descriptors(rng, 200))
+    places, radii = pixels[which] + rng.normal(0.0, 10.0, (200, 2)), rng.uniform(5.0, 60.0, 200)
+    low, high = octaves[which] - 1, octaves[which] + rng.integers(0, 3, 200)
+    bits = np.unpackbits((queried[:, None] ^ descriptors[None]).view(np.uint8), axis=2).sum(axis=2, dtype=int)
+    expected, owners = np.full(200, -1), {}
+    for q in range(200):
+        near = (np.abs(pixels - places[q]) <= radii[q]).all(axis=1) & free
+        chosen = np.nonzero(near & (octaves >= low[q]) & (octaves <= high[q]))[0]
+        ranked = sorted(chosen, key=lambda f: bits[q, f])
+        if not ranked or bits[q, ranked[0]] > 100:
+            continue
+        rival = ranked[1] if len(ranked) > 1 else None
+        if rival is not None and octaves[ranked[0]] == octaves[rival] and bits[q, ranked[0]] > 0.8 * bits[q, rival]:
+            continue
+        owner = owners.get(ranked[0])
+        if owner is None or bits[q, ranked[0]] < bits[owner, ranked[0]]:
+            if owner is not None:
+                expected[owner] = -1
+            owners[ranked[0]], expected[q] = q, ranked[0]
+    matches = match_in_windows(
+        places, radii, low.astype(np.int64), high.astype(np.int64), queried, features, free, 100, 0.8
+    )
+    assert np.array_equal(matches, expected)
+    assert (expected >= 0).sum() > 20
+
+
 def test_windows_respect_radius_level_mask_and_ratio(rng: np.random.Generator) -> None:
     descriptors = random_descriptors(rng, 1)
     features = features_at(np.array([[100.0, 100.0], [103.0, 100.0]]), np.repeat(descriptors, 2, axis=0))

@@ -37,6 +37,26 @@ def test_covisibility_counts_shared_points(slam_map: Map) -> None:
     assert [expected[k] for k in neighbors] == weights.tolist()
 
 
+def test_covisible_keyframes_are_ranked_by_shared_points_then_age(slam_map: Map, rng: np.random.Generator) -> None:
+    points = rng.choice(np.append(slam_map.alive_points, NONE), 6)
+    weights = slam_map.covisibility(points)
+    order = np.argsort(-weights, kind="stable")
+    for left_out in (NONE, int(order[0])):
+        expected = [k for k in order if weights[k] > 0 and k != left_out]
+        keyframes, counts = slam_map.rank_covisible(points, left_out)
+        assert keyframes.tolist() == expected
+        assert counts.tolist() == weights[expected].tolist()
+
+
+def test_a_point_replaced_twice_resolves_to_the_last_and_a_dead_one_to_none(slam_map: Map) -> None:
+    first, second, third, dead = slam_map.alive_points[:4]
+    slam_map.replace_points(np.array([first]), np.array([second]))
+    slam_map.replace_points(np.array([second]), np.array([third]))
+    slam_map.remove_points(np.array([dead]))
+    resolved = slam_map.resolve_points(np.array([first, NONE, dead, third, second]))
+    assert resolved.tolist() == [third, NONE, NONE, third, third]
+
+
 def test_a_point_that_one_keyframe_sees_dies(slam_map: Map) -> None:
     point = int(slam_map.keyframes.points[0][0])
     for _ in range(int(slam_map.points.observation_counts[point]) - 1):

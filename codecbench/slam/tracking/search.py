@@ -1,0 +1,152 @@
+"""Map points searched in a frame, and its pose from them: what a frame needs of compiled code, a call each."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from codecbench.core.kernels.compiled import compiled
+from codecbench.slam import thresholds
+from codecbench.slam.features.extractor import View
+from codecbench.slam.features.matching import Queries, keep_consistent_rotations, search_windows
+from codecbench.slam.geometry.rotations import orthonormalize
+from codecbench.slam.map.projection import project_ahead, project_points
+from codecbench.slam.map.tables import PointTable
+from codecbench.slam.optimisation.pose_optimization import optimize_in_place
+
+
+class PointColumns(NamedTuple):
+    """The columns of the table of points that a search reads; `visible` it counts up."""
+
+    positions: Any
+    normals: Any
+    min_distances: Any
+    max_distances: Any
+    descriptors: Any
+    visible: Any
+
+
+class Lens(NamedTuple):
+    """How a frame sees: `intrinsics` (4,), `bounds` (4,) of the image, `scale_factors` of its levels."""
+
+    intrinsics: Any
+    bounds: Any
+    scale_factors: Any
+
+
+def columns_of(table: PointTable) -> PointColumns:
+    """The columns of a table as they are now; they are others once it has grown."""
+    return PointColumns(
+        table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.visible
+    )
+
+
+@compiled
+def search_last(
+    last_points: Any, last_octaves: Any, last_angles: Any, window_px: float,
+    table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, shown: Any,
+) -> int:  # fmt: skip
+    """Search the points of the last frame (N,) by feature, -1 for none, in windows round where they should appear.
+
+    `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points
+    `shown` (F,) are filled in. Returns how many were found.
+    """
+    seen = np.nonzero(last_points >= 0)[0]
+    ahead, pixels = project_ahead(last_points[seen], table.positions, camera_from_world, lens.intrinsics)
+    seen = seen[ahead]
+    count = len(seen)
+    points, radii, turns = last_points[seen], np.empty(count), last_angles[seen]
+    low, high = np.empty(count, np.int64), np.empty(count, np.int64)
+    for i in range(count):
+        octave = np.int64(last_octaves[seen[i]])
+        radii[i], low[i], high[i] = window_px * lens.scale_factors[octave], octave - 1, octave + 1
+    queries = Queries(pixels, radii, low, high, points, table.descriptors)
+    free = np.ones(len(shown), np.bool_)
+    matches = search_windows(queries, view, free, thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO)
+    keep_consistent_rotations(matches, turns, angles)
+    return _show(matches, points, shown)
+
+
+@compiled
+def search_projections(
+    points: Any, pixels: Any, octaves: Any, cosines: Any, widen: float,
+    descriptors: Any, scale_factors: Any, view: View, shown: Any,
+) -> int:  # fmt: skip
+    """Search projected points among the features that show none yet; see Projections. Fills in the points `shown` (F,);
+    returns how many were found."""
+    radii, low = np.empty(len(points)), octaves - 1
+    for i in range(len(points)):
+        frontal = cosines[i] > thresholds.FRONTAL_COSINE
+        radius = thresholds.LOCAL_WINDOW_FRONTAL_PX if frontal else thresholds.LOCAL_WINDOW_PX
+        radii[i] = radius * widen * scale_factors[octaves[i]]
+    queries = Queries(pixels, radii, low, octaves, points, descriptors)
+    matches = search_windows(queries, view, shown < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
+    return _show(matches, points, shown)
+
+
+@compiled
+def search_local(
+    local: Any, table: PointColumns, point_count: int, lens: Lens, camera_from_world: Any, view: View, shown: Any
+) -> int:
+    """Search the local points (N,) that a frame does not show yet; fills in `shown` (F,), and counts as visible what it
+    shows and what it should. Returns how many were found."""
+    unseen = np.ones(point_count, np.bool_)
+    for point in shown:
+        if point >= 0 and unseen[point]:
+            unseen[point] = False
+            table.visible[point] += 1
+    points = local[unseen[local]]
+    kept, pixels, octaves, cosines = project_points(
+        points, table.positions, table.normals, table.min_distances, table.max_distances,
+        camera_from_world, lens.intrinsics, lens.bounds, lens.scale_factors, thresholds.VIEWING_COSINE,
+    )  # fmt: skip
+    points = points[kept]
+    for point in points:
+        table.visible[point] += 1
+    return int(
+        search_projections(
+            points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, shown
+        )
+    )  # fmt: skip
+
+
+@compiled
+def optimize_shown(
+    camera_from_world: Any, shown: Any, positions: Any, pixels: Any, octaves: Any, inverse_sigma2: Any, intrinsics: Any
+) -> int:
+    """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers leave `shown`.
+
+    Returns the inliers; with fewer than four points nothing happens. See optimize_pose.
+    """
+    matched = np.nonzero(shown >= 0)[0]
+    count = len(matched)
+    if count < 4:
+        return 0
+    points, places, weights = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
+    for i in range(count):
+        point, feature = shown[matched[i]], matched[i]
+        for k in range(3):
+            points[i, k] = positions[point, k]
+        places[i, 0], places[i, 1] = pixels[feature, 0], pixels[feature, 1]
+        weights[i] = inverse_sigma2[octaves[feature]]
+    inliers = np.zeros(count, np.bool_)
+    optimize_in_place(camera_from_world, points, places, weights, intrinsics, inliers)
+    rotation = orthonormalize(camera_from_world[:3, :3])
+    for i in range(3):
+        for j in range(3):
+            camera_from_world[i, j] = rotation[i, j]
+    for i in range(count):
+        if not inliers[i]:
+            shown[matched[i]] = -1
+    return int(np.count_nonzero(inliers))
+
+
+@compiled
+def _show(matches: Any, points: Any, shown: Any) -> int:
+    count = 0
+    for q in range(len(matches)):
+        if matches[q] >= 0:
+            shown[matches[q]] = points[q]
+            count += 1
+    return count
