@@ -150,6 +150,9 @@ class SearchFinding:
     trials: int
     words: str
 
+    def __str__(self) -> str:
+        return f"{self.codec} on {self.sequence}, {self.aim}: {self.words}"
+
 
 @dataclass(frozen=True)
 class Plan:

@@ -19,7 +19,7 @@ from codecbench.core.engine.planning.description import (
 )
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
-from codecbench.core.engine.planning.search import Extent
+from codecbench.core.engine.planning.search import EVERY, Extent
 from codecbench.core.engine.registry import Registry, installed
 
 _OPENING = 10
@@ -94,6 +94,15 @@ def make_plan(
             "evaluators": {side.setting.title: side.description.declared for side in evaluators if side.description},
         },
     )
+
+
+def make_sampled_plan(matrix: Matrix) -> Plan:
+    """The plan with the first setting of each search under every evaluator, for who wants to know what a run calls."""
+    plan = make_plan(matrix)
+    titles = [entry.setting.title for entry in matrix.evaluators]
+    firsts = [search.settings[0] for search in matrix.searches]
+    sampled = {(entry.name, first, title): EVERY for entry in plan.sequences for first in firsts for title in titles}
+    return make_plan(matrix, extent=Extent(sampled), sequences=plan.sequences) if sampled else plan
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:

@@ -161,15 +161,3 @@ def _rate_of(evaluators: Sequence[Entry]) -> tuple[PluginSetting, Metric] | None
             if metric.headline and metric.role == "rate" and metric.better == "lower":
                 return entry.setting, metric
     return None
-
-
-def sampled_extent(searches: Sequence[Search], sequences: Sequence[str], evaluators: Sequence[str]) -> Extent:
-    """A setting of each search with every evaluator, for those who want to know what a run may call."""
-    return Extent(
-        {
-            (sequence, search.settings[0], evaluator): EVERY
-            for search in searches
-            for sequence in sequences
-            for evaluator in evaluators
-        }
-    )

@@ -34,7 +34,19 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     for ranking in rankings(run, brief=brief):
         ranked[ranking.column].append(_ranked(ranking))
     groups = [*ranked.values(), *(list(_held(run, columns)) for columns in _successes(run))]
-    return [verdict for group in groups for verdict in (group[:1] if brief else group)]
+    return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
+
+
+def _found(run: RunResult) -> Iterator[Verdict]:
+    """What the searches of the matrix have found."""
+    if run.plan.searches:
+        heads = ("codec", "sequence", "sought", "", "setting", "has")
+        rows = tuple(
+            (found.codec, found.sequence, found.aim, found.state, found.setting or "–",
+             "–" if found.reached is None else f"{found.reached:.4g}")
+            for found in run.plan.searches
+        )  # fmt: skip
+        yield Verdict("searches", heads, rows, tuple(f"{found}." for found in run.plan.searches))
 
 
 def _ranked(ranking: Ranking) -> Verdict:
