@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 _AT_ONCE: Final = 4
 """Settings that are tried in the same round."""
-_VIOLATION: Final = "violation"
+_BARRED: Final = 1e12
+"""More than any cost: the sampler goes by the order of costs alone, in which settings that will not do come last."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[i
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    sampler = optuna.samplers.TPESampler(seed=seed, constraints_func=_violations, n_startup_trials=min(10, budget // 2))
+    sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=min(10, budget // 2))
     study = optuna.create_study(sampler=sampler)
     known: dict[int, Score] = {}
     most = min(budget, math.prod(lengths))
@@ -43,19 +44,8 @@ def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[i
         if new:
             known |= yield new
         for trial, place in zip(asked, places, strict=True):
-            trial.set_user_attr(_VIOLATION, known[place].violation)
-            cost = known[place].cost
-            study.tell(trial, cost if math.isfinite(cost) else None, state=None if math.isfinite(cost) else _failed())
-
-
-def _failed() -> Any:
-    from optuna.trial import TrialState
-
-    return TrialState.FAIL
-
-
-def _violations(trial: Any) -> tuple[float]:
-    return (trial.user_attrs.get(_VIOLATION, 0.0),)
+            score = known[place]
+            study.tell(trial, min(score.cost, _BARRED) if score.violation == 0.0 else _BARRED * (1.0 + score.violation))
 
 
 def _place(parts: Sequence[int], lengths: Sequence[int]) -> int:
