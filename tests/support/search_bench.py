@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from search_plugins import Dial
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.engine.planning.matrix import Matrix, read_matrix
 from codecbench.core.engine.planning.model import Cell, Plan, SearchFinding
-from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
@@ -51,7 +51,7 @@ class SearchBench:
         """Round after round until nothing is left to compute; what the searches have found then."""
         matrix, store = self.matrix(text), Store(self.folder / "run")
         growth = Growth(matrix, store.folder, self.registry)
-        plan = growth(make_plan(matrix, self.registry))
+        plan = growth.planned()
         self.rounds = []
         with store.locked():
             for _ in range(most_rounds):
@@ -81,5 +81,8 @@ def _record(cell: Cell, value: float | str) -> Record:
     if isinstance(value, str):
         return Record(cell.id, "failed", value, cell=cell_description(cell))
     name = {"scales": "weight_bytes", "toss": "caught"}[cell.evaluator.name]
-    measured = Measurement(name, value, reason="nothing was weighed" if value != value else None)
-    return Record(cell.id, "ok", measurements=(measured,), metrics=(name,), cell=cell_description(cell))
+    found = Record(cell.id, "ok", metrics=(name,), cell=cell_description(cell))
+    if name == "weight_bytes" and not math.isnan(value):
+        return replace(found, summaries={(name, "", how): value for how in ("mean", "max")})
+    reason = "nothing was weighed" if math.isnan(value) else None
+    return replace(found, measurements=(Measurement(name, value, reason=reason),))

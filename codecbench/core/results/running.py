@@ -59,8 +59,7 @@ def run_matrix(
 def planned(matrix: Matrix, out: str | Path | None) -> tuple[Plan, Path, Growth | None]:
     """The plan of a matrix as far as its run folder leads, that folder, and how it grows; None where it does not."""
     folder = Path(out) if out is not None else Path("runs") / matrix.name
-    plan = make_plan(matrix)
     if not matrix.searches and matrix.until is None:
-        return plan, folder, None
+        return make_plan(matrix), folder, None
     growth = Growth(matrix, folder, installed())
-    return growth(plan), folder, growth
+    return growth.planned(), folder, growth

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 from codecbench.core.engine.planning.matrix import Matrix
@@ -31,6 +32,18 @@ class Growth:
         self._matrix, self._store, self._registry = matrix, Store(folder), registry
         self._totals = {entry.setting.title: repeats_of(entry.setting.title, matrix.evaluators)
                         for entry in matrix.evaluators}  # fmt: skip
+
+    @cached_property
+    def _begun(self) -> dict[str, int]:
+        """How many repeats there are at first where they are added as needed, by the title of the evaluator."""
+        if self._matrix.until is None:
+            return {}
+        title = self._matrix.until.evaluator.title
+        return {title: runs_to_make(0, 0, self._totals[title])}
+
+    def planned(self) -> Plan:
+        """The plan of a run that begins or goes on."""
+        return self(make_plan(self._matrix, self._registry, extent=Extent(begun=self._begun)))
 
     def __call__(self, plan: Plan) -> Plan:
         """The plan with all that is to be computed by now; the plan itself where that is all there is."""
@@ -64,17 +77,15 @@ class Growth:
                 if answer is not None:
                     found.append((sequence.name, answer))
         repeats: dict[CellKey, int] = {}
-        begun: dict[str, int] = {}
         for sequence_name, setting in found:
             repeats |= {(sequence_name, setting, title): EVERY for title in self._totals}
         if matrix.until is not None:
             title = matrix.until.evaluator.title
-            begun[title] = runs_to_make(0, 0, self._totals[title])
             decided = dict.fromkeys([*always, *found])
             repeats |= repeats_to_decide(run, trials, matrix.until, self._totals[title], decided)
         for key, count in trials.asked.items():
             repeats[key] = max(count, repeats.get(key, 0))
-        return Extent(repeats, begun), findings
+        return Extent(repeats, self._begun), findings
 
 
 def _measures_rate(declared: dict[str, object]) -> bool:
