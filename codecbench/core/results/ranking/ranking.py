@@ -46,7 +46,8 @@ class Ranked:
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none.
+    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none. pairs: what
+    is known of two curves that share a rate, of the first over the second.
     """
 
     column: Column
@@ -56,6 +57,7 @@ class Ranking:
     ranked: tuple[Ranked, ...]
     left_out: dict[str, str]
     anchor: str
+    pairs: tuple[tuple[str, str, Evidence], ...] = ()
 
 
 def rankings(run: RunResult, *, brief: bool = False) -> list[Ranking]:
@@ -103,6 +105,7 @@ def _ranking(
         tuple(_placed(curves, values, matrices, rates, anchor)),
         left_out,
         anchor or "",
+        tuple((curves[first], curves[second], found) for (first, second), found in evidence.items()),
     )
 
 

@@ -33,7 +33,7 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
         ranked[ranking.column].append(_ranked(ranking))
-    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in _successes(run))]
+    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in successes(run))]
     return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
 
@@ -57,7 +57,7 @@ def _ranked(ranking: Ranking) -> Verdict:
         for ranked in ranking.ranked
     )
     return Verdict(
-        f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}",
+        f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}",
         heads,
         rows,
         tuple(_notes(ranking)),
@@ -86,11 +86,11 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
-def _where(sequence: str) -> str:
+def where(sequence: str) -> str:
     return "all sequences together" if sequence == POOLED else sequence
 
 
-def _successes(run: RunResult) -> list[list[Column]]:
+def successes(run: RunResult) -> list[list[Column]]:
     """Headlines of role `success` by evaluator: a run counts that succeeds in all."""
     found: dict[str, list[Column]] = defaultdict(list)
     for column in run.headlines("success"):
@@ -107,7 +107,7 @@ def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
     what = " and ".join(column.label for column in columns)
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
         sentences = [_sentence(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
-        yield Verdict(f"{_where(sequence)}: {what}", (), (), tuple(sentences))
+        yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
 
 
 def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:

@@ -51,8 +51,12 @@ class Growth:
             extent, findings = self._asked(read_run(self._store, self._read_of(plan), self._registry))
             grown = make_plan(self._matrix, self._registry, extent=extent, sequences=plan.sequences)
             grown = replace(grown, searches=tuple(findings))
-            if {cell.id for cell in grown.cells} <= {cell.id for cell in plan.cells}:
+            known = {cell.id for cell in plan.cells}
+            more = [cell.id for cell in grown.cells if cell.id not in known]
+            if not more:
                 return replace(plan, searches=grown.searches)
+            if not any(self._store.record_folder(cell_id).exists() for cell_id in more):
+                return grown
             plan = grown
 
     def _read_of(self, plan: Plan) -> Plan:
