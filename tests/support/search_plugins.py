@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -69,6 +70,7 @@ class DialParams(Params):
     share: float = Field(default=0.0, ge=0.0, le=1.0)
     effort: Literal["low", "middle", "high"] = "low"
     broken_from: int = 1001
+    pause_s: float = 0.0
 
 
 class Dial(Codec[DialParams]):
@@ -86,6 +88,7 @@ class Dial(Codec[DialParams]):
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         if self.params.level >= self.params.broken_from:
             raise RuntimeError("the dial came off")
+        time.sleep(self.params.pause_s)
         p = self.params
         return bytes([image.shape[0], image.shape[1], image[0, 0]]).ljust(self.size_bytes(p.level, p.share, p.effort))
 
