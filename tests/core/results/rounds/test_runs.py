@@ -68,7 +68,7 @@ def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place: Path) -> N
     again = run(path)
     assert (again.computed, again.encoded, again.kept) == (0, 0, len(result.plan.cells))
     grid = run(
-        write(place, "still, {use: dial, params: {level: {grid: [30, 31]}}}", "scales, {use: toss, params: {runs: 2}}")
+        write(place, "still, {use: dial, params: {level: {grid: [30, 77]}}}", "scales, {use: toss, params: {runs: 2}}")
     )
     assert (grid.computed, grid.kept, grid.encoded) == (3, 6, 1)
 
