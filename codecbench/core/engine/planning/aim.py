@@ -105,6 +105,10 @@ def find_aim(section: AimSection, evaluators: Sequence[Entry], where: Where, pro
     found = list(_meanings(section.metric, evaluators))
     if len(found) == 1:
         evaluator, metric, stage, how = found[0]
+        if how not in metric.aggregates:
+            message = f"{metric.name} is not summarised as {how}; it is as {', '.join(metric.aggregates)}"
+            problems.add((*where, "metric"), message)
+            return None
         bound = section.bound
         return Aim(evaluator, metric, stage, how, bound, float(getattr(section, bound)))
     place = (*where, "metric")

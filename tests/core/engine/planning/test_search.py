@@ -43,6 +43,7 @@ def problems(bench: SearchBench, matrix: str) -> str:
     [
         ("search: {metric: wieght_bytes, min: 1}", "codecs[0].search.metric: no evaluator of this matrix measures"),
         ("search: {metric: wieght_bytes, min: 1}", "did you mean 'weight_bytes'? there are weight_bytes, caught"),
+        ("at: {weight_bytes.p95: 1}", "codecs[0].at.metric: weight_bytes is not summarised as p95; it is as mean, max"),
         ("at: {nothing: 1}", "codecs[0].at.metric: no evaluator of this matrix measures 'nothing'"),
         ("search: {metric: weight_bytes}", "codecs[0].search: needs one of min, max and equal; got none"),
         ("search: {metric: weight_bytes, min: 1, max: 2}", "needs one of min, max and equal; got min and max"),
@@ -75,7 +76,7 @@ def test_a_name_may_say_stage_and_aggregate(bench: SearchBench) -> None:
         ("weight_bytes", "mean", ""),
         ("scales.weight_bytes", "mean", ""),
         ("weight_bytes.max", "max", ""),
-        ("scales.weight_bytes.encode/dct.p95", "p95", "encode/dct"),
+        ("scales.weight_bytes.encode/dct.max", "max", "encode/dct"),
         ("weight_bytes.encode", "mean", "encode"),
     ):
         (found,) = bench.matrix(text(DIAL % f"search: {{metric: {name}, max: 20}}")).searches
