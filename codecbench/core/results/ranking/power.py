@@ -70,15 +70,18 @@ class PairPower:
         if wanted == 0.0 or math.isnan(self.smallest):
             return None
         low, high = 1.0, 1.0
-        while smallest_difference(times(self.evidence, high), self.level, self.power) > wanted:
+        while self._shown_by(high) > wanted:
             low, high = high, 2.0 * high
             if high > _MOST_TIMES:
                 return None
         for _ in range(30):
             middle = 0.5 * (low + high)
-            short = smallest_difference(times(self.evidence, middle), self.level, self.power) > wanted
-            low, high = (middle, high) if short else (low, middle)
+            low, high = (middle, high) if self._shown_by(middle) > wanted else (low, middle)
         return max(1, math.ceil(self.units * (high - 1.0) - 1e-6))
+
+    def _shown_by(self, factor: float) -> float:
+        """The smallest difference that so many times as many frames or repeats would show."""
+        return smallest_difference(times(self.evidence, factor, "frames" in self.of), self.level, self.power)
 
 
 @dataclass(frozen=True)
@@ -116,9 +119,13 @@ def smallest_difference(evidence: Evidence, level: float, power: float) -> float
     return float(reach * math.sqrt(evidence.variance))
 
 
-def times(evidence: Evidence, factor: float) -> Evidence:
-    """What `factor` times as many frames or repeats would say, were they like those there are."""
-    return Evidence(evidence.mean, evidence.variance / factor, (evidence.freedom + 1.0) * factor - 1.0)
+def times(evidence: Evidence, factor: float, frames: bool = False) -> Evidence:
+    """What `factor` times as many repeats would say, or frames, were they like those there are.
+
+    Frames are tested in blocks, as many as frames in each (see `evidence_of_frames`): both grow with the square root.
+    """
+    samples = math.sqrt(factor) if frames else factor
+    return Evidence(evidence.mean, evidence.variance / factor, (evidence.freedom + 1.0) * samples - 1.0)
 
 
 def pair_powers(run: RunResult, power: float = POWER) -> list[PairPower]:

@@ -10,7 +10,7 @@ from measured_runs import cell_result, run_of
 from scipy.stats import binom, ttest_1samp
 
 from codecbench.core.results.limits import Standing
-from codecbench.core.results.ranking.paired import Evidence, evidence_of_repeats
+from codecbench.core.results.ranking.paired import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.results.ranking.power import LimitPower, pair_powers, smallest_difference, times
 from codecbench.core.results.ranking.power_words import power_verdicts
 from codecbench.core.results.run_result import RunResult
@@ -52,6 +52,14 @@ def test_more_of_the_same_is_what_is_said_of_it(rng: np.random.Generator) -> Non
     more = times(evidence_of_repeats(values), 3.0)
     assert more.freedom == 59
     assert more.variance == pytest.approx(np.var(values, ddof=1) / 60)
+
+
+def test_four_times_as_many_frames_are_twice_as_many_blocks(rng: np.random.Generator) -> None:
+    few, many = (evidence_of_frames(rng.normal(0.0, 1.0, count)) for count in (400, 1600))
+    foretold = times(few, 4.0, frames=True)
+    assert foretold.freedom == 2 * (few.freedom + 1) - 1
+    assert many.freedom == pytest.approx(foretold.freedom, rel=0.5)
+    assert many.variance == pytest.approx(foretold.variance, rel=0.6)
 
 
 def test_a_clear_difference_stands_and_a_small_one_says_what_would_tell(rng: np.random.Generator) -> None:

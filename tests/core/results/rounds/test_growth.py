@@ -249,6 +249,7 @@ def test_an_answer_is_repeated_as_needed_too(bench: SearchBench) -> None:
     assert (found.setting, len(bench.levels("toss"))) == ("level=200", 8)
 
 
+@pytest.mark.thorough
 def test_several_parameters_are_sampled_to_the_cheapest_that_will_do(bench: SearchBench) -> None:
     pytest.importorskip("optuna")
     entry = "{use: dial, params: {level: {range: [0, 30]}, share: {range: [0, 1, 0.05]}, effort: {grid: [low, high]}},"
