@@ -95,8 +95,8 @@ def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) 
         for detail in error.errors():
             message = str(detail["msg"]).removeprefix("Value error, ")
             got = "" if isinstance(detail["input"], Mapping) else f"; got {shown(detail['input'])}"
-            place = [part for part in detail["loc"] if part in kind.model_fields]
-            problems.add((*where, *place), message + got)
+            known = [part for part in detail["loc"] if part in kind.model_fields]
+            problems.add((*where, *known), message + got)
         return None
 
 
@@ -119,10 +119,12 @@ def find_aim(section: AimSection, evaluators: Sequence[Entry], where: Where, pro
     if any(entry.description is None for entry in evaluators):
         problems.add(place, f"no evaluator that can be used here measures {section.metric!r}")
         return None
-    names = [metric.name for entry in evaluators for metric in metrics_of(entry)]
-    near = difflib.get_close_matches(section.metric.split(".")[-1], names, n=1)
+    measured = [metric.name for entry in evaluators for metric in metrics_of(entry)]
+    near = difflib.get_close_matches(section.metric.split(".")[-1], measured, n=1)
     meant = f"did you mean {near[0]!r}? " if near else ""
-    problems.add(place, f"no evaluator of this matrix measures {section.metric!r}; {meant}there are {', '.join(names)}")
+    problems.add(
+        place, f"no evaluator of this matrix measures {section.metric!r}; {meant}there are {', '.join(measured)}"
+    )
     return None
 
 

@@ -109,8 +109,8 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     until = decided_aim(run[1], root, sections["evaluators"], problems)
     problems.raise_any()
     _require_plannable(sections, searches, problems)
-    more = {"searches": searches, "until": until, **sections}
-    return Matrix(path=path, text=text, name=name, run=run[0], root=root, **more)
+    named: Any = sections
+    return Matrix(path=path, text=text, name=name, run=run[0], root=root, searches=searches, until=until, **named)
 
 
 def _require_plannable(

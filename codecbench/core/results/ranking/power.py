@@ -115,8 +115,8 @@ def smallest_difference(evidence: Evidence, level: float, power: float) -> float
     """
     if not (evidence.freedom >= 1 and evidence.variance > 0.0):
         return math.nan
-    reach = student.ppf([1.0 - level / 2.0, power], evidence.freedom).sum()
-    return float(reach * math.sqrt(evidence.variance))
+    reach = float(student.ppf(1.0 - level / 2.0, evidence.freedom)) + float(student.ppf(power, evidence.freedom))
+    return reach * math.sqrt(evidence.variance)
 
 
 def times(evidence: Evidence, factor: float, frames: bool = False) -> Evidence:

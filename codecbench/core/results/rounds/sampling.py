@@ -7,7 +7,7 @@ sampled by the place of its value, so that equal answers to equal questions lead
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,7 +25,7 @@ class Score:
     violation: float
 
 
-def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[int], Mapping[int, Score], None]:
+def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[int], dict[int, Score], None]:
     """Yields places, in the order in which all combinations stand, and is sent the score of each; at most `budget`."""
     import optuna
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Final, TypeVar
 
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.search import Search
@@ -15,7 +15,10 @@ from codecbench.core.results.rounds.bisection import Bisected, Side, bisection
 from codecbench.core.results.rounds.sampling import Score, sampling
 from codecbench.core.results.rounds.trials import Stopped, Trial, Trials, Unfinished
 
-_SHOWN = 5
+A = TypeVar("A")
+E = TypeVar("E")
+
+_SHOWN: Final = 5
 """Trials against the direction that are named."""
 
 
@@ -42,7 +45,7 @@ class Searching:
         except Stopped as stop:
             return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
 
-    def _follow(self, questions: Generator[list[int], Mapping[int, Any], Any], answer: Any) -> Any:
+    def _follow(self, questions: Generator[list[int], dict[int, A], E], answer: Callable[[int], A]) -> E:
         """Answer questions to their end. Raises Unfinished once all of a question are asked for, and Stopped."""
         try:
             places = next(questions)
@@ -50,7 +53,8 @@ class Searching:
                 self._try(places)
                 places = questions.send({place: answer(place) for place in places})
         except StopIteration as ended:
-            return ended.value
+            result: E = ended.value
+            return result
 
     def _try(self, places: list[int]) -> None:
         unfinished = False
