@@ -15,6 +15,7 @@ COMMANDS = {
     "list": ("codecbench.cli.list:list_plugins", "List installed plugins."),
     "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
     "rank": ("codecbench.cli.rank:rank", "Say which codecs are ahead, and down to which rate each holds."),
+    "power": ("codecbench.cli.rank:power", "Say what a run could decide, and how much more of it would tell."),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),

@@ -21,14 +21,13 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.estimate import estimate
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.planning.plan import make_plan
     from codecbench.core.engine.registry import installed
     from codecbench.core.engine.running.code_changes import code_notices
     from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
+    from codecbench.core.results.running import planned
 
-    made = make_plan(read_matrix(matrix))
-    folder = out or Path("runs") / made.name
+    made, folder, growth = planned(read_matrix(matrix), out)
     store = Store(folder)
     store.refuse_links()
     entries = store.entries() if folder.exists() else {}
@@ -51,6 +50,10 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     with_result = {id_: entries[id_] for id_ in done}
     for notice in code_notices(made, with_result, store, installed()):
         click.echo(f"  {clean_line(notice)}")
+    if growth is not None:
+        click.echo("the plan grows as its searches and repeats need; this is its next round")
+    for finding in made.searches:
+        click.echo(f"  {clean_line(str(finding))}")
     if cells:
         _list_all(made, done, coded)
     guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})

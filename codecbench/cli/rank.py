@@ -14,6 +14,7 @@ from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.results.ranking.words import Verdict
+    from codecbench.core.results.run_result import RunResult
 
 
 @click.command()
@@ -33,6 +34,31 @@ def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
 
     result = begun_run(run)
     found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
+    _show(result, found, format_)
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--power", type=click.FloatRange(0.05, 0.999), default=0.8, show_default=True, help="Share of cases that find it."
+)
+@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+def power(run: Path, power: float, format_: str) -> None:
+    """Say which differences the RUN folder could show, which verdicts stood, and how much more of it would tell.
+
+    For each two codecs: the smallest difference that would have been found, at the level of `codecbench rank`, in the
+    share POWER of cases. For each setting that can fail: from which success rate on so many runs would show that it
+    holds.
+    """
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.ranking.power_words import power_verdicts
+
+    result = begun_run(run)
+    _show(result, power_verdicts(result, power), format_)
+
+
+def _show(result: RunResult, found: list[Verdict], format_: str) -> None:
+    """The verdicts on a run in one of the formats."""
     if format_ == "json":
         click.echo(json.dumps([vars(verdict) for verdict in found], indent=1))
     elif format_ == "markdown":

@@ -46,19 +46,17 @@ def run(
     """
     from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.planning.plan import make_plan
     from codecbench.core.engine.registry import installed
-    from codecbench.core.engine.running.run import run_plan
+    from codecbench.core.results.running import run_matrix
 
     for problem in installed().problems:
         click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
-    plan = make_plan(read_matrix(matrix))
-    folder = out or Path("runs") / plan.name
+    read = read_matrix(matrix)
     console = Screen(stderr=True, quiet=quiet)
     with _Display(console, keep_going) as display:
-        summary = run_plan(
-            plan,
-            folder,
+        summary = run_matrix(
+            read,
+            out,
             workers=workers,
             recompute=recompute,
             listener=display.show,

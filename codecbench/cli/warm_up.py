@@ -36,9 +36,9 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str
         _compile(all_kernels(installed()), workers)
     else:
         from codecbench.core.engine.planning.matrix import read_matrix
-        from codecbench.core.engine.planning.plan import make_plan
+        from codecbench.core.engine.planning.plan import make_sampled_plan
 
-        plans = [make_plan(read_matrix(matrix)) for matrix in matrices]
+        plans = [make_sampled_plan(read_matrix(matrix)) for matrix in matrices]
         cells = [cell for plan in plans for cell in plan.cells if cell.unsupported is None]
         _compile(kernels_to_compile(cells, installed()), workers)
 

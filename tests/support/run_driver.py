@@ -10,10 +10,9 @@ def main() -> None:
     matrix, folder, site = map(Path, sys.argv[1:4])
     sys.path[:0] = [str(site), str(Path(__file__).parent)]
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.planning.plan import make_plan
-    from codecbench.core.engine.running.run import run_plan
+    from codecbench.core.results.running import run_matrix
 
-    summary = run_plan(make_plan(read_matrix(matrix)), folder, workers=2)
+    summary = run_matrix(read_matrix(matrix), folder, workers=2)
     sys.exit(130 if summary.interrupted else 0)
 
 

@@ -39,9 +39,12 @@ def open_run(folder: str | Path, registry: Registry | None = None) -> RunResult:
     Damaged records are left out and reported to the log; the next run computes them again. Raises StoreError
     for a folder that is not a run.
     """
-    registry = registry or installed()
     store = Store(Path(folder))
-    plan = store.read_plan()
+    return read_run(store, store.read_plan(), registry or installed())
+
+
+def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
+    """The results of a plan's cells that a run folder holds, whichever plan it was last run with."""
     found = _records(store, plan)
     evaluators = _evaluators(found, registry)
     meaning = meaning_of(plan, evaluators, registry)
@@ -54,7 +57,7 @@ def open_run(folder: str | Path, registry: Registry | None = None) -> RunResult:
         evaluator = evaluators.get(cell.evaluator.title)
         metrics = dict(meaning.metrics[cell.evaluator.title])
         results.append(_result(store, cell, record, evaluator, metrics, baselines[_group(cell)]))
-    return RunResult(Path(folder), plan, tuple(results), store.environments.read(), meaning)
+    return RunResult(store.folder, plan, tuple(results), store.environments.read(), meaning)
 
 
 def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:

@@ -6,10 +6,13 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-from codecbench.core.engine.planning.matrix import read_matrix
+from codecbench.core.engine.planning.matrix import Matrix, read_matrix
+from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.running.run import Listener, run_plan
+from codecbench.core.engine.registry import installed
+from codecbench.core.engine.running.run import Listener, RunSummary, run_plan
 from codecbench.core.results.collect import open_run
+from codecbench.core.results.rounds.growth import Growth
 from codecbench.core.results.run_result import RunResult
 
 
@@ -31,7 +34,32 @@ def run(
 
     Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
     """
-    plan = make_plan(read_matrix(matrix))
-    folder = Path(out) if out is not None else Path("runs") / plan.name
-    run_plan(plan, folder, workers=workers, recompute=recompute, listener=listener, log_level=log_level)
-    return open_run(folder)
+    summary = run_matrix(
+        read_matrix(matrix), out, workers=workers, recompute=recompute, listener=listener, log_level=log_level
+    )
+    return open_run(summary.folder)
+
+
+def run_matrix(
+    matrix: Matrix,
+    out: str | Path | None,
+    *,
+    workers: int | None = None,
+    recompute: Iterable[str] = (),
+    listener: Listener | None = None,
+    log_level: int = logging.INFO,
+) -> RunSummary:
+    """Compute what is missing of a matrix, round by round where it searches; parameters as of `run`."""
+    plan, folder, growth = planned(matrix, out)
+    return run_plan(
+        plan, folder, workers=workers, recompute=recompute, listener=listener, log_level=log_level, growth=growth
+    )
+
+
+def planned(matrix: Matrix, out: str | Path | None) -> tuple[Plan, Path, Growth | None]:
+    """The plan of a matrix as far as its run folder leads, that folder, and how it grows; None where it does not."""
+    folder = Path(out) if out is not None else Path("runs") / matrix.name
+    if not matrix.searches and matrix.until is None:
+        return make_plan(matrix), folder, None
+    growth = Growth(matrix, folder, installed())
+    return growth.planned(), folder, growth

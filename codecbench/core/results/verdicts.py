@@ -127,17 +127,21 @@ def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.na
     for result in sorted(run.results, key=lambda result: result.cell.repeat):
         if result.cell.evaluator.title != column.evaluator.title or result.status == "unsupported":
             continue
-        own = [
-            measured.value
-            for measured in result.measurements
-            if (measured.metric, measured.stage or "") == (column.metric.name, column.stage)
-        ]
-        over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
-        if over_frames is not None and not own:
-            own = [over_frames]
+        own = values_in(result, column)
         for place, value in enumerate(own or ([] if result.status == "ok" else [failed])):
             found[_row(result)][result.cell.repeat, place] = value
     return dict(found)
+
+
+def values_in(result: CellResult, column: Column) -> list[float]:
+    """The values of one repeat: of a metric of frames its summary."""
+    own = [
+        measured.value
+        for measured in result.measurements
+        if (measured.metric, measured.stage or "") == (column.metric.name, column.stage)
+    ]
+    over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
+    return [over_frames] if over_frames is not None and not own else own
 
 
 def bd_rates_over_repeats(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
@@ -17,20 +18,36 @@ Point = dict[str, tuple[Where, Any]]
 """A value for each parameter, with its place in the file."""
 
 
-def points(params: Mapping[str, Any], where: Where, problems: Problems) -> Iterator[Point]:
-    """Every combination of the axes of a `params` mapping; none, and a problem, where there are too many."""
-    axes: list[list[tuple[str, Where, Any]]] = []
+@dataclass(frozen=True)
+class Axis:
+    """A parameter and the values that it takes, each with its place in the file; one value where it is no axis."""
+
+    name: str
+    choices: tuple[tuple[Where, Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.choices)
+
+
+def axes(params: Mapping[str, Any], where: Where, problems: Problems) -> list[Axis]:
+    """The axes of a `params` mapping; none, and a problem, where they span too many settings."""
+    found = []
     for key, value in params.items():
         place = (*where, key)
         choices = _axis(value, place, problems) if _is_axis(value) else [(place, plain(value))]
-        axes.append([(str(key), at, choice) for at, choice in choices])
-    count = math.prod(len(axis) for axis in axes)
+        found.append(Axis(str(key), tuple(choices)))
+    count = math.prod(len(axis) for axis in found)
     if count > MOST_SETTINGS:
-        lengths = " x ".join(str(len(axis)) for axis in axes if len(axis) > 1)
+        lengths = " x ".join(str(len(axis)) for axis in found if len(axis) > 1)
         problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are planned")
-        return
-    for combination in itertools.product(*axes):
-        yield {key: (at, value) for key, at, value in combination}
+        return [Axis("", ())]
+    return found
+
+
+def points(spanned: Sequence[Axis]) -> Iterator[Point]:
+    """Every combination of the values of axes, the last axis turning fastest."""
+    for combination in itertools.product(*(axis.choices for axis in spanned)):
+        yield {axis.name: choice for axis, choice in zip(spanned, combination, strict=True)}
 
 
 def _is_axis(value: Any) -> bool:

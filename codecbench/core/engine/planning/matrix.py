@@ -15,9 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.engine.planning.axes import Point, points
+from codecbench.core.engine.planning.aim import Aim
+from codecbench.core.engine.planning.axes import Point, axes, points
 from codecbench.core.engine.planning.description import Description, InvalidParams, describe
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
+from codecbench.core.engine.planning.search import Search, Wanted, made_searches, read_wanted
+from codecbench.core.engine.planning.until import UntilSection, decided_aim
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, shown, suggest
 from codecbench.core.engine.registry import Registry, installed
 
@@ -37,6 +40,7 @@ class RunSection(BaseModel):
     timeout_s: float = Field(default=3600.0, gt=0, description="for one coding job or cell")
     memory_mb: int = Field(default=4096, ge=256, description="for one coding job or cell")
     seed: int = Field(default=0, ge=0, lt=1 << 63)
+    until: UntilSection | None = Field(default=None, description="repeats are added until this is decided")
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Entry:
     """One setting of a section, and where in the file it stands.
 
     description: what the plugin says of it; None where it cannot be used here, and `missing` then says why.
-    faulty: that is the plugin's own fault.
+    faulty: that is the plugin's own fault. wanted: the search that may try this setting, None where it is always run.
     """
 
     where: Where
@@ -53,11 +57,15 @@ class Entry:
     description: Description | None = None
     missing: str | None = None
     faulty: bool = False
+    wanted: Wanted | None = None
 
 
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix file whose every name and parameter has been checked."""
+    """A matrix file whose every name and parameter has been checked.
+
+    codecs: also all settings that the searches may try. until: what is to be decided by adding repeats.
+    """
 
     path: Path
     text: str
@@ -67,6 +75,8 @@ class Matrix:
     evaluators: tuple[Entry, ...]
     run: RunSettings
     root: Any
+    searches: tuple[Search, ...] = ()
+    until: Aim | None = None
 
     def problems(self) -> Problems:
         """An empty list of problems of this file, for checks that need more than the file."""
@@ -95,15 +105,24 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     run = reader.run_section(root.get("run") or {})
     problems.raise_any()
     assert run is not None
-    _require_plannable(sections, problems)
-    return Matrix(path=path, text=text, name=name, run=run, root=root, **sections)
+    searches = made_searches(sections["codecs"], sections["evaluators"], problems)
+    until = decided_aim(run[1], root, sections["evaluators"], problems)
+    problems.raise_any()
+    _require_plannable(sections, searches, problems)
+    named: Any = sections
+    return Matrix(path=path, text=text, name=name, run=run[0], root=root, searches=searches, until=until, **named)
 
 
-def _require_plannable(sections: Mapping[str, tuple[Entry, ...]], problems: Problems) -> None:
+def _require_plannable(
+    sections: Mapping[str, tuple[Entry, ...]], searches: tuple[Search, ...], problems: Problems
+) -> None:
     """Raise MatrixError for more cells than can be planned: the sections meet each other."""
-    cells = math.prod(map(len, sections.values()))
+    counts = {section: len(entries) for section, entries in sections.items()}
+    counts["codecs"] = sum(entry.wanted is None for entry in sections["codecs"])
+    counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)
+    cells = math.prod(counts.values())
     if cells > _MOST_CELLS:
-        spelled = " x ".join(f"{len(entries):,} {section}" for section, entries in sections.items())
+        spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
         problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
         problems.raise_any()
 
@@ -134,8 +153,8 @@ class _Reader:
         if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
             self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {shown(item)}")
             return
-        allowed = ("use", "name", "params") if kind == "dataset" else ("use", "params")
-        self.problems.unknown(where, item, allowed)
+        more = {"dataset": ("name",), "codec": ("search", "at")}.get(kind, ())
+        self.problems.unknown(where, item, ("use", *more, "params"))
         name = plain(item.get("name"))
         if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
             self.problems.add((*where, "name"), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
@@ -144,10 +163,13 @@ class _Reader:
         if not isinstance(params, Mapping):
             self.problems.add((*where, "params"), f"must be a mapping; got {shown(params)}")
             return
-        for point in points(params, (*where, "params"), self.problems):
+        spanned, wanted = axes(params, (*where, "params"), self.problems), None
+        if kind == "codec" and ("search" in item or "at" in item):
+            wanted = read_wanted(item, where, spanned, self.problems)
+        for point in points(spanned):
             entry = self.entry(kind, where, str(item["use"]), point)
             if entry is not None:
-                yield replace(entry, name=name)
+                yield replace(entry, name=name, wanted=wanted)
 
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
         """One validated setting, or None after noting what is wrong with it."""
@@ -188,7 +210,7 @@ class _Reader:
             place = point[location[0]][0] if location[0] in point else (*where, "params")
             self.problems.add((*place, *location[1:]), _message(detail))
 
-    def run_section(self, section: Any) -> RunSettings | None:
+    def run_section(self, section: Any) -> tuple[RunSettings, UntilSection | None] | None:
         if not isinstance(section, Mapping):
             self.problems.add(("run",), f"must be a mapping; got {shown(section)}")
             return None
@@ -213,7 +235,7 @@ class _Reader:
         if executor[0].missing:
             self.problems.add(("run", "executor"), executor[0].missing)
             return None
-        return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting)
+        return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting), run.until
 
 
 def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
@@ -233,11 +255,14 @@ def _message(detail: Any) -> str:
 
 
 def _distinct(entries: list[Entry]) -> list[Entry]:
-    """The entries without those that validate to a setting that came before."""
+    """The entries without those that validate to a setting that came before, but with all that a search may try."""
     kept: list[Entry] = []
     alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
         values = entry.setting.params.values()
+        if entry.wanted is not None:
+            kept.append(entry)
+            continue
         few = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]
         if not any(entry.setting == other.setting and entry.name == other.name for other in few):
             few.append(entry)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -128,11 +128,38 @@ class RunSettings:
     executor: PluginSetting
 
 
+SearchState = Literal["under way", "found", "nearest", "unreachable", "stopped"]
+
+
+@dataclass(frozen=True)
+class SearchFinding:
+    """What a search has found on a sequence by now.
+
+    aim: the metric and the value that it is to have. setting: the label of the setting that was found, empty where none
+    was. reached: its value, None where it has none that is finite. trials: settings that were tried. words: a sentence
+    about it. under way: settings are still to be tried; found: this one meets the aim; nearest: no other comes nearer;
+    unreachable: none meets it; stopped: a trial failed or has no value, or the budget is spent.
+    """
+
+    sequence: str
+    codec: str
+    aim: str
+    state: SearchState
+    setting: str
+    reached: float | None
+    trials: int
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.codec} on {self.sequence}, {self.aim}: {self.words}"
+
+
 @dataclass(frozen=True)
 class Plan:
     """What a matrix asks for, in the order in which tables show it.
 
-    declared: what its plugins said of their meaning when the plan was made; see `planning.declared`.
+    declared: what its plugins said of their meaning when the plan was made; see `planning.declared`. searches: what
+    each has found when the plan was last made; see `planning.search`.
     """
 
     name: str
@@ -142,6 +169,7 @@ class Plan:
     jobs: tuple[CodingJob, ...]
     cells: tuple[Cell, ...]
     declared: dict[str, Any] = field(default_factory=dict)
+    searches: tuple[SearchFinding, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The plan as JSON types; `plan_from_json` reads it back.
@@ -168,6 +196,7 @@ class Plan:
             "jobs": jobs,
             "cells": cells,
             "declared": self.declared,
+            "searches": [asdict(finding) for finding in self.searches],
         }
 
 
@@ -190,6 +219,7 @@ class _PlanBody:
     jobs: list[tuple[_Id, int, int]]
     cells: list[tuple[_Id, int, int, int, int, int, bool, _Id | None, str | None]]
     declared: _Declared = field(default_factory=dict)
+    searches: list[SearchFinding] = field(default_factory=list)
 
 
 _BODY: Final = TypeAdapter(_PlanBody)
@@ -211,6 +241,7 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
             for id_, at, codec, evaluator, repeat, seed, exclusive, job_id, unsupported in body.cells
         ),
         declared=clean_value(body.declared),
+        searches=tuple(SearchFinding(**clean_value(vars(finding))) for finding in body.searches),
     )
 
 

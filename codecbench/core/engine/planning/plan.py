@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
@@ -18,6 +19,7 @@ from codecbench.core.engine.planning.description import (
 )
 from codecbench.core.engine.planning.matrix import Entry, Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
+from codecbench.core.engine.planning.search import EVERY, Extent
 from codecbench.core.engine.registry import Registry, installed
 
 _OPENING = 10
@@ -32,24 +34,37 @@ class _Side:
     """A codec or evaluator setting beside what its plugin says of it, or why it cannot be used.
 
     identities: what distinguishes it, without parameters at their default; one for each repeat of an evaluator.
+    searched: only a search may ask for it.
     """
 
     setting: PluginSetting
     identities: tuple[list[Any], ...]
     description: Description | None = None
     missing: str | None = None
+    searched: bool = False
 
 
-def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
-    """Everything that a matrix asks for.
+def make_plan(
+    matrix: Matrix,
+    registry: Registry | None = None,
+    *,
+    extent: Extent | None = None,
+    sequences: Sequence[SequenceEntry] = (),
+) -> Plan:
+    """Everything that a matrix asks for, as far as it is asked for by now.
 
     Opens every sequence, so that a missing file is an error now and not in an hour. Combinations that
     cannot be computed here become cells with the reason in `unsupported`. Raises MatrixError, with the
     place in the file, for sequences that cannot be opened.
+
+    extent: what belongs to the plan of settings that searches may try, and of repeats that are added as needed; by
+    default nothing of the first and all of the second. sequences: those of the matrix, where they were opened before.
     """
     registry = registry or installed()
-    sequences = _open_sequences(matrix, registry)
-    codecs = [_codec_side(entry) for entry in matrix.codecs]
+    extent = extent or Extent()
+    sequences = tuple(sequences) or tuple(_open_sequences(matrix, registry))
+    tried = {codec for _, codec, _ in extent.repeats}
+    codecs = [_codec_side(entry) for entry in matrix.codecs if entry.wanted is None or entry.setting in tried]
     evaluators = [_evaluator_side(entry, registry) for entry in matrix.evaluators]
     jobs: dict[str, CodingJob] = {}
     cells: dict[str, Cell] = {}
@@ -57,7 +72,9 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         for codec in codecs:
             job = CodingJob(coding_id(sequence, codec.setting), sequence, codec.setting)
             for evaluator in evaluators:
-                for cell in _cells(job, codec, evaluator, matrix.run.seed):
+                of = sequence.name, codec.setting, evaluator.setting.title
+                repeats = extent.planned(*of, searched=codec.searched)
+                for cell in islice(_cells(job, codec, evaluator, matrix.run.seed), repeats):
                     cells.setdefault(cell.id, cell)
                     if cell.job_id is not None and cell.unsupported is None:
                         jobs.setdefault(job.id, job)
@@ -65,7 +82,7 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
         name=matrix.name,
         matrix_text=matrix.text,
         run=matrix.run,
-        sequences=tuple(sequences),
+        sequences=sequences,
         jobs=tuple(jobs.values()),
         cells=tuple(cells.values()),
         declared={
@@ -77,6 +94,15 @@ def make_plan(matrix: Matrix, registry: Registry | None = None) -> Plan:
             "evaluators": {side.setting.title: side.description.declared for side in evaluators if side.description},
         },
     )
+
+
+def make_sampled_plan(matrix: Matrix) -> Plan:
+    """The plan with the first setting of each search under every evaluator, for who wants to know what a run calls."""
+    plan = make_plan(matrix)
+    titles = [entry.setting.title for entry in matrix.evaluators]
+    firsts = [search.settings[0] for search in matrix.searches]
+    sampled = {(entry.name, first, title): EVERY for entry in plan.sequences for first in firsts for title in titles}
+    return make_plan(matrix, extent=Extent(sampled), sequences=plan.sequences) if sampled else plan
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
@@ -149,11 +175,12 @@ def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
 
 
 def _codec_side(entry: Entry) -> _Side:
-    setting, description = entry.setting, entry.description
+    setting, description, searched = entry.setting, entry.description, entry.wanted is not None
+    named = [setting.kind, setting.name, setting.version]
     if description is None:
-        return _Side(setting, ([setting.kind, setting.name, setting.version, setting.params],), None, entry.missing)
+        return _Side(setting, ([*named, setting.params],), None, entry.missing, searched)
     (identity,) = description.identities
-    return _Side(setting, ([setting.kind, setting.name, setting.version, identity],), description, description.missing)
+    return _Side(setting, ([*named, identity],), description, description.missing, searched)
 
 
 def _evaluator_side(entry: Entry, registry: Registry) -> _Side:

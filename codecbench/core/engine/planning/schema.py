@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any
+from typing import Any, Final
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.matrix import RunSection
+from codecbench.core.engine.planning.search import SearchSection
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import Registry
+
+_AT: Final = {
+    "type": "object",
+    "minProperties": 1,
+    "maxProperties": 1,
+    "additionalProperties": {"type": "number"},
+    "description": "a metric and the value at which all such entries are compared",
+}
 
 
 def plugin_schema(registry: Registry, name: str) -> dict[str, Any]:
@@ -41,6 +50,9 @@ def matrix_schema(registry: Registry) -> dict[str, Any]:
         items = {"anyOf": _choices(registry, kind, definitions)}
         properties[section] = {"type": "array", "minItems": 1, "items": items}
     run = RunSection.model_json_schema()
+    definitions.update(run.pop("$defs", {}))
+    decided = definitions["UntilSection"]["properties"]["decided"]
+    definitions["UntilSection"]["properties"]["decided"] = {"anyOf": [{"type": "string"}, decided]}
     run["properties"]["executor"] = {"anyOf": _choices(registry, "executor", definitions)}
     properties["run"] = run
     return {
@@ -67,6 +79,8 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
         properties = {"use": {"const": plugin.spec.name}, "params": params}
         if kind == "dataset":
             properties["name"] = {"type": "string"}
+        if kind == "codec":
+            properties |= {"search": SearchSection.model_json_schema(), "at": _AT}
         required = ["use", "params"] if params.get("required") else ["use"]
         choices.append(
             {

@@ -38,12 +38,16 @@ class Progress:
 class Pace:
     """Estimates the time that is left from the time that each kind of work took per frame so far."""
 
-    def __init__(self, workers: int, jobs: list[CodingJob], cells: list[Cell]) -> None:
+    def __init__(self, workers: int) -> None:
         self._workers = workers
         self._begun = time.monotonic()
         self._left: Counter[tuple[str, str]] = Counter()
         self._spent: dict[tuple[str, str], tuple[float, int]] = defaultdict(lambda: (0.0, 0))
-        self._alone = {("cell", cell.evaluator.name) for cell in cells if cell.exclusive}
+        self._alone: set[tuple[str, str]] = set()
+
+    def expect(self, jobs: list[CodingJob], cells: list[Cell]) -> None:
+        """There are jobs and cells to be done."""
+        self._alone |= {_kind(cell) for cell in cells if cell.exclusive}
         everything: list[Work] = [*jobs, *cells]
         for work in everything:
             self._left[_kind(work)] += work.sequence.frames

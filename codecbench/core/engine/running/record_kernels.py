@@ -11,7 +11,7 @@ from pathlib import Path
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import CodingJob, Plan
-from codecbench.core.engine.planning.plan import make_plan
+from codecbench.core.engine.planning.plan import make_sampled_plan
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.work import BITSTREAMS, Order, perform
 from codecbench.core.engine.storage.atomic import write_file
@@ -33,7 +33,7 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
     """
     with _empty_cache(), manifest.recording() as recorder:
         for recorder.stage, matrix in enumerate(matrices):
-            _perform(make_plan(read_matrix(matrix)))
+            _perform(make_sampled_plan(read_matrix(matrix)))
     files = dict(manifest.recorded(package, recorder.entries) for package in packages)
     for path, content in files.items():
         write_file(path, content)

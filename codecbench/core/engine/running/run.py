@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.contracts.confinement import confinement, confines, wanted
+from codecbench.core.contracts.confinement import confinement, wanted
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
-from codecbench.core.contracts.executor import Executor, Finished, Status, Task
+from codecbench.core.contracts.executor import Executor, Finished, Status
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.answer import outcome_of
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.distrust import beside_notice, made_beside
-from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.mending import mend_environments
 from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
+from codecbench.core.engine.running.tasks import task_of
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
-from codecbench.core.engine.running.work import BITSTREAMS, Order, perform, prepare_worker
+from codecbench.core.engine.running.work import BITSTREAMS, prepare_worker
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
@@ -34,6 +34,8 @@ from codecbench.core.engine.storage.store import Store
 log = logging.getLogger("codecbench.run")
 
 Listener = Callable[[Progress], None]
+Growth = Callable[[Plan], Plan]
+"""The plan again, with the cells that are to be computed too now that all of its cells have ended."""
 
 _POLL_S = 0.2
 
@@ -66,8 +68,9 @@ def run_plan(
     listener: Listener | None = None,
     registry: Registry | None = None,
     log_level: int = logging.INFO,
+    growth: Growth | None = None,
 ) -> RunSummary:
-    """Compute what is missing of a plan and record it in `folder`.
+    """Compute what is missing of a plan and record it in `folder`; `growth` is asked for more until there is none.
 
     recompute: names of codecs, evaluators and sequences whose cells are computed again. Listener is told after every
     job and cell. SIGINT and SIGTERM end the run within seconds; everything recorded is kept. Raises StoreError where
@@ -81,12 +84,16 @@ def run_plan(
         executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
         if wanted():
             _require_confinement(executor)
-        resumption = resume(plan, store, registry, recompute)
-        run = _Run(
-            plan, store, executor, registry, resumption, workers or plan.run.workers, listener or (lambda _: None)
-        )
+        found = resume(plan, store, registry, recompute)
+        workers, listener = workers or plan.run.workers, listener or (lambda _: None)
+        run = _Run(plan, store, executor, registry, workers, listener, grows=growth is not None)
         try:
+            run.take_up(plan, plan.cells, found)
             run.perform(interruption)
+            while growth is not None and not interruption.requested and run.grow(growth(run.plan)):
+                run.perform(interruption)
+            if not run.started and not interruption.requested:
+                mend_environments(store, executor, plan.run.timeout_s)
         except StoreError as error:
             log.error("%s", error)
             raise
@@ -114,47 +121,64 @@ class _Run:
         store: Store,
         executor: Executor[Any],
         registry: Registry,
-        resumption: Resumption,
         workers: int,
         listener: Listener,
+        *,
+        grows: bool,
     ) -> None:
         self.plan, self.store, self.executor, self.workers, self.listener = plan, store, executor, workers, listener
-        self.registry, self.warm_up = registry, WarmUp()
-        store.write_plan(plan)
-        self.resumption = resumption
-        self.kept = resumption.kept
-        self.damaged = dict(resumption.damaged)
-        self.statuses: dict[str, Status] = dict(self.kept)
-        left = [cell for cell in plan.cells if cell.id not in self.kept]
-        todo = [cell for cell in left if cell.unsupported is None]
-        frames = {job.id: job.sequence.frames for job in plan.jobs}
-        wanted = {cell.job_id for cell in todo if cell.job_id is not None}
-        coded = {job_id for job_id in wanted if store.has_coded(job_id, frames[job_id])}
-        self.schedule = Schedule(plan, todo, coded)
-        jobs = [job for job in plan.jobs if job.id in self.schedule.needed_jobs]
-        self.pace = Pace(workers, jobs, todo)
-        self.jobs_total, self.jobs_done = len(jobs), 0
-        self.not_ok = sum(status != "ok" for status in self.kept.values())
+        self.registry, self.grows, self.warm_up, self.started = registry, grows, WarmUp(), False
+        self.found: list[Resumption] = []
+        self.kept: dict[str, Status] = {}
+        self.statuses: dict[str, Status] = {}
+        self.damaged: dict[str, str] = {}
+        self.pace = Pace(workers)
+        self.jobs_total, self.jobs_done, self.not_ok = 0, 0, 0
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
         self.redone: set[str] = set()
-        message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
-        log.info(message, len(plan.cells), len(self.kept), len(todo), len(jobs))
 
-    def perform(self, interruption: Interruption) -> None:
-        for notice in self.resumption.notices:
+    def grow(self, plan: Plan) -> bool:
+        """Go on with a plan that has grown; whether it has."""
+        more = tuple(cell for cell in plan.cells if cell.id not in self.statuses)
+        if more:
+            self.take_up(plan, more, resume(replace(plan, cells=more, jobs=()), self.store, self.registry))
+        elif plan != self.plan:
+            self.plan = plan
+            self.store.write_plan(plan)
+        return bool(more)
+
+    def take_up(self, plan: Plan, cells: Sequence[Cell], found: Resumption) -> None:
+        """Add cells of a plan to the work, without those that an earlier run computed."""
+        self.plan = plan
+        self.store.write_plan(plan)
+        self.found.append(found)
+        self.kept |= found.kept
+        self.statuses |= found.kept
+        self.damaged |= found.damaged
+        left = [cell for cell in cells if cell.id not in found.kept]
+        todo = [cell for cell in left if cell.unsupported is None]
+        frames = {job.id: job.sequence.frames for job in plan.jobs}
+        wanted = {cell.job_id for cell in todo if cell.job_id is not None}
+        coded = {job_id for job_id in wanted if self.store.has_coded(job_id, frames[job_id])}
+        self.schedule = Schedule(plan, todo, coded)
+        self.unsupported = [cell for cell in left if cell.unsupported is not None]
+        jobs = [job for job in plan.jobs if job.id in self.schedule.needed_jobs]
+        self.pace.expect(jobs, todo)
+        self.jobs_total += len(jobs)
+        self.not_ok += sum(status != "ok" for status in found.kept.values())
+        message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
+        log.info(message, len(cells), len(found.kept), len(todo), len(jobs))
+        for notice in found.notices:
             log.warning("%s", notice)
             self._tell(notice=notice)
-        for cell in self.plan.cells:
-            if cell.unsupported is not None and cell.id not in self.kept:
-                self._record(cell, Record(cell.id, "unsupported", cell.unsupported))
+
+    def perform(self, interruption: Interruption) -> None:
+        for cell in self.unsupported:
+            self._record(cell, Record(cell.id, "unsupported", cell.unsupported or ""))
         if not len(self.schedule):
-            mend_environments(self.store, self.executor, self.plan.run.timeout_s)
             return
-        if self.executor.shares_files:  # elsewhere each machine has a cache of its own, and any worker may be on any
-            self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
-        self.executor.start(min(self.workers, len(self.schedule) + len(self.warm_up)), prepare_worker)
-        self.warm_up.begin(self.executor, meanwhile=self._hand_out)
+        self._start()
         while len(self.schedule) and not interruption.requested:
             self._hand_out()
             finished = self.executor.next_finished(_POLL_S)
@@ -165,39 +189,33 @@ class _Run:
         if interruption.requested:
             log.warning("ended by %s; %d jobs and cells were left", interruption.signal_name, len(self.schedule))
 
+    def _start(self) -> None:
+        """Start the workers, and compile ahead what the cells to come will call."""
+        idle = self.warm_up.done == self.warm_up.total
+        if idle and self.executor.shares_files:  # elsewhere each machine has a cache of its own, any worker on any
+            self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
+        if not self.started:
+            waiting = len(self.schedule) + len(self.warm_up)
+            self.executor.start(self.workers if self.grows else min(self.workers, waiting), prepare_worker)
+            self.started = True
+        if idle:
+            self.warm_up.begin(self.executor, meanwhile=self._hand_out)
+
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
-        if self.damaged or self.resumption.outdated or self.resumption.retried:
+        if any(found.damaged or found.outdated or found.retried for found in self.found) or self.damaged:
             self.store.rebuild_index()
         counts: dict[str, int] = dict(Counter(self.statuses.values()))
         log.info("%s", ", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing recorded")
         kept = len(self.kept)
-        jobs, notices = self.jobs_done, self.resumption.notices
+        jobs, notices = self.jobs_done, tuple(notice for found in self.found for notice in found.notices)
         return RunSummary(self.store.folder, counts, computed, kept, jobs, interrupted, self.damaged, notices)
 
     def _hand_out(self) -> None:
         """Keep every worker busy and one task in reserve for each, so that none waits for this process."""
         while len(self.under_way) < 2 * self.workers and (work := self.schedule.take()) is not None:
             self.under_way[work.id] = work
-            self.executor.submit(self._task(work))
-
-    def _task(self, work: Work) -> Task:
-        settings = self.plan.run
-        order = Order(work, self._bitstreams(work), cache_limit_bytes(settings.memory_mb))
-        exclusive = isinstance(work, Cell) and work.exclusive
-        limits = settings.timeout_s, settings.memory_mb
-        return Task(work.id, perform, order, *limits, exclusive, work.company, confines(work.company))
-
-    def _bitstreams(self, work: Work) -> Path | bytes | None:
-        """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""
-        job_id = work.id if isinstance(work, CodingJob) else work.job_id
-        if job_id is None:
-            return None
-        path = self.store.coded_path(job_id).absolute()
-        writes = isinstance(work, CodingJob)
-        if self.executor.shares_files and not (writes and confines(work.company)):
-            return path
-        return None if writes else path.read_bytes()
+            self.executor.submit(task_of(work, self.plan.run, self.store, self.executor.shares_files))
 
     def _take_back(self, finished: Finished) -> None:
         if self.warm_up.took(finished):

@@ -52,8 +52,9 @@ class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
     left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none. rate: at
-    which codecs are compared; None for all rates that they share. foretold: by sequence, Kendall's tau-b of the order
-    there and the order of all other sequences together; empty for a single sequence.
+    which codecs are compared; None for all rates that they share. pairs: what is known of two curves that share a rate,
+    of the first over the second. foretold: by sequence, Kendall's tau-b of the order there and the order of all other
+    sequences together; empty for a single sequence.
     """
 
     column: Column
@@ -64,6 +65,7 @@ class Ranking:
     left_out: dict[str, str]
     anchor: str
     rate: float | None
+    pairs: tuple[tuple[str, str, Evidence], ...]
     foretold: dict[str, float]
 
     @property
@@ -125,6 +127,7 @@ def _ranking(
         left_out,
         anchor or "",
         at,
+        tuple((curves[first], curves[second], found) for (first, second), found in evidence.items()),
         _foretold(curves, values, at),
     )
 

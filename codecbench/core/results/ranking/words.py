@@ -41,12 +41,24 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
         ranked[ranking.column].append(_ranked(run, ranking))
-    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in _successes(run))]
-    return [verdict for group in groups for verdict in (group[:1] if brief else group)]
+    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in successes(run))]
+    return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
+
+
+def _found(run: RunResult) -> Iterator[Verdict]:
+    """What the searches of the matrix have found."""
+    if run.plan.searches:
+        heads = ("codec", "sequence", "sought", "", "setting", "has")
+        rows = tuple(
+            (found.codec, found.sequence, found.aim, found.state, found.setting or "–",
+             "–" if found.reached is None else f"{found.reached:.4g}")
+            for found in run.plan.searches
+        )  # fmt: skip
+        yield Verdict("searches", heads, rows, tuple(f"{found}." for found in run.plan.searches))
 
 
 def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
-    title = f"{_where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
+    title = f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
     if ranking.rate is None:
         shown = {f"rate beside {ranking.anchor}" if ranking.anchor else "rate": _rate}
     else:
@@ -120,11 +132,11 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
-def _where(sequence: str) -> str:
+def where(sequence: str) -> str:
     return "all sequences together" if sequence == POOLED else sequence
 
 
-def _successes(run: RunResult) -> list[list[Column]]:
+def successes(run: RunResult) -> list[list[Column]]:
     """Headlines of role `success` by evaluator: a run counts that succeeds in all."""
     found: dict[str, list[Column]] = defaultdict(list)
     for column in run.headlines("success"):
@@ -141,7 +153,7 @@ def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
     what = " and ".join(column.label for column in columns)
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
         sentences = [_sentence(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
-        yield Verdict(f"{_where(sequence)}: {what}", (), (), tuple(sentences))
+        yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
 
 
 def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:

@@ -10,7 +10,7 @@ import pytest
 from installed_command import Done, Place
 
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.engine.planning.axes import points
+from codecbench.core.engine.planning.axes import axes, points
 from codecbench.core.engine.planning.yaml_bounds import MOST_CHARACTERS, require_bounded
 from codecbench.core.engine.planning.yaml_file import Problems, load
 
@@ -85,7 +85,7 @@ def test_what_aliases_repeat_is_counted() -> None:
 def test_products_up_to_the_limit_are_spanned(lengths: tuple[int, int], count: int) -> None:
     problems = Problems("m.yaml")
     params = {f"p{place}": {"range": [1, length]} for place, length in enumerate(lengths)}
-    assert sum(1 for _ in points(params, ("codecs", 0), problems)) == count
+    assert sum(1 for _ in points(axes(params, ("codecs", 0), problems))) == count
     assert bool(problems.found) == (count == 0)
 
 

@@ -1,0 +1,163 @@
+"""Searches: a codec entry whose axes say what may be tried, and which of these settings is sought.
+
+    - use: jpeg
+      params: {quality: {range: [1, 100]}}
+      search: {metric: psnr_gray_db, min: 35}          # or, for short, `at: {rate_bpp: 0.5}`
+
+Without `search` the axes of an entry are a sweep: all of their settings are in the plan. With it none is at first. The
+plan grows in rounds: when all of its cells have ended, `core.results.rounds` reads what was stored, finds out which
+settings the searches try next, and makes the plan again with an `Extent` that says which cells of the settings that
+are not swept belong to it. Those are cells like any other, with the identities that they would have in a sweep. The
+extent follows from the matrix and the stored records alone, so that a run that was stopped finds its way again.
+
+`run: {until: ...}` grows the plan in the same way: of an evaluator's repeats there are at first only as many as the
+extent says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+from pydantic import Field
+
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.planning.aim import Aim, AimSection, find_aim, metrics_of, read_section
+from codecbench.core.engine.planning.axes import Axis
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.planning.yaml_file import Problems, Where, shown
+
+if TYPE_CHECKING:
+    from codecbench.core.engine.planning.matrix import Entry
+
+EVERY: Final = 1 << 30
+"""More repeats than an evaluator can have."""
+_MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
+
+
+class SearchSection(AimSection):
+    """The `search:` of a codec entry."""
+
+    within: float = Field(default=0.0, ge=0, description="how far from `equal` is near enough, in the metric's unit")
+    budget: int = Field(default=50, ge=1, le=100_000, description="the most settings that are tried on a sequence")
+
+
+@dataclass(frozen=True)
+class Search:
+    """A codec entry with an aim. axes: of more than one value. settings: of all their combinations, the last axis
+    turning fastest. least: of the settings that will do, the one with the least of this column is sought; None where
+    there is one axis, of which the last setting that will do is.
+    """
+
+    aim: Aim
+    axes: tuple[Axis, ...]
+    settings: tuple[PluginSetting, ...]
+    within: float
+    budget: int
+    least: tuple[PluginSetting, Metric] | None = None
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        return tuple(len(axis) for axis in self.axes)
+
+    @property
+    def evaluators(self) -> tuple[PluginSetting, ...]:
+        """Those that a trial needs."""
+        return tuple(dict.fromkeys((self.aim.evaluator, *(self.least or ())[:1])))
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The `search` or `at` of an entry, before its metric is looked up. where: in the file."""
+
+    where: Where
+    section: SearchSection
+    axes: tuple[Axis, ...]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Which cells belong to the plan where not all do.
+
+    repeats: how many of a sequence (by name), codec setting and evaluator (by title). begun: how many of an evaluator
+    by title whose repeats are added as needed, where `repeats` does not say; all of the others. Of the settings of a
+    search there are none where `repeats` does not say.
+    """
+
+    repeats: Mapping[tuple[str, PluginSetting, str], int] = field(default_factory=dict)
+    begun: Mapping[str, int] = field(default_factory=dict)
+
+    def planned(self, sequence: str, codec: PluginSetting, evaluator: str, searched: bool) -> int:
+        """How many repeats are in the plan. searched: the codec setting is one that a search may try."""
+        begun = 0 if searched else self.begun.get(evaluator, EVERY)
+        return max(begun, self.repeats.get((sequence, codec, evaluator), 0))
+
+
+def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems) -> Wanted | None:
+    """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
+    word = "search" if "search" in item else "at"
+    place = (*where, word)
+    if "search" in item and "at" in item:
+        problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
+        return None
+    value = _spelled_out(item[word]) if word == "at" else item[word]
+    section = read_section(SearchSection, value, place, problems)
+    varied = tuple(axis for axis in axes if len(axis) > 1)
+    if not varied:
+        message = "there is nothing to choose from; give a parameter `{range: [first, last, step]}` or `{grid: [...]}`"
+        problems.add(place, message)
+        return None
+    for axis in varied:
+        _require_ordered(axis, (*where, "params", axis.name), problems)
+    if len(varied) > 1 and find_spec("optuna") is None:
+        problems.add(place, _MISSING_EXTRA)
+    return None if section is None else Wanted(place, section, varied)
+
+
+def _spelled_out(value: Any) -> Any:
+    """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
+    if isinstance(value, Mapping) and len(value) == 1:
+        ((metric, number),) = value.items()
+        return {"metric": metric, "equal": number}
+    return shown(value)
+
+
+def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
+    """Note a problem with numbers that neither rise nor fall, and with values that come twice."""
+    values = [value for _, value in axis.choices]
+    numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    steps = list(pairwise(numbers))
+    if not (all(a < b for a, b in steps) or all(a > b for a, b in steps)):
+        problems.add(where, "a search needs values in order, from one end to the other; these go up and down")
+    elif len({repr(value) for value in values}) < len(values):
+        problems.add(where, "a search needs values in order; one of these comes twice")
+
+
+def made_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems: Problems) -> tuple[Search, ...]:
+    """The searches of a matrix, their metrics found among what its evaluators declare."""
+    members: dict[Where, list[Entry]] = {}
+    for entry in codecs:
+        if entry.wanted is not None:
+            members.setdefault(entry.wanted.where, []).append(entry)
+    searches = []
+    for where, entries in members.items():
+        wanted = entries[0].wanted
+        assert wanted is not None
+        aim = find_aim(wanted.section, evaluators, where, problems)
+        if aim is not None:
+            least = _rate_of(evaluators) if len(wanted.axes) > 1 else None
+            settings = tuple(entry.setting for entry in entries)
+            searches.append(Search(aim, wanted.axes, settings, wanted.section.within, wanted.section.budget, least))
+    return tuple(searches)
+
+
+def _rate_of(evaluators: Sequence[Entry]) -> tuple[PluginSetting, Metric] | None:
+    """What codecs spend: the first headline of that role."""
+    for entry in evaluators:
+        for metric in metrics_of(entry):
+            if metric.headline and metric.role == "rate" and metric.better == "lower":
+                return entry.setting, metric
+    return None

@@ -1,0 +1,33 @@
+"""What of a run's work is handed to an executor: a job or cell as a task, with what its worker needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from codecbench.core.contracts.confinement import confines
+from codecbench.core.contracts.executor import Task
+from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
+from codecbench.core.engine.running.frame_cache import cache_limit_bytes
+from codecbench.core.engine.running.schedule import Work
+from codecbench.core.engine.running.work import Order, perform
+from codecbench.core.engine.storage.store import Store
+
+
+def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
+    """A job or cell as a task. shares_files: the executor's workers see the run folder."""
+    order = Order(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb))
+    exclusive = isinstance(work, Cell) and work.exclusive
+    limits = settings.timeout_s, settings.memory_mb
+    return Task(work.id, perform, order, *limits, exclusive, work.company, confines(work.company))
+
+
+def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | None:
+    """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""
+    job_id = work.id if isinstance(work, CodingJob) else work.job_id
+    if job_id is None:
+        return None
+    path = store.coded_path(job_id).absolute()
+    writes = isinstance(work, CodingJob)
+    if shares_files and not (writes and confines(work.company)):
+        return path
+    return None if writes else path.read_bytes()
