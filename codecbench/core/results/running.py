@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from codecbench.core.engine.planning.matrix import Matrix, read_matrix
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.run import Listener, RunSummary, run_plan
-from codecbench.core.results.collect import open_run
-from codecbench.core.results.rounds.growth import Growth
-from codecbench.core.results.run_result import RunResult
+
+if TYPE_CHECKING:
+    from codecbench.core.results.rounds.growth import Growth
+    from codecbench.core.results.run_result import RunResult
 
 
 def run(
@@ -34,6 +36,8 @@ def run(
 
     Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
     """
+    from codecbench.core.results.collect import open_run
+
     summary = run_matrix(
         read_matrix(matrix), out, workers=workers, recompute=recompute, listener=listener, log_level=log_level
     )
@@ -61,5 +65,7 @@ def planned(matrix: Matrix, out: str | Path | None) -> tuple[Plan, Path, Growth 
     folder = Path(out) if out is not None else Path("runs") / matrix.name
     if not matrix.searches and matrix.until is None:
         return make_plan(matrix), folder, None
+    from codecbench.core.results.rounds.growth import Growth  # tables and statistics take a second to load
+
     growth = Growth(matrix, folder, installed())
     return growth.planned(), folder, growth
