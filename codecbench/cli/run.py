@@ -15,7 +15,7 @@ from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.engine.running.progress import Progress
-    from codecbench.core.engine.running.run import RunSummary
+    from codecbench.core.engine.running.summary import RunSummary
 
 LEVELS = ("debug", "info", "warning", "error")
 

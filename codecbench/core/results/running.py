@@ -11,7 +11,8 @@ from codecbench.core.engine.planning.matrix import Matrix, read_matrix
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
-from codecbench.core.engine.running.run import Listener, RunSummary, run_plan
+from codecbench.core.engine.running.run import Listener, run_plan
+from codecbench.core.engine.running.summary import RunSummary
 
 if TYPE_CHECKING:
     from codecbench.core.results.rounds.growth import Growth

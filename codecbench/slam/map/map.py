@@ -9,6 +9,7 @@ import numpy as np
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import sim3_scale
 from codecbench.slam.map import kernels as map_kernels
+from codecbench.slam.map import point_kernels
 from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, grown
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
 
@@ -90,7 +91,7 @@ class Map:
     def refresh_points(self, points: Indices, descriptors: bool = True) -> None:
         """Recompute what a point derives from its observations: normal, distances, descriptor."""
         table, keyframes = self.points, self.keyframes
-        map_kernels.refresh_points(
+        point_kernels.refresh_points(
             points, table.positions, table.references, table.heads, self._links,
             keyframes.centers_world, keyframes.octaves, keyframes.descriptors, self.scale_factors,
             table.normals, table.min_distances, table.max_distances, table.descriptors, descriptors,
@@ -131,7 +132,7 @@ class Map:
     def is_redundant(self, keyframe: int) -> bool:
         """Whether nearly all points of `keyframe` are seen by enough others at least as finely (ORB-SLAM VI-E)."""
         return bool(
-            map_kernels.is_redundant(
+            point_kernels.is_redundant(
                 self.keyframes.points[keyframe], keyframe, self.keyframes.octaves, self.points.heads, self._links
             )
         )  # fmt: skip

@@ -17,7 +17,7 @@ from codecbench.slam.features.matching import claim
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
-from codecbench.slam.map.kernels import median_depth
+from codecbench.slam.map.point_kernels import median_depth
 from codecbench.slam.map.tables import Views
 from codecbench.slam.optimisation.bundle_kernels import reprojection
 

@@ -9,8 +9,8 @@ from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.fusion import fuse
-from codecbench.slam.map.kernels import median_depth
 from codecbench.slam.map.map import NONE, Indices, Map
+from codecbench.slam.map.point_kernels import median_depth
 from codecbench.slam.map.triangulation import triangulate_features
 from codecbench.slam.optimisation.bundle_adjustment import adjust
 from codecbench.slam.places.recognition import PlaceRecognition

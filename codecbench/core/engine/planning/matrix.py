@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,6 +18,7 @@ from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.axes import Point, axes, points
 from codecbench.core.engine.planning.description import Description, InvalidParams, describe
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
+from codecbench.core.engine.planning.plan_bounds import require_plannable
 from codecbench.core.engine.planning.search import Search, Wanted, made_searches, read_wanted
 from codecbench.core.engine.planning.until import UntilSection, decided_aim
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, shown, suggest
@@ -27,7 +27,6 @@ from codecbench.core.engine.registry import Registry, installed
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
 _TOP = ("version", "name", *_SECTIONS, "run")
-_MOST_CELLS: Final = 1_000_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -108,23 +107,9 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     searches = made_searches(sections["codecs"], sections["evaluators"], problems)
     until = decided_aim(run[1], root, sections["evaluators"], problems)
     problems.raise_any()
-    _require_plannable(sections, searches, problems)
+    require_plannable(sections, searches, problems)
     named: Any = sections
     return Matrix(path=path, text=text, name=name, run=run[0], root=root, searches=searches, until=until, **named)
-
-
-def _require_plannable(
-    sections: Mapping[str, tuple[Entry, ...]], searches: tuple[Search, ...], problems: Problems
-) -> None:
-    """Raise MatrixError for more cells than can be planned: the sections meet each other."""
-    counts = {section: len(entries) for section, entries in sections.items()}
-    counts["codecs"] = sum(entry.wanted is None for entry in sections["codecs"])
-    counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)
-    cells = math.prod(counts.values())
-    if cells > _MOST_CELLS:
-        spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
-        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
-        problems.raise_any()
 
 
 class _Reader:

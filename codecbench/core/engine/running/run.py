@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from codecbench.core.engine.running.progress import Pace, Progress
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
+from codecbench.core.engine.running.summary import RunSummary
 from codecbench.core.engine.running.tasks import task_of
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
 from codecbench.core.engine.running.work import BITSTREAMS, prepare_worker
@@ -38,25 +39,6 @@ Growth = Callable[[Plan], Plan]
 """The plan again, with the cells that are to be computed too now that all of its cells have ended."""
 
 _POLL_S = 0.2
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """How a run ended.
-
-    statuses: how many cells of the plan have which status now. computed: cells computed by this run. kept:
-    cells that an earlier run had computed. encoded: coding jobs done. interrupted: the signal that ended the
-    run early, or None. damaged: what was found damaged and why, by cell. notices: what was said of kept cells.
-    """
-
-    folder: Path
-    statuses: dict[str, int]
-    computed: int
-    kept: int
-    encoded: int
-    interrupted: str | None = None
-    damaged: dict[str, str] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()
 
 
 def run_plan(
