@@ -21,6 +21,21 @@ def answer(run: RunResult, heads: Heads) -> Iterator[str]:
     yield "![Map points found over the rate in the office, one line a codec](docs/images/decide.svg)"
 
 
+def order(run: RunResult, heads: Heads) -> Iterator[str]:
+    """Codecs in order of each task over all rates that they share, over all sequences together."""
+    rows, foretold = [], []
+    for ranking in rankings(run, brief=True):
+        for ranked in ranking.ranked:
+            places = str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
+            rate = "–" if ranked.bd_rate is None or ranked.bd_rate.reason else f"{ranked.bd_rate.percent:+.0f} %"
+            ahead = ", ".join(ranked.ahead_of) or "–"
+            rows.append([ranking.column.label, places, ranked.curve, ranked.group, rate, ahead])
+        values = ranking.foretold.values()
+        foretold.append(f"{ranking.column.label}, {sum(values) / len(values):.2f} ({min(values):.2f} at least)")
+    yield table(heads, rows)
+    yield f"How well the order on a sequence is foretold by the others', as Kendall's tau: {'; '.join(foretold)}."
+
+
 def every_task(run: RunResult, heads: Heads) -> Iterator[str]:
     """Every task over all sequences together."""
     rows = [[ranking.column.label, *row(ranking)] for ranking in decided(run) if ranking.sequence == POOLED]

@@ -51,6 +51,10 @@ TIMES = "docs/performance.md"
 WORLDS = "docs/worlds.md"
 BLOCKS = {
     "answer": Block("README.md", "run", "decide", ("task", *DECIDED), decision_tables.answer),
+    "order-decided": Block(
+        "docs/verdict.md", "run", "decide", ("task", "place", "codec", "group", "rate beside jpeg", "better than"),
+        decision_tables.order,
+    ),
     "tasks-decided": Block("docs/verdict.md", "run", "decide", ("task", *DECIDED), decision_tables.every_task),
     "sequences-decided": Block(
         "docs/verdict.md", "run", "decide", ("sequence", *DECIDED), decision_tables.every_sequence
