@@ -72,6 +72,9 @@ BLOCKS = {
          "degrees of freedom"),
         task_tables.known_order,
     ),
+    "worlds": Block(
+        WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
+    ),
     "conditions": Block(
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
         benchmark_tables.printed,
