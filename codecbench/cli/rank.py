@@ -66,7 +66,10 @@ def _show(result: RunResult, found: list[Verdict], format_: str) -> None:
     else:
         show_verdicts(found)
         if not found:
-            click.echo("nothing to rank: it takes a rate, and a headline of role task, quality or success")
+            click.echo(
+                "nothing to rank: it takes a rate, and a headline of role task, quality or success; "
+                "with --rate, two codecs whose settings reach it"
+            )
     if result.missing:
         click.echo(f"{result.missing} cells of the plan have no record yet", err=True)
 
