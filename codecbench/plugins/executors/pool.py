@@ -226,9 +226,14 @@ class WorkerPool:
         return None
 
     def _meet(self, slot: _Slot, now: float) -> None:
+        """Get to know the worker that took the task, which may have left since: pebble then has started another one."""
+        taken_by = _taken_by(slot)
+        if taken_by is None:
+            return
         identity = json.loads(slot.files.identity.read_text())
-        slot.pid, slot.started = identity["pid"], now
-        slot.baseline_mb = _tree_mb(slot.pid) if identity["baseline_mb"] is None else identity["baseline_mb"]
+        slot.pid, slot.started = taken_by, now
+        known = identity["baseline_mb"] if identity["pid"] == taken_by else None
+        slot.baseline_mb = _tree_mb(slot.pid) if known is None else known
 
     def _discard(self, slot: _Slot) -> None:
         """Kill the slot's worker with its descendants and let go of its pool."""
@@ -244,6 +249,13 @@ class WorkerPool:
         shutil.rmtree(slot.files.scratch, ignore_errors=True)
         # Joining can wait forever for the rest of a message from a worker that died while sending it.
         threading.Thread(target=pool.join, name="pool end", daemon=True).start()
+
+
+def _taken_by(slot: _Slot) -> int | None:
+    """The process that has acknowledged the slot's task, which pebble alone knows; None once the task has ended."""
+    assert slot.pool is not None
+    tasks = list(slot.pool._pool_manager.task_manager.tasks.values())
+    return next((task.worker_id for task in tasks if task.future is slot.future), None)
 
 
 def _kill_tree(pid: int) -> None:
