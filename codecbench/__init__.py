@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from warnings import warn
 
 if TYPE_CHECKING:
-    from codecbench.core.contracts.codec import Capabilities, Codec
+    from codecbench.core.contracts.codec import AnyCodec, Capabilities, Codec
     from codecbench.core.contracts.errors import (
         BitstreamError,
         CodecbenchError,
@@ -31,53 +31,87 @@ if TYPE_CHECKING:
         Context,
         Evaluator,
         FrameEvaluator,
+        FrameSender,
         Measurement,
         Outcome,
         PluginUse,
+        SentPacket,
         SequenceEvaluator,
     )
     from codecbench.core.contracts.executor import Executor, Finished, Task
     from codecbench.core.contracts.hooks import PluginSpec, hookimpl
     from codecbench.core.contracts.image import Image, check_image, gray_from_image
+    from codecbench.core.contracts.link import Channel, Link, Passage, Queue
     from codecbench.core.contracts.metric import Metric
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-    from codecbench.core.contracts.view import Drawing, Line, View
+    from codecbench.core.contracts.stream import (
+        LOST,
+        Loss,
+        Packet,
+        Picture,
+        StreamCodec,
+        StreamDecoder,
+        StreamEncoder,
+        decoder_of,
+        encoder_of,
+    )
+    from codecbench.core.contracts.view import Course, Drawing, Line, Marks, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
+    from codecbench.core.engine.planning.one_codec import codec
+    from codecbench.core.results.bundles import bundle, open_bundle
     from codecbench.core.results.collect import open_run
+    from codecbench.core.results.run_result import RunResult
     from codecbench.core.results.running import run
+    from codecbench.core.results.verification.verifying import verify_run
+    from codecbench.trial.trial import trial
 
 __version__ = "0.1.0"
 
 _CONTRACTS = "codecbench.core.contracts."
 _HOMES = {
-    _CONTRACTS + "codec": ("Capabilities", "Codec"),
+    _CONTRACTS + "codec": ("AnyCodec", "Capabilities", "Codec"),
     _CONTRACTS + "errors": (
         "BitstreamError", "CodecbenchError", "DatasetError", "ImageError", "KeyCollision", "MatrixError",
         "ParamsError", "PluginError", "SlamError", "StoreError", "Unsupported",
     ),
     _CONTRACTS + "evaluator": (
         "CodecEvaluator", "CodedFrame", "CodedSequence", "Context", "Evaluator", "FrameEvaluator",
-        "Measurement", "Outcome", "PluginUse", "SequenceEvaluator",
+        "FrameSender", "Measurement", "Outcome", "PluginUse", "SentPacket", "SequenceEvaluator",
     ),
     _CONTRACTS + "executor": ("Executor", "Finished", "Task"),
     _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
     _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
+    _CONTRACTS + "link": ("Channel", "Link", "Passage", "Queue"),
     _CONTRACTS + "metric": ("Metric",),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Sequence", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
-    _CONTRACTS + "view": ("Drawing", "Line", "View"),
+    _CONTRACTS + "stream": (
+        "LOST", "Loss", "Packet", "Picture", "StreamCodec", "StreamDecoder", "StreamEncoder",
+        "decoder_of", "encoder_of",
+    ),
+    _CONTRACTS + "view": ("Course", "Drawing", "Line", "Marks", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
+    "codecbench.core.results.bundles": ("bundle", "open_bundle"),
+    "codecbench.core.engine.planning.one_codec": ("codec",),
     "codecbench.core.results.collect": ("open_run",),
+    "codecbench.core.results.run_result": ("RunResult",),
     "codecbench.core.results.running": ("run",),
+    "codecbench.trial.trial": ("trial",),
+    "codecbench.core.results.verification.verifying": ("verify_run",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = sorted(_HOME_OF)
+
+
+def __dir__() -> list[str]:
+    """What a user needs: no module is listed that only happens to have been loaded."""
+    return [*__all__, "__version__"]
 
 
 _RENAMED = {"Offer": "PluginSpec"}

@@ -15,19 +15,14 @@ RATES: Final = (0.2, 0.5, 1.0)
 """At which a codec is chosen, in bits a pixel."""
 
 
-def answer(run: RunResult, heads: Heads) -> Iterator[str]:
-    """The README's answer."""
-    yield from every_task(run, heads)
-    yield "![Map points found over the rate in the office, one line a codec](docs/images/decide.svg)"
-
-
 def order(run: RunResult, heads: Heads) -> Iterator[str]:
     """Codecs in order of each task over all rates that they share, over all sequences together."""
     rows, foretold = [], []
     for ranking in rankings(run, brief=True):
         for ranked in ranking.ranked:
             places = str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
-            rate = "–" if ranked.bd_rate is None or ranked.bd_rate.reason else f"{ranked.bd_rate.percent:+.0f} %"
+            beside = next((ranked.bd_rates[anchor] for anchor in ranking.anchors if anchor in ranked.bd_rates), None)
+            rate = "–" if beside is None or beside.reason else f"{beside.percent:+.0f} %"
             ahead = ", ".join(ranked.ahead_of) or "–"
             rows.append([ranking.column.label, places, ranked.curve, ranked.group, rate, ahead])
         values = ranking.foretold.values()

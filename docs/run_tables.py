@@ -10,6 +10,7 @@ import numpy as np
 
 from codecbench.core.results.markdown import cell, table
 from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.verdicts import bd_rates
 
 Heads = tuple[str, ...]
 Row = dict[str, Any]
@@ -47,17 +48,17 @@ SLAM = (
 )
 SETTING = ("codec", "setting")
 MAIN, STILLS = "fr3_office_100", "kodak"
-"""The sequences of examples/real.yaml that the README shows: a video, and photographs beside it."""
+"""The sequences of examples/real.yaml that are set beside each other: a video, and photographs."""
 
 
-def readme(run: RunResult, heads: Heads) -> Iterator[str]:
-    """The README's table, with what it says about itself."""
+def beside_photographs(run: RunResult, heads: Heads) -> Iterator[str]:
+    """The office beside photographs, with what the table says about itself."""
     frames = {entry.name: entry.frames for entry in run.plan.sequences}
     yield (
         f"`codecbench run examples/real.yaml`, here {frames[MAIN]} frames of TUM's freiburg3_long_office_household "
         "(640x480 RGB; Sturm et al.\n2012, CC BY 4.0) beside "
         f"{frames[STILLS]} photographs of Kodak's, processor time on one core of a shared\n{machine(run)}; "
-        "[all of it](docs/real.md):\n"
+        "all of it below:\n"
     )
     stills = {(row["codec"], row["setting"]): row for row in rows_of(run, STILLS)}
     lines = []
@@ -72,7 +73,7 @@ def readme(run: RunResult, heads: Heads) -> Iterator[str]:
         "which is what a\ntracker relies on. A dash in “counted” means an opaque library: its operations are unknown, "
         f"not zero. {against_psnr(run)}\n"
     )
-    yield "![Rate against features kept, one line a codec](docs/images/rate_features.svg)"
+    yield "![Rate against features kept, one line a codec](images/rate_features.svg)"
 
 
 def against_psnr(run: RunResult) -> str:
@@ -107,7 +108,7 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     """A section a sequence, and what was not computed."""
     yield f"Times are processor time a frame, medians, on one core of a shared {machine(run)}.\n"
     for entry in run.plan.sequences:
-        yield f"## {entry.name}\n"
+        yield f"### {entry.name}\n"
         yield f"{entry.frames} frames.\n"
         yield coding_table(run, entry.name, heads)
     reasons = sorted({f"{r.cell.evaluator.name} of {r.cell.codec.name} ({r.reason})" for r in run.results if r.reason})
@@ -124,6 +125,23 @@ def first_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
 def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
     rows = rows_of(run, sequence)
     return table(heads, [[CODING[head].shown(row) if head in CODING else row[head] for head in heads] for row in rows])
+
+
+BD_RATES = {head: CODING[shown].name for head, shown in (("PSNR", "PSNR dB"), ("SSIM", "SSIM"))}
+BD_RATES["features kept"] = CODING["features kept"].name
+
+
+def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
+    """How much more rate each curve takes than the anchor for the same quality, in percent, sequence by sequence."""
+    columns = {column.name: column for column in run.headlines("quality", "task")}
+    rates = {head: bd_rates(run, columns[name], resamples=0) for head, name in BD_RATES.items()}
+    curves = sorted({key for found in rates.values() for key in found})
+    rows = []
+    for sequence, curve in curves:
+        found = [rates[head].get((sequence, curve)) for head in heads if head in BD_RATES]
+        shown = ["–" if rate is None or rate.reason else f"{rate.percent:+.1f}" for rate in found]
+        rows.append([sequence, curve, *shown])
+    yield table(heads, rows)
 
 
 def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:

@@ -21,6 +21,8 @@ import benchmark_tables
 import decision_tables
 import multilevel_table
 import run_tables
+import slam_tables
+import stream_tables
 import task_tables
 
 import codecbench
@@ -41,7 +43,7 @@ class Block:
 
 
 CODING = (*run_tables.SETTING, *run_tables.CODING)
-README = (
+BESIDE = (
     *(head for head in CODING if head not in ("CR vs PNG %", "paper's model Mops")),
     "Kodak: bit/px",
     "Kodak: features kept",
@@ -50,7 +52,6 @@ DECIDED = ("at", "take", "value", "better than", "or", "not at that rate", "orde
 TIMES = "docs/performance.md"
 WORLDS = "docs/worlds.md"
 BLOCKS = {
-    "answer": Block("README.md", "run", "decide", ("task", *DECIDED), decision_tables.answer),
     "order-decided": Block(
         "docs/verdict.md", "run", "decide", ("task", "place", "codec", "group", "rate beside jpeg", "better than"),
         decision_tables.order,
@@ -59,8 +60,19 @@ BLOCKS = {
     "sequences-decided": Block(
         "docs/verdict.md", "run", "decide", ("sequence", *DECIDED), decision_tables.every_sequence
     ),
-    "real": Block("README.md", "run", "real", README, run_tables.readme),
+    "streams": Block(
+        "docs/video.md", "run", "video", ("codec", "setting", *stream_tables.STREAMS), stream_tables.every_setting
+    ),
+    "streams-ordered": Block(
+        "docs/video.md", "run", "video",
+        ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
+    ),
+    "real": Block("docs/real.md", "run", "real", BESIDE, run_tables.beside_photographs),
     "sequences": Block("docs/real.md", "run", "real", CODING, run_tables.every_sequence),
+    "rates-beside-jpeg": Block(
+        "docs/multilevel.md", "run", "context", ("sequence", "codec", "PSNR", "SSIM", "features kept"),
+        run_tables.rates_beside_anchor,
+    ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "slam": Block(
         TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),
@@ -71,6 +83,16 @@ BLOCKS = {
         ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames",
          "degrees of freedom"),
         task_tables.known_order,
+    ),
+    "follow": Block(
+        "docs/task-metrics.md", "run", "tasks",
+        ("metric", "localisation AUC", "map points found", "relative pose AUC", "correct matches"),
+        task_tables.followers,
+    ),
+    "ablations": Block(
+        "docs/slam.md", "run", "slam_ablations",
+        ("sequence", "options", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
+        slam_tables.ablations,
     ),
     "worlds": Block(
         WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds

@@ -8,14 +8,24 @@ import sys
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem, shell_complete
+
+from codecbench.cli.completion import VARIABLE
 
 COMMANDS = {
+    "try": ("codecbench.cli.try_:try_", "Try codecs on a recording of your own, and write a report."),
+    "init": ("codecbench.cli.try_:init", "Write a matrix to edit, to begin with or for a recording."),
+    "examples": ("codecbench.cli.examples:examples", "List or print the example matrices."),
     "run": ("codecbench.cli.run:run", "Run a matrix: every codec setting on every sequence, evaluated."),
     "plan": ("codecbench.cli.plan:plan", "Show what a run would do, what is cached and what is unsupported."),
     "list": ("codecbench.cli.list:list_plugins", "List installed plugins."),
     "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
     "rank": ("codecbench.cli.rank:rank", "Say which codecs are ahead, and down to which rate each holds."),
     "power": ("codecbench.cli.rank:power", "Say what a run could decide, and how much more of it would tell."),
+    "choose": (
+        "codecbench.cli.choose:choose",
+        "Say which settings are good enough over a link, and what limits the others.",
+    ),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
@@ -23,7 +33,11 @@ COMMANDS = {
     "reproduce": ("codecbench.paper.command:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
     "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile ahead the kernels that runs will need."),
+    "bundle": ("codecbench.cli.bundle:bundle", "Put a run into one file, to be kept, cited and opened by others."),
+    "open": ("codecbench.cli.bundle:open_bundle", "Unpack a bundle and report on it; no code of it is run."),
+    "verify-run": ("codecbench.cli.verify_run:verify_run", "Compute some cells of a bundle again; say which agree."),
     "verify": ("codecbench.cli.verify:verify", "Check that codecs do what the contract asks; write and check corpora."),
+    "export": ("codecbench.cli.export:export", "Write what a codec sent as video or picture files."),
     "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
 }
 
@@ -45,6 +59,12 @@ class LazyGroup(click.Group):
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names of commands, without importing any."""
+        names = [name for name in COMMANDS if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [*(CompletionItem(name, help=COMMANDS[name][1]) for name in names), *options]
 
     def resolve_command(self, context: click.Context, args: list[str]) -> Any:
         try:
@@ -76,6 +96,8 @@ def main() -> None:
     """Entry point: whatever ends a command is a message, not a traceback, and an exit status."""
     from codecbench.cli.exit_status import close_output, report_error
 
+    if VARIABLE in os.environ:
+        sys.exit(shell_complete(cli, {}, "codecbench", VARIABLE, os.environ[VARIABLE]))
     status = 0
     try:
         with cli.make_context("codecbench", sys.argv[1:]) as context:

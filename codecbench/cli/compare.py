@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.formats import Format
 
 if TYPE_CHECKING:
     from codecbench.core.results.comparison.compare import Comparison
@@ -47,7 +48,7 @@ _FAILING = {
     show_default=True,
     help="A relative change of a time up to this counts as none.",
 )
-@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 @click.option("--all", "everything", is_flag=True, help="Also show rows that are the same.")
 @click.option(
     "--save", type=click.Path(path_type=Path, dir_okay=False), help="Save BEFORE as a baseline file and stop."
@@ -100,7 +101,7 @@ def _print(found: list[Comparison], format_: str, everything: bool) -> None:
     if rows:
         made = foreign_table if format_ == "markdown" else table
         click.echo(made(_HEADS, map(_cells, rows)))
-    click.echo(verdicts)
+    click.echo(f"same: all {len(found)} series" if counts.keys() == {"same"} else verdicts)
 
 
 def _cells(row: Comparison) -> list[object]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from codecbench.cli.completion import plugin_names
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import Registry, installed
@@ -63,7 +64,7 @@ def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, An
 
 
 @click.command()
-@click.argument("plugin", required=False)
+@click.argument("plugin", required=False, shell_complete=plugin_names)
 def schema(plugin: str | None) -> None:
     """Print JSON Schema: of a whole matrix, or of the parameters of one PLUGIN.
 

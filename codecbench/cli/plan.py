@@ -67,6 +67,8 @@ def _list_sequences(made: Plan) -> None:
         truth = ["ground truth"] if entry.has_ground_truth else []
         layout = "gray" if entry.channels == 1 else "colour"
         click.echo(f"  {entry.name}: {', '.join([f'{entry.frames} frames', layout, *camera, *truth])}")
+        for note in entry.notes:
+            click.echo(f"    {note}")
 
 
 def _list_all(made: Plan, done: set[str], coded: set[str]) -> None:

@@ -10,6 +10,7 @@ import click
 from rich.table import Table
 from rich.text import Text
 
+from codecbench.cli.formats import Format
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 @click.option(
     "--rate",
     "rates",
@@ -34,7 +35,7 @@ def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
 
     result = begun_run(run)
     found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
-    _show(result, found, format_)
+    show_found(result, found, format_)
 
 
 @click.command()
@@ -42,7 +43,7 @@ def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
 @click.option(
     "--power", type=click.FloatRange(0.05, 0.999), default=0.8, show_default=True, help="Share of cases that find it."
 )
-@click.option("--format", "format_", type=click.Choice(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 def power(run: Path, power: float, format_: str) -> None:
     """Say which differences the RUN folder could show, which verdicts stood, and how much more of it would tell.
 
@@ -54,13 +55,15 @@ def power(run: Path, power: float, format_: str) -> None:
     from codecbench.core.results.ranking.power_words import power_verdicts
 
     result = begun_run(run)
-    _show(result, power_verdicts(result, power), format_)
+    show_found(result, power_verdicts(result, power), format_)
 
 
-def _show(result: RunResult, found: list[Verdict], format_: str) -> None:
+def show_found(result: RunResult, found: list[Verdict], format_: str) -> None:
     """The verdicts on a run in one of the formats."""
     if format_ == "json":
-        click.echo(json.dumps([vars(verdict) for verdict in found], indent=1))
+        about = [None if verdict.about is None else verdict.about.name for verdict in found]
+        rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
+        click.echo(json.dumps(rows, indent=1))
     elif format_ == "markdown":
         click.echo(markdown(found))
     else:

@@ -6,24 +6,34 @@ from pathlib import Path
 
 import click
 
+from codecbench.cli.formats import Format
+
+
+def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> list[int]:
+    numbers = text.split(",") if text is not None else []
+    if not all(number.strip().isdecimal() for number in numbers):
+        raise click.BadParameter(f"{text!r} is not a list of frame numbers such as 0,57,212")
+    return [int(number) for number in numbers]
+
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: RUN/report/report.html.")
-@click.option("--format", "format_", type=click.Choice(["html", "md", "latex"]), default="html", show_default=True)
+@click.option("--format", "format_", type=Format(["html", "markdown", "latex"]), default="html", show_default=True)
 @click.option(
     "--sequences-from",
     metavar="FOLDER|same",
     help="Show frames of a run that was made elsewhere, from sequences in FOLDER, or from the same places as there.",
 )
-def report(run: Path, out: Path | None, format_: str, sequences_from: str | None) -> None:
+@click.option("--frames", metavar="N,N,...", callback=_numbers, help="Show these frames, from 0, and not a few of all.")
+def report(run: Path, out: Path | None, format_: str, sequences_from: str | None, frames: list[int]) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
     from codecbench.core.results.begun import begun_run
     from codecbench.core.results.report.write import write_report
 
-    suffix = {"html": "html", "md": "md", "latex": "tex"}[format_]
+    suffix = {"html": "html", "markdown": "md", "latex": "tex"}[format_]
     path = out or run / "report" / f"report.{suffix}"
-    size = write_report(begun_run(run), path, format_, sequences_from=sequences_from)
+    size = write_report(begun_run(run), path, format_, sequences_from=sequences_from, frames=frames)
     click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-from rich.progress import Progress as ProgressBar
 
+from codecbench.cli.completion import plugin_names
+from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.running.progress import Progress
+    from codecbench.core.engine.planning.matrix import Matrix
     from codecbench.core.engine.running.summary import RunSummary
 
 LEVELS = ("debug", "info", "warning", "error")
@@ -25,7 +26,11 @@ LEVELS = ("debug", "info", "warning", "error")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/NAME.")
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; by default as many as the matrix says.")
 @click.option(
-    "--recompute", multiple=True, metavar="NAME", help="Compute all cells of a codec, evaluator or sequence again."
+    "--recompute",
+    multiple=True,
+    metavar="NAME",
+    shell_complete=plugin_names,
+    help="Compute all cells of a codec, evaluator or sequence again.",
 )
 @click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Continue after a cell fails.")
 @click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
@@ -52,8 +57,7 @@ def run(
     for problem in installed().problems:
         click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
     read = read_matrix(matrix)
-    console = Screen(stderr=True, quiet=quiet)
-    with _Display(console, keep_going) as display:
+    with Display(Screen(stderr=True, quiet=quiet), keep_going) as display:
         summary = run_matrix(
             read,
             out,
@@ -62,77 +66,79 @@ def run(
             listener=display.show,
             log_level=logging.getLevelName(log_level.upper()),
         )
-    _report(summary, quiet)
+    _show(summary, quiet)
+    if "ok" in summary.statuses:
+        page = summary.folder / "report" / "report.html"
+        click.echo(f"report: `codecbench report {summary.folder}` writes {page}, a page for your browser")
+    _end(summary)
 
 
-class _Display:
-    """The bar, and one line for every cell that fails."""
+def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool) -> None:
+    """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser."""
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.report.write import write_report
+    from codecbench.core.results.running import run_matrix
 
-    def __init__(self, console: Screen, keep_going: bool) -> None:
-        self._keep_going = keep_going
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
-        self._bar = ProgressBar(*columns, console=console, transient=True)
-        self._task = self._bar.add_task("starting", total=None, note="")
-
-    def __enter__(self) -> _Display:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def show(self, progress: Progress) -> None:
-        done = progress.cells_done + progress.cells_kept + progress.jobs_done
-        total = progress.cells_total + progress.jobs_total
-        left = "" if progress.remaining_s is None else f"{_clock(progress.remaining_s)} left"
-        failed = f"{progress.not_ok} without a result" if progress.not_ok else ""
-        note = ", ".join(filter(None, (left, failed)))
-        self._bar.update(self._task, description=progress.compiling or "cells", completed=done, total=total, note=note)
-        from codecbench.core.engine.foreign_text import clean_line
-
-        if progress.notice:
-            click.secho(clean_line(progress.notice), fg="yellow", err=True)
-        record, cell = progress.record, progress.cell
-        if record is None or cell is None or record.status in ("ok", "unsupported"):
-            return
-        what = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
-        line = f"{record.status}: {cell.sequence.name} | {what} | {cell.evaluator.name} #{cell.repeat}: {record.reason}"
-        click.echo(clean_line(line), err=True)
-        if not self._keep_going:
-            raise click.ClickException("stopped at the first failure (--fail-fast); what is finished is kept")
+    with Display(Screen(stderr=True), True) as display:
+        summary = run_matrix(matrix, out, workers=workers, listener=display.show)
+    _show(summary, False, in_sentences=True)
+    click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
+    if "ok" in summary.statuses:
+        page = (summary.folder / "report" / "report.html").absolute()
+        write_report(begun_run(summary.folder), page, "html")
+        click.echo(f"the report: {page.as_uri()}")
+        if show:
+            click.launch(page.as_uri())
+    _end(summary)
 
 
-def _report(summary: RunSummary, quiet: bool) -> None:
-    if not quiet and summary.statuses:
+def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> None:
+    """What the run decides, as tables or in a sentence a codec, its headlines, and what became of its cells."""
+    if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_summary
+        from codecbench.core.engine.foreign_text import clean_line
+        from codecbench.core.results.answers import answers
         from codecbench.core.results.collect import open_run
         from codecbench.core.results.ranking.words import verdicts
 
         result = open_run(summary.folder)
-        show_verdicts(verdicts(result, brief=True))
+        if in_sentences:
+            click.echo("\n" + "\n".join(clean_line(line) for line in answers(result).lines) + "\n")
+        else:
+            show_verdicts(verdicts(result, brief=True))
         show_summary(result)
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     click.echo(f"cells: {counts or 'none'}{kept}")
+    for reason, count in Counter(_unsupported(summary)).items():
+        click.echo(f"unsupported ({count}): {reason}", err=True)
     click.echo(f"run folder: {summary.folder}")
     if summary.damaged:
         click.echo(f"damaged and computed again: {len(summary.damaged)} cells; run.log says why", err=True)
+
+
+def _unsupported(summary: RunSummary) -> list[str]:
+    """Why cells of the plan cannot be computed here, cell by cell."""
+    if "unsupported" not in summary.statuses:
+        return []
+    from codecbench.core.engine.storage.store import Store
+
+    store = Store(summary.folder)
+    entries = store.entries()
+    found = (entries[cell.id] for cell in store.read_plan().cells if cell.id in entries)
+    return [entry.reason for entry in found if entry.status == "unsupported"]
+
+
+def _end(summary: RunSummary) -> None:
+    """End with the exit status that the run has earned."""
     if summary.interrupted:
-        click.echo(f"stopped by {summary.interrupted}; the same command continues from here", err=True)
+        before = "" if "ok" in summary.statuses else " before a cell had a result"
+        click.echo(f"stopped by {summary.interrupted}{before}; the same command continues from here", err=True)
         raise click.exceptions.Exit(ExitStatus.INTERRUPTED)
     if "ok" not in summary.statuses:
-        click.echo("no cell has a result; the reasons are above, or in `codecbench status --failed`", err=True)
+        cause = "here every cell is unsupported" if set(summary.statuses) == {"unsupported"} else "no cell has a result"
+        click.echo(f"error: {cause}; the reasons are above, or in `codecbench status --failed`", err=True)
         raise click.exceptions.Exit(ExitStatus.FOUND)
     if any(count for status, count in summary.statuses.items() if status not in ("ok", "unsupported")):
         raise click.exceptions.Exit(ExitStatus.FOUND)
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes}:{seconds:02d}" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING, Final, Literal
 
+import click
 import pandas as pd
 from rich.table import Table
 from rich.text import Text
@@ -24,10 +26,20 @@ _FRAME: Final = 3
 
 
 def show_summary(result: RunResult) -> None:
-    """What evaluators declare as their headlines: the numbers that most people ask for first."""
+    """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
     from codecbench.core.results.export import short_table
+    from codecbench.core.results.notes import notes
 
     show_table(short_table(result, brief=True), result)
+    for note in notes(result):
+        click.secho(note, fg="yellow")
+
+
+def show_reasons(result: RunResult) -> None:
+    """Why cells have no result: each reason once, with how many cells gave it."""
+    unmeasured = Counter((cell.status, cell.reason) for cell in result.results if cell.status != "ok")
+    for (status, reason), count in unmeasured.most_common():
+        click.secho(f"{status} ({count}): {reason}", fg="yellow")
 
 
 def show_table(frame: pd.DataFrame, result: RunResult) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from codecbench.cli.formats import Format
+
 FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 
 
@@ -15,11 +17,12 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
     "--wide", "shape", flag_value="wide", default=True, help="One row a sequence and codec setting (default)."
 )
 @click.option("--tidy", "shape", flag_value="tidy", help="One row a measurement.")
-@click.option("--format", "format_", type=click.Choice(FORMATS), default="text", show_default=True)
+@click.option("--all", "every", is_flag=True, help="On the screen: all columns, and not only the headlines.")
+@click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 @click.option("--columns", help="Only these columns of the wide table, separated by commas; `*` matches anything.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
-def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | None) -> None:
-    """Print or write a table of the RUN folder."""
+def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
+    """Print or write a table of the RUN folder: on the screen its headlines, in files everything."""
     from codecbench.core.results.begun import begun_run
     from codecbench.core.results.export import chosen_columns, exported
 
@@ -28,10 +31,15 @@ def table(run: Path, shape: str, format_: str, columns: str | None, out: Path | 
     if columns is not None:
         frame = chosen_columns(frame, columns)
     if format_ == "text":
-        from codecbench.cli.show import show_table
+        from codecbench.cli.show import show_reasons, show_summary, show_table
 
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
+        if shape == "wide" and columns is None and not every:
+            show_summary(result)
+            show_reasons(result)
+            click.echo(f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them")
+            return
         whole = [name for name in frame.columns if columns is not None or "/" not in name]
         show_table(frame[whole], result)
         if left_out := len(frame.columns) - len(whole):

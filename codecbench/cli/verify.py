@@ -13,24 +13,26 @@ from typing import Any
 
 import click
 
+from codecbench.cli.completion import codec_names
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
 from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, CheckResult
+from codecbench.core.conformance.suite import CHECKS, STREAM_CHECKS, Check, CheckResult, checks_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
+_CHECK_NAMES = list(dict.fromkeys(check.name for check in (*CHECKS, *STREAM_CHECKS)))
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 @click.command()
-@click.argument("codecs", nargs=-1, metavar="[CODEC]...")
+@click.argument("codecs", nargs=-1, metavar="[CODEC]...", shell_complete=codec_names)
 @click.option("--settings", multiple=True, metavar="'KEY=VALUE ...'", help="Check CODEC at this setting; repeatable.")
-@click.option("--only", multiple=True, type=click.Choice([check.name for check in CHECKS]), metavar="CHECK",
+@click.option("--only", multiple=True, type=click.Choice(_CHECK_NAMES), metavar="CHECK",
               help="Run only this check; repeatable.")  # fmt: skip
 @click.option("--timeout", type=click.FloatRange(min=0, min_open=True), default=TIMEOUT_S, show_default=True,
               metavar="SECONDS", help="For one check on gray or on colour images.")  # fmt: skip
@@ -62,7 +64,6 @@ def verify(
     if check_in is not None and settings:
         raise click.UsageError("--check-corpus takes its settings from the corpus")
     report = _Report(to_stderr=str(json_path) == "-")
-    checks = [check for check in CHECKS if not only or check.name in only]
     with Examiner(timeout) as examiner:
         if check_in is not None:
             for entry in read_manifest(check_in):
@@ -71,9 +72,10 @@ def verify(
         else:
             subjects = _subjects(codecs, settings, examiner, report)
             if write_to is not None:
-                report.of_corpus(write_to, [subject for _, subject in subjects], examiner)
+                report.of_corpus(write_to, _of_pictures([subject for _, subject in subjects], report), examiner)
             else:
                 for plugin, subject in subjects:
+                    checks = [check for check in checks_of(subject.is_stream) if not only or check.name in only]
                     report.of_subject(plugin, subject, checks, examiner)
     report.finish(json_path)
     is_well = report.counts["passed"] and not report.counts["failed"]
@@ -99,6 +101,13 @@ def _subjects(
         else:
             is_absent = found.kind == "available" and not codecs
             report.unchecked(plugin.spec.name, "skipped" if is_absent else "failed", found.reason)
+
+
+def _of_pictures(subjects: list[Subject], report: _Report) -> list[Subject]:
+    """Those that go into a corpus, which holds single pictures; of the others is said that they do not."""
+    for codec in dict.fromkeys(subject.codec for subject in subjects if subject.is_stream):
+        report.unchecked(codec, "skipped", "a corpus holds single pictures, and this codec codes sequences")
+    return [subject for subject in subjects if not subject.is_stream]
 
 
 class _Report:

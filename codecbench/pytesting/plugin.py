@@ -3,11 +3,11 @@
     pytest --codecbench "mine quality=50" --benchmark-autosave --benchmark-compare --benchmark-compare-fail=min:5%
 
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
-installed codec at its example settings); what a codec searches for on the picture is found before. Size, PSNR,
-operation counts and the codec's version go into `extra_info` of pytest-benchmark, and with `--codecbench-baseline
-FILE` all are compared as well: a larger file, a loss of quality or one operation more fails the test whatever the
-clock says, and so does a time, in units of a yardstick timed in between, that is more than `--codecbench-slower` per
-cent longer. Settings that the file lacks are added to it.
+installed codec of single pictures at its example settings); what a codec searches for on the picture is found before.
+Size, PSNR, operation counts and the codec's version go into `extra_info` of pytest-benchmark, and with
+`--codecbench-baseline FILE` all are compared as well: a larger file, a loss of quality or one operation more fails the
+test whatever the clock says, and so does a time, in units of a yardstick timed in between, that is more than
+`--codecbench-slower` per cent longer. Settings that the file lacks are added to it.
 
 A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
 """
@@ -129,6 +129,7 @@ def _cases(text: str) -> list[CodecCase]:
 
     from codecbench.core.conformance.settings import setting_from_text, setting_label
     from codecbench.core.contracts.errors import CodecbenchError, Unsupported
+    from codecbench.core.contracts.stream import StreamCodec
     from codecbench.core.engine.registry import installed, loads
 
     registry = installed()
@@ -141,6 +142,8 @@ def _cases(text: str) -> list[CodecCase]:
         try:
             registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # what ends its process ends another
             cls = registry.load("codec", chosen)
+            if issubclass(cls, StreamCodec):
+                raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
             for example in [setting_from_text(rest)] if rest else cls.examples:
                 codec = cls(cls.params_type.model_validate(example))
                 cases.append(CodecCase(setting_label(chosen, example), codec, _picture(cls)))

@@ -7,8 +7,9 @@
         codec = MyCodec
         settings = [{}, {"quality": 90}]
 
-Every check is a test of its own, run for each setting and each layout that the codec takes. The codec must be
-importable by its module's name in another process, as an installed package is.
+Every check is a test of its own, run for each setting and each layout that the codec takes; a StreamCodec gets the
+checks for codecs with memory. The codec must be importable by its module's name in another process, as an installed
+package is.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from typing import Any, ClassVar
 import pytest
 
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, run_checks
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.conformance.suite import CHECKS, Check, checks_of, run_checks
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.stream import StreamCodec
 
 __all__ = ["CodecSuite"]
 
@@ -31,8 +33,18 @@ class CodecSuite:
     codec: the class to check. settings: parameters of the settings to check, the codec's `examples` where left out.
     """
 
-    codec: ClassVar[type[Codec[Any]]]
+    codec: ClassVar[type[AnyCodec[Any]]]
     settings: ClassVar[Sequence[dict[str, Any]]] = ()
+
+    def __init_subclass__(cls) -> None:
+        """Take the tests of the other shape of codec away, and put those of a codec with memory in their place."""
+        super().__init_subclass__()
+        if not issubclass(getattr(cls, "codec", object), StreamCodec):
+            return
+        inherited = {f"test_{check.name}": None for check in CHECKS}
+        for name, test in {**inherited, **{f"test_{check.name}": _test_of(check) for check in checks_of(True)}}.items():
+            if name not in vars(cls):
+                setattr(cls, name, test)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Run each test of the class once for each setting."""

@@ -30,6 +30,9 @@ BORDER_PX: Final = 19
 """Level pixels: no feature nearer to the border; the turned test pattern reaches 13 * sqrt(2) = 18.4 (ORB)."""
 BLUR_SIGMA_PX: Final = 2.0
 """Level pixels: smoothing before the binary tests, kernel of 7 pixels (ORB section 4)."""
+FISHEYE_ANGLE_DEG: Final = 75.0
+"""Degrees from a fisheye's axis: features farther out are left out, because an undistorted pixel there is 15 times as
+large as in the middle, which no pixel's uncertainty says (own)."""
 
 # Descriptors, in bits of 256 --------------------------------------------------------------------------------------
 HAMMING_HIGH: Final = 100

@@ -117,6 +117,14 @@ def test_tables_as_parquet_equal_those_from_python(place: Path, run: Path) -> No
     assert opened.wide["error.max_error.max"].dropna().tolist() == [0.0, 3.0] or opened.missing == 0
 
 
+def test_the_screen_shows_headlines_and_all_columns_when_asked(place: Path, run: Path) -> None:
+    brief, every = call(place, "table", str(run)), call(place, "table", str(run), "--all")
+    assert re.search(r"\d+ columns in all: --all", brief)
+    assert "error.max_error.max" not in brief.replace("\n", ".")
+    assert "max_error" in every
+    assert "--all" not in every
+
+
 def test_columns_are_chosen_by_pattern(place: Path, run: Path) -> None:
     out = call(place, "table", str(run), "--format", "csv", "--columns", "error.*")
     assert out.splitlines()[0] == "sequence,codec,setting,error.max_error.max"

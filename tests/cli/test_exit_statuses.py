@@ -19,9 +19,13 @@ import pytest
 from distributions import install_source
 from installed_command import COMMAND, TINY, Done, Place, tiny_place
 from project import DOCS
+from recordings import pictures
 
+from codecbench import Measurement
 from codecbench.cli import COMMANDS
 from codecbench.cli.exit_status import ExitStatus
+from codecbench.core.engine.identity import content_digest, digest
+from codecbench.core.engine.storage.samples import parquet_from_samples
 
 pytestmark = pytest.mark.thorough
 
@@ -55,6 +59,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     for name in ("failing", "slow", "absent"):
         (folder / f"{name}.yaml").write_text(TINY.replace("shift", name).replace("tiny", name))
     (folder / "wrong.yaml").write_text(TINY.replace("shift", "shfit"))
+    linked = TINY.replace("name: tiny", "name: linked").replace("evaluators: [error]", "evaluators: [delivery]")
+    (folder / "linked.yaml").write_text(linked)
+    assert place.call("run", "linked.yaml").status == ExitStatus.SUCCESS
     assert place.call("compare", "runs/tiny", "--save", "base.json").status == ExitStatus.SUCCESS
     (folder / "better.json").write_text(
         re.sub(r'"values": \[[^]]*\]', '"values": [-1.0]', (folder / "base.json").read_text())
@@ -64,7 +71,24 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     (folder / "damaged").mkdir()
     (folder / "damaged" / "plan.json").write_text("{}")
     (folder / "file").write_text("")
+    pictures(folder / "recording", ["1.png", "2.png"])
+    assert place.call("bundle", "runs/tiny", "--out", "tiny.bundle.zip").status == ExitStatus.SUCCESS
+    shutil.copytree(folder / "runs" / "tiny", folder / "changed")
+    another_error(folder / "changed")
+    assert place.call("bundle", "changed").status == ExitStatus.SUCCESS
     return place
+
+
+def another_error(run: Path) -> None:
+    """Change what the records of a run say of its frames, with all checksums."""
+    (run / "records" / "index.jsonl").unlink()
+    for path in run.glob("records/*/*/record.json"):
+        content = parquet_from_samples([Measurement("max_error", 5.0, frame) for frame in range(4)])
+        (path.parent / "frames.parquet").write_bytes(content)
+        record = json.loads(path.read_bytes())
+        record["files"]["frames.parquet"] = {"size": len(content), "digest": content_digest(content)}
+        del record["checksum"]
+        path.write_text(json.dumps({"checksum": digest(record), **record}))
 
 
 def spelled(done: Done) -> Done:
@@ -77,11 +101,27 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.SUCCESS, "run tiny.yaml", "1 ok"),
     (ExitStatus.FOUND, "run failing.yaml", "broken on purpose"),
     (ExitStatus.FOUND, "run failing.yaml --out again --fail-fast", "stopped at the first failure"),
-    (ExitStatus.FOUND, "run absent.yaml", "no cell has a result"),
+    (ExitStatus.FOUND, "run absent.yaml", "here every cell is unsupported"),
+    (ExitStatus.FOUND, "run absent.yaml --quiet", "unsupported (1): libabsent is not here; run: apt install libabsent"),
     (ExitStatus.WRONG_USE, "run wrong.yaml", "wrong.yaml:5:10: codecs[0].use: no codec is called 'shfit'"),
     (ExitStatus.WRONG_USE, "run", "Missing argument"),
     (ExitStatus.WRONG_USE, "run tiny.yaml --recompute nobody", "nobody"),
     (ExitStatus.NOT_POSSIBLE, "run tiny.yaml --out file/run", "a file is where a folder is expected"),
+    (ExitStatus.SUCCESS, "try recording --codec jpeg:10 --for speed --minutes 0.1", "the report: file:///"),
+    (ExitStatus.WRONG_USE, "try nowhere", "there is no such file or folder"),
+    (ExitStatus.WRONG_USE, "try wrong.yaml", "no dataset recognises it"),
+    (ExitStatus.WRONG_USE, "try recording --codec jpg:10", "did you mean 'jpeg'"),
+    (ExitStatus.WRONG_USE, "try recording --codec jpeg:1000", "less than or equal to 100"),
+    (ExitStatus.WRONG_USE, "try recording --for tracking", "--fov DEGREES"),
+    (ExitStatus.WRONG_USE, "try recording --set stirde=2", "stirde"),
+    (ExitStatus.NOT_POSSIBLE, "try recording --codec jpeg:10 --out file/run", "a file is where a folder is expected"),
+    (ExitStatus.SUCCESS, "init --out begin.yaml", "codecbench run begin.yaml"),
+    (ExitStatus.SUCCESS, "init --from recording --out -", "use: folder"),
+    (ExitStatus.WRONG_USE, "init --out tiny.yaml", "is there already"),
+    (ExitStatus.NOT_POSSIBLE, "init --out file/m.yaml", "a file is where a folder is expected"),
+    (ExitStatus.SUCCESS, "examples", "decide"),
+    (ExitStatus.SUCCESS, "examples first", "jpeg2000"),
+    (ExitStatus.WRONG_USE, "examples frist", "did you mean 'first'"),
     (ExitStatus.SUCCESS, "plan tiny.yaml", "cells: 1: 1 done"),
     (ExitStatus.WRONG_USE, "plan wrong.yaml", "did you mean 'shift'"),
     (ExitStatus.SUCCESS, "list codecs", "shift"),
@@ -98,6 +138,12 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "power", "Missing argument"),
     (ExitStatus.WRONG_USE, "power runs/tiny --power 2", "is not in the range"),
     (ExitStatus.NOT_POSSIBLE, "power damaged", "is damaged"),
+    (ExitStatus.SUCCESS, "choose runs/linked --link ideal --deadline 10ms", "take shift"),
+    (ExitStatus.WRONG_USE, "choose runs/linked --link lte --deadline 10ms", "it has ideal"),
+    (ExitStatus.WRONG_USE, "choose runs/linked --link ideal", "--deadline, --error or both"),
+    (ExitStatus.WRONG_USE, "choose runs/linked --link ideal --deadline 10", "is not a positive number"),
+    (ExitStatus.WRONG_USE, "choose nowhere --link ideal --deadline 10ms", "is not a run folder"),
+    (ExitStatus.NOT_POSSIBLE, "choose damaged --link ideal --deadline 10ms", "is damaged"),
     (ExitStatus.SUCCESS, "rank runs/tiny", "nothing to rank"),
     (ExitStatus.SUCCESS, "rank runs/tiny --rate 0.5", "nothing to rank"),
     (ExitStatus.WRONG_USE, "rank runs/tiny --rate 0", "is not in the range"),
@@ -109,6 +155,11 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.NOT_POSSIBLE, "rank damaged", "is damaged"),
     (ExitStatus.NOT_POSSIBLE, "rank file", "Not a directory"),
     (ExitStatus.SUCCESS, "report runs/tiny --format md", "report.md"),
+    (ExitStatus.SUCCESS, "report runs/tiny --format markdown", "report.md"),
+    (ExitStatus.SUCCESS, "table runs/tiny --format md", "| shift |"),
+    (ExitStatus.SUCCESS, "report runs/tiny --frames 1", "report.html"),
+    (ExitStatus.WRONG_USE, "report runs/tiny --frames 1,last", "is not a list of frame numbers such as 0,57,212"),
+    (ExitStatus.WRONG_USE, "report runs/tiny --frames 999", "frame 999 is in no sequence of the run"),
     (ExitStatus.WRONG_USE, "report nowhere", "is not a run folder"),
     (ExitStatus.WRONG_USE, "report empty", "has no results yet"),
     (ExitStatus.NOT_POSSIBLE, "report damaged", "is damaged"),
@@ -117,7 +168,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "plot empty", "has no results yet"),
     (ExitStatus.NOT_POSSIBLE, "plot damaged", "is damaged"),
     (ExitStatus.NOT_POSSIBLE, "plot runs/tiny --out file/figures", "a file is where a folder is expected"),
-    (ExitStatus.SUCCESS, "compare runs/tiny base.json", "same"),
+    (ExitStatus.SUCCESS, "compare runs/tiny base.json", "same: all 1 series"),
     (ExitStatus.FOUND, "compare better.json runs/tiny", "worse"),
     (ExitStatus.SUCCESS, "compare better.json runs/tiny --fail-on never", "worse"),
     (ExitStatus.FOUND, "compare empty empty", "nothing to compare"),
@@ -142,6 +193,25 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "verify nobody", "no codec is called 'nobody'"),
     (ExitStatus.NOT_POSSIBLE, "verify --check-corpus nowhere", "is not the manifest of a corpus"),
     (ExitStatus.NOT_POSSIBLE, "verify raw --only params --json file/r.json", "a file is where a folder is expected"),
+    (ExitStatus.SUCCESS, "export runs/tiny --codec shift --out pictures", "pictures: 4 files"),
+    (ExitStatus.WRONG_USE, "export runs/tiny --codec nobody --out pictures", "it has: shift  on ramp"),
+    (ExitStatus.WRONG_USE, "export runs/tiny --codec shift --out video.mp4", "which are no video"),
+    (ExitStatus.WRONG_USE, "export nowhere --codec shift --out pictures", "is not a run folder"),
+    (ExitStatus.NOT_POSSIBLE, "export damaged --codec shift --out pictures", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "export runs/tiny --codec shift --out file/pictures", "a file is where a folder"),
+    (ExitStatus.SUCCESS, "bundle runs/tiny --out new.zip", "SHA-256"),
+    (ExitStatus.WRONG_USE, "bundle nowhere", "is not a run folder"),
+    (ExitStatus.WRONG_USE, "bundle empty", "has no results yet"),
+    (ExitStatus.NOT_POSSIBLE, "bundle damaged", "is damaged"),
+    (ExitStatus.NOT_POSSIBLE, "bundle runs/tiny --out file/b.zip", "a file is where a folder is expected"),
+    (ExitStatus.SUCCESS, "open tiny.bundle.zip --out opened", "report: opened/report/report.html"),
+    (ExitStatus.WRONG_USE, "open nowhere.zip", "there is no such file"),
+    (ExitStatus.WRONG_USE, "open tiny.bundle.zip --out runs/tiny", "is there already"),
+    (ExitStatus.NOT_POSSIBLE, "open file", "is refused"),
+    (ExitStatus.SUCCESS, "verify-run tiny.bundle.zip", "1 to the bit"),
+    (ExitStatus.FOUND, "verify-run changed.bundle.zip", "1 differs"),
+    (ExitStatus.WRONG_USE, "verify-run nowhere.zip", "there is no such file"),
+    (ExitStatus.NOT_POSSIBLE, "verify-run file", "is refused"),
     (ExitStatus.WRONG_USE, "rnu", "Did you mean 'run'?"),
     (ExitStatus.SUCCESS, "--help", "Commands"),
     (ExitStatus.SUCCESS, "run --help", "Usage"),
@@ -245,19 +315,23 @@ def test_an_interrupted_command_says_so(place: Place, tmp_path: Path, words: str
     assert (running.returncode, said) == (ExitStatus.INTERRUPTED, "stopped\n")
 
 
+@pytest.mark.parametrize("to_all", [False, True], ids=["to the program", "to its group, as timeout(1) does"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_keeps_what_it_has(place: Place, tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_keeps_what_it_has(
+    place: Place, tmp_path: Path, number: signal.Signals, to_all: bool
+) -> None:
     out = tmp_path / "run"
     running = place.start("run", "slow.yaml", "--out", str(out))
     deadline = time.monotonic() + 60
     while not (out / "plan.json").exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     time.sleep(1)
-    running.send_signal(number)
+    os.killpg(running.pid, number) if to_all else running.send_signal(number)
     printed, said = running.communicate(timeout=60)
     assert running.returncode == ExitStatus.INTERRUPTED
     assert "Traceback" not in printed + said
-    assert f"stopped by {number.name}; the same command continues from here" in said
+    assert f"stopped by {number.name} before a cell had a result; the same command continues from here" in said
+    assert place.call("report", str(out)).stderr.startswith(f"error: {out} has no results yet")
 
 
 def test_an_interrupted_verify_leaves_no_process(place: Place, tmp_path: Path) -> None:

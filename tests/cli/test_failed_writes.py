@@ -51,6 +51,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     place = tiny_place(tmp_path_factory.mktemp("writes"))
     (place.folder / "pictured.yaml").write_text(PICTURED)
     assert place.call("run", "pictured.yaml").status == ExitStatus.SUCCESS
+    assert place.call("bundle", "runs/tiny", "--out", "tiny.bundle.zip").status == ExitStatus.SUCCESS
+    # For the first figure of all, matplotlib lists fonts with a tool that complains where it may not keep its list.
+    assert place.call("plot", "runs/pictured", "--out", "drawn").status == ExitStatus.SUCCESS
     return place
 
 
@@ -74,6 +77,7 @@ OUTPUTS = [
     "report runs/tiny --format md --out new/kept",
     "compare runs/tiny --save new/kept",
     "verify raw --only params --json new/kept",
+    "bundle runs/tiny --out new/kept",
 ]
 
 
@@ -90,6 +94,10 @@ def test_an_output_that_does_not_fit_leaves_what_was_there(place: Place, words: 
 
 
 FOLDERS = [
+    ("examples first --out new/first.yaml", "new/first.yaml"),
+    ("init --out new/matrix.yaml", "new/matrix.yaml"),
+    ("export runs/pictured --codec jpeg --setting quality=20 --out new", "new"),
+    ("open tiny.bundle.zip --out new/run", "new/run"),
     ("verify raw --write-corpus new", "new/raw/000.bin"),
     ("plot runs/pictured --out new", "new/ramp-rate-psnr_gray_db.svg"),
     ("reproduce runs/pictured --out new/page.md", "new/page-figures/ramp-rate-psnr_gray_db.svg"),

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+from measured_runs import cell_result, run_of
 
-from codecbench.cli.show import show_table
+from codecbench.cli.show import show_reasons, show_table
 
 
 def test_a_table_of_many_columns_is_shown_in_parts_that_fit(capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,3 +24,10 @@ def test_a_table_of_many_columns_is_shown_in_parts_that_fit(capsys: pytest.Captu
     parts = shown.count("wide")
     assert 5 < parts < 12
     assert shown.count(" q=2 ") == parts  # every part says which row is which
+
+
+def test_each_reason_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
+    crashed = [cell_result("a", rate, "size", status="crashed", reason="signal 11") for rate in (0.5, 1.0)]
+    cannot = cell_result("b", 0.5, "size", status="unsupported", reason="no colour")
+    show_reasons(run_of(cell_result("a", 2.0, "size", own={("bits", ""): [2.0]}), cannot, *crashed))
+    assert capsys.readouterr().out.splitlines() == ["crashed (2): signal 11", "unsupported (1): no colour"]

@@ -26,7 +26,7 @@ from codecbench.core.conformance.corpus import check_corpus, read_manifest, writ
 from codecbench.core.conformance.integer_images import integer_image
 from codecbench.core.conformance.sandbox import sandbox
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS
+from codecbench.core.conformance.suite import CHECKS, STREAM_CHECKS
 from codecbench.core.engine.registry import installed
 from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.codecs.raw import Raw
@@ -391,4 +391,26 @@ def test_the_suite_fails_where_a_check_does() -> None:
 
 def test_every_check_is_documented() -> None:
     page = (DOCS / "verify.md").read_text()
-    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == [check.name for check in CHECKS]
+    for heading, checks in (("## The checks", CHECKS), ("## Codecs with memory", STREAM_CHECKS)):
+        section = page.split(heading)[1].split("\n## ")[0]
+        rows = re.findall(r"^\| `(\w+)` \| (.*?) \|", section, re.MULTILINE)
+        assert rows == [(check.name, check.proves) for check in checks]
+
+
+@pytest.mark.thorough
+def test_a_codec_with_memory_is_verified_as_one() -> None:
+    pytest.importorskip("av", reason="the extra `video` is not installed")
+    done = verify("h264", "--settings", "gop=4")
+    assert done.exit_code == 0, done.output
+    said = re.findall(r"^  (pass|skip) +(\w+)", done.output, re.MULTILINE)
+    assert [name for _, name in said] == [check.name for check in STREAM_CHECKS]
+    assert [name for mark, name in said if mark == "skip"] == ["lossless"]
+
+
+@pytest.mark.thorough
+def test_a_corpus_is_written_without_codecs_with_memory_which_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("av", reason="the extra `video` is not installed")
+    done = verify("raw", "mjpeg", "--write-corpus", str(tmp_path / "corpus"))
+    assert done.exit_code == 0, done.output
+    assert "a corpus holds single pictures, and this codec codes sequences" in done.output
+    assert {entry.codec for entry in read_manifest(tmp_path / "corpus")} == {"raw"}

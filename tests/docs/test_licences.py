@@ -49,8 +49,13 @@ def test_every_copyleft_package_is_named(extra: str) -> None:
     assert {name for name in copyleft if f"| {name} |" not in SECTION} == set()
 
 
+def test_what_wheels_carry_is_named_where_their_metadata_is_silent() -> None:
+    """PyAV calls itself BSD; the libraries in its wheels are GPL builds."""
+    assert "av (PyAV)" in SECTION
+
+
 def test_gpl_packages_are_imported_where_the_readme_says() -> None:
-    importing: dict[str, set[str]] = {"evo": set(), "pyorbslam3": set()}
+    importing: dict[str, set[str]] = {"av": set(), "evo": set(), "pyorbslam3": set()}
     for path in (ROOT / "codecbench").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -59,6 +64,7 @@ def test_gpl_packages_are_imported_where_the_readme_says() -> None:
                 if (root := name.partition(".")[0]) in importing:
                     importing[root].add(str(Path(path).relative_to(ROOT)))
     assert importing == {
+        "av": {"codecbench/plugins/codecs/video/library.py"},
         "evo": {"codecbench/plugins/evaluators/trajectory/alignment.py"},
         "pyorbslam3": {"codecbench/plugins/slam_backends/orbslam3_child.py"},
     }

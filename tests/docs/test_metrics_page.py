@@ -11,19 +11,22 @@ from project import DOCS
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.plugins.evaluators import codecbench_evaluators
+from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
 from codecbench.plugins.evaluators.features import Features
 from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.operations import Operations
 from codecbench.plugins.evaluators.place_recognition import PlaceRecognition
 from codecbench.plugins.evaluators.quality import Quality
 from codecbench.plugins.evaluators.relative_pose import RelativePose
+from codecbench.plugins.evaluators.stream import Stream
 from codecbench.plugins.evaluators.timing import Timing
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 
 PAGE = (DOCS / "metrics.md").read_text()
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]}
 EVALUATORS = (
-    Quality, Features, Localization, RelativePose, PlaceRecognition, Timing, Operations, TrajectoryEvaluator
+    Quality, Features, Localization, RelativePose, PlaceRecognition, Stream, DeliveryEvaluator, Timing, Operations,
+    TrajectoryEvaluator,
 )  # fmt: skip
 each = pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)
 

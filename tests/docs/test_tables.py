@@ -51,7 +51,7 @@ def block(page: Path, name: str) -> str:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a few small frames, named as the sequences that the README shows."""
+    """A run of a few small frames, named as the sequences that the page shows."""
     folder = tmp_path_factory.mktemp("tables")
     (folder / "matrix.yaml").write_text(MATRIX)
     command("-m", "codecbench", "run", folder / "matrix.yaml", "--out", folder / "run", "--quiet")
@@ -74,22 +74,22 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def written(run: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The README's block as made from the run."""
+    """The first block of docs/real.md as made from the run."""
     root = copied_pages(tmp_path_factory.mktemp("written"))
     out = command(DOCS / "tables.py", "--root", root, "--run", f"real={run}")
-    assert "README.md: real: written" in out
+    assert "docs/real.md: real: written" in out
     assert "docs/real.md: sequences: written" in out
     assert "differs" not in command(DOCS / "tables.py", "--check", "--root", root, "--run", f"real={run}")
-    return block(root / "README.md", "real")
+    return block(root / "docs" / "real.md", "real")
 
 
 def test_a_block_that_differs_is_named(run: Path) -> None:
     out = command(DOCS / "tables.py", "--check", "--run", f"real={run}", status=1)
-    assert "README.md: real: differs" in out
+    assert "docs/real.md: real: differs" in out
 
 
 @pytest.mark.thorough
-def test_the_readme_s_table_is_made_from_a_run(run: Path, written: str) -> None:
+def test_the_page_s_table_is_made_from_a_run(run: Path, written: str) -> None:
     heads, *rows = table_rows(written)
     wide = codecbench.open_run(run).wide
     office, stills = (wide[wide["sequence"] == name].reset_index() for name in ("fr3_office_100", "kodak"))
@@ -118,8 +118,8 @@ def test_the_claim_beside_the_table_is_computed_from_it(run: Path, written: str)
     assert "2 photographs" in written
 
 
-def test_the_claim_in_the_readme_follows_from_the_readme_s_table() -> None:
-    text = block(ROOT / "README.md", "real")
+def test_the_claim_on_the_page_follows_from_its_table() -> None:
+    text = block(DOCS / "real.md", "real")
     heads, *rows = table_rows(text)
     psnr, kept = (
         [float(row[heads.index(head)]) for row in rows if row[heads.index("PSNR dB")] != "∞"]

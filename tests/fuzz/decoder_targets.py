@@ -19,6 +19,7 @@ Repair = Callable[[bytes], bytes]
 _JPEG_QF_PREFIX_BYTES = 28
 _JP2_COMMENT = b"codecbench CRC-32: "
 _PNG_SIGNATURE_BYTES = 8
+_CONTEXT_BYTES = 28
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,28 @@ def _trailing_crc(data: bytes) -> bytes:
     return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4])) if len(data) > 4 else data
 
 
+def _multilevel_crcs(data: bytes) -> bytes:
+    """The last checksum; of the profile `context` with restart points, those of header and slices before it too."""
+    repaired = bytearray(data)
+    restart = int.from_bytes(data[10:12], "little") if data[4:6] == b"\2\1" else 0
+    if restart and len(data) > _CONTEXT_BYTES:
+        height = int.from_bytes(data[16:20], "little")
+        start = _CONTEXT_BYTES + 128 * (data[8] == 255) + (9 if data[7] == 0 else 27)
+        end = start + 4 * -(-height // (16 * restart))
+        if end + 4 <= len(data):
+            sizes = struct.unpack(f"<{(end - start) // 4}I", data[start:end])
+            _put_crc(repaired, 0, end)
+            for size in sizes:
+                start, end = end + 4, end + 4 + size
+                _put_crc(repaired, start, end)
+    return _trailing_crc(bytes(repaired))
+
+
+def _put_crc(data: bytearray, start: int, end: int) -> None:
+    if end + 4 <= len(data):
+        data[end : end + 4] = struct.pack("<I", zlib.crc32(data[start:end]))
+
+
 def _jpeg_qf_crc(data: bytes) -> bytes:
     before, after = data[:_JPEG_QF_PREFIX_BYTES], data[_JPEG_QF_PREFIX_BYTES + 4 :]
     return before + struct.pack(">I", zlib.crc32(before + after)) + after
@@ -100,6 +123,6 @@ TARGETS = {
         Target("jpeg", _unrepaired),
         Target("jpeg_qf", _jpeg_qf_crc),
         Target("jpeg2000", _jp2_crc),
-        Target("multilevel", _trailing_crc),
+        Target("multilevel", _multilevel_crcs),
     )
 }

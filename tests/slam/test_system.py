@@ -119,6 +119,22 @@ def test_lens_distortion_is_undone() -> None:
     assert error(result) < 0.05
 
 
+def test_a_fisheye_of_150_degrees_is_undone() -> None:
+    fisheye = Camera(320, 320, 110.0, 110.0, 158.5, 161.0, (0.02, -0.01, 0.004, -0.001), "equidistant")
+    x, y = np.meshgrid(np.arange(320.0), np.arange(320.0))
+    straight = fisheye.undistort(np.column_stack([x.ravel(), y.ravel()])).reshape(320, 320, 2).astype(np.float32)
+    wide = Camera(1320, 1320, 160.0, 160.0, 659.5, 659.5)
+    places = (straight - fisheye.intrinsics[2:].astype(np.float32)) * np.float32(160.0 / 110.0) + np.float32(659.5)
+    room = Room()
+    system = System(fisheye, Options(features=600))
+    for i in range(30):
+        image = room.image(path_pose(i), wide)
+        system.process(cv2.remap(image, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderValue=90), i / 15.0)
+    result = system.finish()
+    assert len(result.trajectory) >= 15
+    assert error(result) < 0.05
+
+
 def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) -> None:
     asked: list[int] = []
 

@@ -106,6 +106,9 @@ class Faulty(Codec[FaultParams]):
         name = f"decode_{self.params.fault}"
         return getattr(self, name)(image) if hasattr(self, name) and image[0, 0] == 2 else image
 
+    def remark(self) -> Any:
+        return 7 if self.params.fault == "remark" else "keeps little" if self.params.step > 5 else ""
+
     def encode_raise(self, image: Image) -> bytes:
         raise ZeroDivisionError("divided by\nnothing")
 

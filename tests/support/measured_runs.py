@@ -60,10 +60,10 @@ def cell_result(
     return CellResult(cell, status, reason, single, summarise(samples, METRICS.values()), METRICS, lambda: kept, Path())
 
 
-def run_of(*results: CellResult) -> RunResult:
+def run_of(*results: CellResult, anchors: tuple[str, ...] = ANCHORS) -> RunResult:
     """A run of these cells, in which codec `raw` is the baseline."""
     sequences = tuple(dict.fromkeys(result.cell.sequence.name for result in results))
     entries = {result.cell.sequence.name: result.cell.sequence for result in results}
     settings = RunSettings(1, 1.0, 1, 0, PluginSetting("executor", "e", "1"))
     plan = Plan("p", "", settings, tuple(entries[name] for name in sequences), (), tuple(r.cell for r in results))
-    return RunResult(Path(), plan, results, {}, Meaning({}, {}, frozenset({"raw"}), frozenset(ANCHORS)))
+    return RunResult(Path(), plan, results, {}, Meaning({}, {}, frozenset({"raw"}), anchors))

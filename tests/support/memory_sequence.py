@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from codecbench.core.contracts.codec import Capabilities, Codec
-from codecbench.core.contracts.evaluator import CodedFrame, Context
+from codecbench.core.contracts.evaluator import CodedFrame, Context, SentPacket
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
@@ -75,6 +75,16 @@ class CodedInMemory:
     def size_bytes(self, index: int) -> int:
         return self.frame(index).size_bytes
 
+    @property
+    def packets(self) -> tuple[SentPacket, ...]:
+        return tuple(SentPacket(index, self.size_bytes(index), True, index + 1) for index in range(len(self)))
+
+    def sender(self) -> CodedInMemory:
+        return self
+
+    def send(self, index: int) -> CodedFrame:
+        return self.frame(index)
+
 
 class Plugins:
     """A PluginSource of given objects, by kind and name; each is called with the parameters."""
@@ -83,7 +93,7 @@ class Plugins:
         self.factories = factories
 
     def create(self, kind: str, name: str, params: dict[str, Any]) -> Any:
-        assert kind == "slam_backend"
+        assert kind in ("slam_backend", "link")
         return self.factories[name](params)
 
 

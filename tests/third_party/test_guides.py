@@ -17,7 +17,13 @@ import pytest
 from distributions import THIRD_PARTY, register
 
 DOCS = THIRD_PARTY.parent.parent / "docs"
-GUIDES = {"npy": "writing-a-dataset.md", "drift": "writing-a-slam-backend.md", "inline": "writing-an-executor.md"}
+GUIDES = {
+    "delta": "writing-a-stream-codec.md",
+    "npy": "writing-a-dataset.md",
+    "drift": "writing-a-slam-backend.md",
+    "inline": "writing-an-executor.md",
+    "turns": "writing-a-link.md",
+}
 Call = Callable[..., str]
 
 
@@ -51,7 +57,7 @@ def call(request: pytest.FixtureRequest, tmp_path: Path) -> Call:
 
 
 def _samples(text: str, metric: str) -> list[float]:
-    return [float(row["value"]) for row in csv.DictReader(io.StringIO(text)) if row["metric"] == metric]
+    return [float(row["value"] or "nan") for row in csv.DictReader(io.StringIO(text)) if row["metric"] == metric]
 
 
 @pytest.mark.parametrize("name", GUIDES)
@@ -65,6 +71,7 @@ def test_the_guide_shows_the_package_that_is_tested(name: str) -> None:
 def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np.random.Generator) -> None:
     frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)
     np.save(tmp_path / "frames.npy", frames)
+    assert "  - use: npy\n" in call("init", "--from", "frames.npy", "--codec", "png", "--out", "-")
     assert "frames in one NumPy file" in call("list", "datasets")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
     raw_bits = _samples(call("table", "run", "--tidy", "--format", "csv"), "size_bytes")
@@ -73,6 +80,26 @@ def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np
     assert "of them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
     np.save(tmp_path / "frames.npy", frames.astype(np.float32))
     assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("call", ["delta"], indirect=True)
+def test_a_codec_with_memory_reaches_the_table_and_its_delay_is_noted(call: Call, tmp_path: Path) -> None:
+    assert "differences between pictures" in call("list", "codecs")
+    shown = call("run", "matrix.yaml", "--out", "run")
+    assert "delta, hold=3: holds back 3 frames (100 ms)." in shown
+    table = call("table", "run", "--tidy", "--format", "csv")
+    assert _samples(table, "delay_frames") == [0.0, 0.0, 3.0]
+    assert set(_samples(table, "psnr_gray_db")) == {float("inf")}
+    sizes = _samples(table, "mean_frame_bytes")
+    assert sizes[1] == sizes[2] < sizes[0]
+    for path in sorted((tmp_path / "run" / "coded").glob("*.bits")):
+        content = bytearray(path.read_bytes())
+        content[60] ^= 1
+        path.write_bytes(content)
+    again = call("run", "matrix.yaml", "--out", "run", "--recompute", "quality")
+    assert "6 ok" in again
+    assert call("table", "run", "--tidy", "--format", "csv") == table
 
 
 @pytest.mark.thorough
@@ -95,3 +122,15 @@ def test_an_executor_runs_every_cell_where_it_says(call: Call, tmp_path: Path) -
     call("run", "matrix.yaml", "--quiet", "--out", "beside")
     tables = [call("table", folder, "--tidy", "--format", "csv") for folder in ("run", "beside")]
     assert tables[0] == tables[1]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("call", ["turns"], indirect=True)
+def test_a_link_carries_what_is_delivered(call: Call) -> None:
+    assert "takes turns with the other side" in call("list", "links")
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
+    table = call("table", "run", "--tidy", "--format", "csv")
+    on_time = _samples(table, "on_time")
+    assert len(on_time) == 2 * 5 * 6
+    assert 0.0 < np.mean(on_time) < 1.0
+    assert np.nanmin(_samples(table, "delay_ms")) >= 1.0

@@ -202,7 +202,7 @@ def test_files_of_the_user_are_there(place: Path, done: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_tables_are_made(place: Path, done: dict[str, Any], name: str) -> None:
-    table = call(place, "table", f"runs/{name}", site="zoo")
+    table = call(place, "table", f"runs/{name}", "--all", site="zoo")
     assert table.returncode == 0, table.stderr
     assert "Traceback" not in table.stdout + table.stderr
     assert "\x1b[2J" not in table.stdout + table.stderr

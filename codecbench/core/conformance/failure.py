@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class ConformanceFailure(AssertionError):
-    """A codec breaks the contract: what was being checked, on what, what came and what should have come."""
+    """A plugin breaks the contract: what was being checked, on what, what came and what should have come."""
 
     def __init__(self, where: str, got: object, expected: str) -> None:
         super().__init__(f"{where}: got {got}; expected {expected}")

@@ -41,6 +41,30 @@ def conformance_images(channels: int, seed: int = 1) -> list[NamedImage]:
     return [NamedImage(name, _layout(plane, channels, rng)) for name, plane in planes.items()]
 
 
+def saturated_images(channels: int) -> list[NamedImage]:
+    """Images of 1 or 3 channels, 64x64, of which a decoder that forgets to stop at 0 and 255 makes nonsense.
+
+    Black beside white, the corners of the colour cube side by side, and texture that touches either end. Edges lie
+    at multiples of 16 pixels, so that a codec of blocks is not asked for more than it can do.
+    """
+    rows, columns = np.indices((64, 64)) // 16
+    texture = np.indices((64, 64)).sum(axis=0) * 7 % 12
+    halves = np.where(columns < 2, 0, 255)
+    cube = np.stack([(rows + shift * columns) // 2 % 2 * 255 for shift in (1, 2, 3)], axis=2)
+    pictures = {
+        "black beside white": halves,
+        "white board": np.where((rows + columns) % 2 == 0, 0, 255),
+        "nearly black": texture,
+        "nearly white": 255 - texture,
+        "saturated colours": cube if channels == 3 else cube[:, :, 0],
+    }
+    return [NamedImage(name, _repeated(picture.astype(np.uint8), channels)) for name, picture in pictures.items()]
+
+
+def _repeated(picture: Image, channels: int) -> Image:
+    return picture if picture.ndim == 3 or channels == 1 else np.repeat(picture[:, :, None], channels, axis=2)
+
+
 def _picture(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Smooth shading, a disc with a sharp edge and a little noise."""
     rows, columns = np.mgrid[0:height, 0:width]

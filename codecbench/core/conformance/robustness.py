@@ -23,9 +23,9 @@ _TIMEOUT_S = 20.0
 _MEMORY_MB = 1024
 _CUTS = 40
 _MUTATIONS = 60
-_BOMBED_BYTES = 96
-_HUGE = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x01\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\xff\x7f")
-_FOREIGN = {
+BOMBED_BYTES = 96
+HUGE = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x01\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\xff\x7f")
+FOREIGN = {
     "no bytes": b"",
     "one byte": b"\x00",
     "zeros": bytes(200),
@@ -49,10 +49,10 @@ def _must_survive(codec_class: CodecClass, params: Params, streams: Iterable[tup
         if reply.status not in ("done", "refused"):
             raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "BitstreamError or an image")
         if reply.status == "done":
-            _require_image(where, reply.value)
+            require_image(where, reply.value)
 
 
-def _require_image(where: str, pixels: Any) -> None:
+def require_image(where: str, pixels: Any) -> None:
     try:
         check_image(pixels)
     except ImageError as error:
@@ -82,7 +82,7 @@ def _samples(codec_class: CodecClass, params: Params, images: Sequence[NamedImag
 
 def foreign_bytes_are_refused(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:
     noise = np.random.default_rng(7).integers(0, 256, 3000, dtype=np.uint8).tobytes()
-    foreign = {**_FOREIGN, "noise": noise}
+    foreign = {**FOREIGN, "noise": noise}
     _must_refuse(codec_class, params, ((f"decode({name})", stream) for name, stream in foreign.items()))
 
 
@@ -105,8 +105,8 @@ def huge_headers_are_survived(codec_class: CodecClass, params: Params, images: S
     for name, stream in _samples(codec_class, params, images)[-1:]:
         bombs = (
             (f"decode({name}), {huge.hex()} at byte {place}", stream[:place] + huge + stream[place + len(huge) :])
-            for place in range(min(_BOMBED_BYTES, len(stream) - 4))
-            for huge in _HUGE
+            for place in range(min(BOMBED_BYTES, len(stream) - 4))
+            for huge in HUGE
         )
         _must_survive(codec_class, params, bombs)
 

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
-from codecbench.core.conformance.images import NamedImage
+from codecbench.core.conformance.images import NamedImage, saturated_images
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import ImageError, Unsupported
+from codecbench.core.contracts.image import channel_count
 from codecbench.core.contracts.params import Params
 
 CodecClass = type[Codec[Any]]
+
+_ACROSS: Final = 192
+"""Three quarters of the range of a sample."""
 
 
 def encoded(codec: Codec[Any], images: Sequence[NamedImage]) -> Iterator[tuple[NamedImage, bytes]]:
@@ -129,6 +133,38 @@ def lossless_means_lossless(codec_class: CodecClass, params: Params, images: Seq
         raise NotClaimed("this setting does not claim to be lossless")
     for image, bitstream in encoded(codec, images):
         require_equal(f"decode({image.name}) of a lossless setting", codec.decode(bitstream), image.pixels)
+
+
+def samples_stop_at_black_and_white(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:
+    """No decoded sample jumps to the other end of the range, which is where one that wraps round comes out."""
+    codec = codec_class(params)
+    for image, bitstream in encoded(codec, saturated_images(channel_count(images[0].pixels))):
+        decoded = codec.decode(bitstream)
+        if decoded.shape != image.pixels.shape:  # turned gray, as `shape` allows where it is asked for
+            continue
+        wrapped = _wrapped(decoded.astype(np.int16), image.pixels.astype(np.int16))
+        if wrapped.any():
+            place = tuple(int(i) for i in np.argwhere(wrapped)[0])
+            got = f"{decoded[place]} at {place}, far from its neighbour; {np.count_nonzero(wrapped)} such"
+            raise ConformanceFailure(f"decode({image.name})", got, f"about {image.pixels[place]}")
+
+
+def _wrapped(decoded: Any, original: Any) -> Any:
+    """Samples at the wrong end of the range beside a neighbour that is not, where the image has no edge.
+
+    An error alone proves nothing: a coarse setting may smear black over white, but smoothly.
+    """
+    wrong = np.abs(decoded - original) > _ACROSS
+    beside = np.zeros_like(wrong)
+    for axis in (0, 1):
+        flat = np.diff(original, axis=axis) == 0
+        flat = flat if flat.ndim == 2 else flat.all(axis=2, keepdims=True)  # colour that turns gray mixes its channels
+        jump = (np.abs(np.diff(decoded, axis=axis)) > _ACROSS) & flat
+        before, after = np.zeros_like(wrong), np.zeros_like(wrong)
+        np.moveaxis(before, axis, 0)[:-1] = np.moveaxis(jump, axis, 0)
+        np.moveaxis(after, axis, 0)[1:] = np.moveaxis(jump, axis, 0)
+        beside |= before | after
+    return wrong & beside
 
 
 def bad_images_are_refused(codec_class: CodecClass, params: Params, images: Sequence[NamedImage]) -> None:

@@ -1,8 +1,8 @@
 """The codec contract. One class a codec; an instance is one setting.
 
-A codec is stateless between frames and silent about time and quality: others measure. Its bitstream is
+A `Codec` codes pictures one by one, stateless and silent about time and quality: others measure. Its bitstream is
 self-contained: `decode` gets bytes and nothing else, so no table, shape or quality may reach the decoder
-outside the bytes that are counted.
+outside the bytes that are counted. Codecs with memory between frames are in `stream`; `AnyCodec` is what both are.
 """
 
 from __future__ import annotations
@@ -34,20 +34,37 @@ class Capabilities:
     thread_safe: bool = True
 
 
-class Codec(Configured[P]):
-    """Base class of codecs.
+class AnyCodec(Configured[P]):
+    """What codecs of pictures and of streams have in common.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
     settings on which the conformance kit and the benchmarks exercise this codec; `reference`, what it is to
     others: the `baseline` that a task without compression is judged by, or the `anchor` of BD-rates; `kernels`, the
-    packages and modules whose listed kernels it calls, which a run compiles ahead.
+    packages and modules whose listed kernels it calls, which a run compiles ahead; a setting that calls fewer has its
+    own.
     """
 
     capabilities: ClassVar[Capabilities]
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
-    kernels: ClassVar[tuple[str, ...]] = ()
+    kernels: tuple[str, ...] = ()
     reference: ClassVar[Reference] = ""
+
+    def is_lossless(self) -> bool:
+        """Whether this setting returns the very pixels that went in."""
+        return self.capabilities.lossless
+
+    def remark(self) -> str:
+        """What readers of results are to know of this setting beside all numbers, in a few words; empty for nothing."""
+        return ""
+
+    def libraries(self) -> dict[str, str]:
+        """Foreign libraries whose version can change the bytes, as name -> version. Recorded with every run."""
+        return {}
+
+
+class Codec(AnyCodec[P]):
+    """Base class of codecs that code each picture on its own."""
 
     @abstractmethod
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
@@ -71,11 +88,3 @@ class Codec(Configured[P]):
         itself. Raises what `encode` raises.
         """
         return self
-
-    def is_lossless(self) -> bool:
-        """Whether this setting returns the very pixels that went in."""
-        return self.capabilities.lossless
-
-    def libraries(self) -> dict[str, str]:
-        """Foreign libraries whose version can change the bytes, as name -> version. Recorded with every run."""
-        return {}

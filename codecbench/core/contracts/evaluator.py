@@ -16,14 +16,14 @@ from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Frame, Sequence
-from codecbench.core.contracts.view import Drawing, View
+from codecbench.core.contracts.view import Drawing, Marks, View
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,31 @@ class CodedFrame:
         return len(self.bitstream)
 
 
+@dataclass(frozen=True)
+class SentPacket:
+    """A packet of a coded sequence.
+
+    frame: index of its frame. starts: whether decoding can start at it. after: how many frames the encoder had been
+    given when it came out: a packet that came at once has `frame + 1`.
+    """
+
+    frame: int
+    size_bytes: int
+    starts: bool
+    after: int
+
+
+class FrameSender(Protocol):
+    """Codes frames of a sequence as they are chosen, in any number and in rising order."""
+
+    def send(self, index: int) -> CodedFrame:
+        """The frame, coded after those that were sent before; one of these is given again, and not sent twice.
+
+        Raises Unsupported for a codec with memory that holds the frame back, or has sent a later one.
+        """
+        ...
+
+
 class CodedSequence(Protocol):
     """All frames of a sequence under one codec setting; frames are read and decoded as they are asked for."""
 
@@ -61,7 +86,12 @@ class CodedSequence(Protocol):
     def sequence(self) -> Sequence: ...
 
     @property
-    def codec(self) -> Codec[Any]: ...
+    def codec(self) -> AnyCodec[Any]: ...
+
+    @property
+    def packets(self) -> tuple[SentPacket, ...]:
+        """What was sent, in that order."""
+        ...
 
     def __len__(self) -> int: ...
 
@@ -71,6 +101,10 @@ class CodedSequence(Protocol):
 
     def size_bytes(self, index: int) -> int:
         """Size of one frame's bitstream, without decoding it."""
+        ...
+
+    def sender(self) -> FrameSender:
+        """A sender of chosen frames alone: with a codec that has memory, they make a stream of their own."""
         ...
 
 
@@ -179,6 +213,10 @@ class Evaluator(Configured[P]):
         """What a finished cell left, for a view of kind `map`; None where there is nothing to draw."""
         return None
 
+    def marks(self, coded: CodedFrame) -> Marks | None:
+        """What to mark on a frame that is shown, by the definition that it measures; None where there is nothing."""
+        return None
+
 
 class FrameEvaluator(Evaluator[P]):
     """Looks at one frame at a time."""
@@ -200,5 +238,5 @@ class CodecEvaluator(Evaluator[P]):
     """Runs the codec itself; never sees cached bitstreams."""
 
     @abstractmethod
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
-        """Measurements of the codec at work on the sequence."""
+    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        """Measurements of the codec at work on the sequence; `codec` is a Codec or a StreamCodec."""

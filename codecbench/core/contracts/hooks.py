@@ -14,7 +14,7 @@ import pluggy
 
 GROUP = "codecbench"
 
-Kind = Literal["codec", "evaluator", "dataset", "slam_backend", "executor"]
+Kind = Literal["codec", "evaluator", "dataset", "slam_backend", "executor", "link"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 hookspec = pluggy.HookspecMarker(GROUP)
@@ -39,7 +39,7 @@ class PluginSpec:
 
 @hookspec
 def codecbench_codecs() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Codecs: subclasses of `codecbench.Codec`."""
+    """Codecs: subclasses of `codecbench.Codec`, or of `codecbench.StreamCodec` for those with memory."""
 
 
 @hookspec
@@ -60,3 +60,8 @@ def codecbench_slam_backends() -> list[PluginSpec]:  # type: ignore[empty-body]
 @hookspec
 def codecbench_executors() -> list[PluginSpec]:  # type: ignore[empty-body]
     """Executors: subclasses of `codecbench.Executor`."""
+
+
+@hookspec
+def codecbench_links() -> list[PluginSpec]:  # type: ignore[empty-body]
+    """Links: subclasses of `codecbench.Link`."""

@@ -10,6 +10,7 @@ from codecbench.core.contracts.errors import PluginError
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
 Scale = Literal["linear", "log"]
+Need = Literal["", "delay", "error", "cause", "encoding"]
 Aggregate = Literal[
     "mean", "std", "median", "p95", "iqr", "min", "max", "sum", "infinite", "ci95_low", "ci95_high"
 ]  # fmt: skip
@@ -36,6 +37,9 @@ class Metric:
 
     confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.
     in_units_of: another metric, timed beside this one, by which two runs are compared whatever the machine's pace.
+    caveat: what a reader must know beside every number of it; it stands below the tables that show the metric.
+    need: what `codecbench choose` judges by it: a frame's `delay`, missing where it never came; the `error` of what
+    reads the frames; the `cause` for which a share of the frames did not come in time; or the time of `encoding` one.
     """
 
     name: str
@@ -54,11 +58,14 @@ class Metric:
     display_factor: float = 1.0
     confirmed_by: str = ""
     in_units_of: str = ""
+    caveat: str = ""
+    need: Need = ""
 
     def __post_init__(self) -> None:
         self._check("better", self.better, Better)
         self._check("role", self.role, Role)
         self._check("scale", self.scale, Scale)
+        self._check("need", self.need, Need)
         if isinstance(self.aggregates, str) or not self.aggregates:
             raise PluginError(f"metric {self.name!r}: aggregates is {self.aggregates!r}; it is a tuple of names")
         for how in self.aggregates:

@@ -35,7 +35,7 @@ P = TypeVar("P", bound=Params)
 
 
 class Configured(ABC, Generic[P]):
-    """What codecs, evaluators, datasets, SLAM backends and executors have in common; an instance is one setting.
+    """What plugins of every kind have in common; an instance is one setting.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever results change, so that stored cells are
     recomputed; `params_type`.

@@ -6,7 +6,8 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar, cast
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,16 @@ from codecbench.core.contracts.image import Image, png_bytes
 from codecbench.core.contracts.params import Configured, P
 
 T = TypeVar("T")
+CameraModel: TypeAlias = Literal["pinhole", "equidistant"]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with Brown-Conrady distortion; lengths in pixels, pixel centres at integers.
+    """A camera; lengths in pixels, pixel centres at integers.
 
-    distortion: k1, k2, p1, p2, k3, as OpenCV orders them; all zero for rectified images.
+    model: `pinhole`, with Brown-Conrady distortion k1, k2, p1, p2, k3 as OpenCV orders them, all zero for rectified
+    images, or these and k4, k5, k6 of OpenCV's rational model; or `equidistant`, a fisheye (Kannala-Brandt) with k1,
+    k2, k3, k4, 0.
     """
 
     width: int
@@ -30,7 +34,8 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: CameraModel = "pinhole"
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,8 @@ class Sequence(ABC):
     Attributes that every sequence sets: `name`, unique within a matrix; `timestamps_s` (N,) strictly
     increasing; `frame_rate_hz`, nominal; `channels`, 1 or 3; `camera` and `ground_truth` or None;
     `fingerprint`, a hex digest of everything that determines the frames, the camera and the ground truth:
-    two sequences with equal fingerprints are interchangeable.
+    two sequences with equal fingerprints are interchangeable. `notes`: sentences on what was done to the frames or is
+    wrong with the files, which a run says before it begins and beside its results.
     """
 
     name: str
@@ -98,6 +104,7 @@ class Sequence(ABC):
     camera: Camera | None
     ground_truth: Trajectory | None
     fingerprint: str
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.timestamps_s)
@@ -113,10 +120,20 @@ class Sequence(ABC):
 class Dataset(Configured[P]):
     """A kind of sequence on disk or made by code; an instance is one sequence, not yet opened.
 
-    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
+    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead. catch_all: it takes
+    what no other dataset recognises.
     """
 
     kernels: ClassVar[tuple[str, ...]] = ()
+    catch_all: ClassVar[bool] = False
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        """Parameters that open the recording at `path`, as JSON types; None where it is not of this kind.
+
+        A look at names and first bytes, for `codecbench try`: whether all of it is there is for `open` to say.
+        """
+        return None
 
     @abstractmethod
     def open(self) -> Sequence:

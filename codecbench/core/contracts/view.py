@@ -44,6 +44,49 @@ class View:
 
 
 @dataclass(frozen=True)
+class Marks:
+    """Places of an original frame that matter to an evaluator, and which of them the decoded frame still has.
+
+    places: (N, 2) x and y in pixels. kept: (N,). note: what the places are and what kept means, for people.
+    """
+
+    places: NDArray[np.float64] = field(repr=False)
+    kept: NDArray[np.bool_] = field(repr=False)
+    note: str
+
+    def __post_init__(self) -> None:
+        if self.places.ndim != 2 or self.places.shape[1] != 2 or self.kept.shape != self.places.shape[:1]:
+            raise PluginError(
+                f"marks {self.note!r}: places have shape {self.places.shape} and kept {self.kept.shape}; "
+                "they are (N, 2) and (N,)"
+            )
+
+
+@dataclass(frozen=True)
+class Course:
+    """What became of each frame on a map, in order.
+
+    frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none.
+    errors: (N,) how far off each is, NaN where that is not known. unit: of errors.
+    """
+
+    frames: NDArray[np.int64] = field(repr=False)
+    positions: NDArray[np.float64] = field(repr=False)
+    errors: NDArray[np.float64] = field(repr=False)
+    unit: str
+
+    def __post_init__(self) -> None:
+        count = len(self.frames)
+        if self.positions.shape != (count, 2) or self.errors.shape != (count,):
+            raise PluginError(
+                f"course: {count} frames, positions {self.positions.shape} and errors {self.errors.shape}; "
+                "they are (N, 2) and (N,)"
+            )
+        if np.isinf(self.positions).any() or np.isinf(self.errors).any():
+            raise PluginError("course: a position or error is infinite; what is not known is NaN")
+
+
+@dataclass(frozen=True)
 class Line:
     """A line of a drawing: its name, what it stands for, and its points (N, 2) in the plane of the drawing."""
 
@@ -62,8 +105,18 @@ class Line:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a cell left, as lines on a map. holds: whether its task succeeded, or None where that is not known."""
+    """What a cell left, as lines on a map. holds: whether its task succeeded, or None where that is not known.
+
+    axes: what the two axes show, where they have scales of their own; empty for a plane, whose axes have one.
+    course: what became of each frame, where the lines are paths.
+    """
 
     lines: tuple[Line, ...]
     caption: str
     holds: bool | None = None
+    axes: tuple[str, ...] = ()
+    course: Course | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.axes, str) or len(self.axes) not in (0, 2):
+            raise PluginError(f"drawing {self.caption!r}: axes is {self.axes!r}; it names both axes, or none")

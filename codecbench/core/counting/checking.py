@@ -26,7 +26,8 @@ def counted(typing_context: Any, counters: Any, times: Any, value: Any) -> Any:
             counter = builder.gep(array.data, [context.get_constant(types.intp, position)])
             amount = builder.extract_value(arguments[1], position)
             builder.store(builder.add(builder.load(counter), amount), counter)
-        context.nrt.incref(builder, signature.return_type, arguments[2])
+        if context.enable_nrt:
+            context.nrt.incref(builder, signature.return_type, arguments[2])
         return arguments[2]
 
     return value(counters, types.UniTuple(types.int64, len(times)), value), generate

@@ -11,13 +11,15 @@ from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind, PluginSpec
 from codecbench.core.engine.foreign_errors import describe_error
 
-_BASES: Final[dict[Kind, tuple[str, str]]] = {
-    "codec": ("codecbench.core.contracts.codec", "Codec"),
-    "evaluator": ("codecbench.core.contracts.evaluator", "Evaluator"),
-    "dataset": ("codecbench.core.contracts.sequence", "Dataset"),
-    "slam_backend": ("codecbench.core.contracts.slam", "SlamBackend"),
-    "executor": ("codecbench.core.contracts.executor", "Executor"),
+_BASES: Final[dict[Kind, tuple[str, ...]]] = {
+    "codec": ("codec:Codec", "stream:StreamCodec"),
+    "evaluator": ("evaluator:Evaluator",),
+    "dataset": ("sequence:Dataset",),
+    "slam_backend": ("slam:SlamBackend",),
+    "executor": ("executor:Executor",),
+    "link": ("link:Link",),
 }
+"""In codecbench.core.contracts; a plugin subclasses one of those of its kind."""
 
 
 def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
@@ -33,14 +35,15 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
     except Exception as error:
         raise PluginError(f"{title}: {module_name} does not import: {describe_error(error)}") from error
     cls: Any = getattr(module, class_name, None)
-    base_module, base_name = _BASES[kind]
-    base = getattr(importlib.import_module(base_module), base_name)
     if not hasattr(module, class_name):
         near = difflib.get_close_matches(class_name, vars(module), n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
         raise PluginError(f"{title}: {module_name} has no {class_name}{meant}")
-    if not isinstance(cls, type) or not issubclass(cls, base):
-        raise PluginError(f"{title}: {spec.target} is not a subclass of codecbench.{base_name}")
+    bases = _bases(kind)
+    base = next((base for base in bases if isinstance(cls, type) and issubclass(cls, base)), None)
+    if base is None:
+        allowed = " or ".join(f"codecbench.{base.__name__}" for base in bases)
+        raise PluginError(f"{title}: {spec.target} is not a subclass of {allowed}")
     name = getattr(cls, "name", None)
     if name != spec.name:
         raise PluginError(f"{title}: {spec.target} calls itself {name!r}")
@@ -50,3 +53,8 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
     if left := sorted(getattr(cls, "__abstractmethods__", ())):
         raise PluginError(f"{title}: {spec.target} does not define {', '.join(left)}")
     return cls
+
+
+def _bases(kind: Kind) -> list[type]:
+    places = (place.split(":") for place in _BASES[kind])
+    return [getattr(importlib.import_module(f"codecbench.core.contracts.{module}"), name) for module, name in places]

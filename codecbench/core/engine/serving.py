@@ -41,9 +41,13 @@ def serve(requests: int, answers: int, company: list[str], folder: str) -> None:
     os._exit(0)
 
 
+_SHARED: Final = "codecbench.core.contracts.params"
+"""What every child would import for itself, the largest part of it that starts no thread."""
+
+
 def scouted(_: Registry, companies: list[str], limit_s: float) -> dict[str, Any]:
     """What each of these distributions offers, or `error` and `text`; see `answers_of_children`."""
-
+    importlib.import_module(_SHARED)
     points = points_by_origin()
 
     def question(origin: str) -> bytes:

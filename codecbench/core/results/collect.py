@@ -124,6 +124,8 @@ def _result(
         partial(_drawing, evaluator if record.status == "ok" else None, outcome),
         record.code,
         clean_value(record.worker),
+        record.notes,
+        record.traceback,
     )
 
 

@@ -11,10 +11,14 @@ from codecbench.core.engine.planning.model import PluginSetting
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Where a setting stands: `curve` names the codec and what is held fixed, `point` what is swept."""
+    """Where a setting stands: `curve` names the codec and what is held fixed, `point` what is swept.
+
+    place: the value that is swept, by which the settings of a curve stand in order; 0 where nothing is.
+    """
 
     curve: str
     point: str
+    place: float = 0.0
 
 
 def curve_points(settings: Iterable[PluginSetting]) -> dict[tuple[str, str], CurvePoint]:
@@ -29,14 +33,16 @@ def curve_points(settings: Iterable[PluginSetting]) -> dict[tuple[str, str], Cur
     points = {}
     for codec, members in by_codec.items():
         swept = _swept([setting.params for setting in members.values()])
-        for label in members:
+        for label, setting in members.items():
             words = label.split(" ") if label else []
             held = [word for word in words if not (swept and word.startswith(f"{swept}="))]
             if len(members) == 1:
                 points[codec, label] = CurvePoint(codec, label)
             else:
                 point = " ".join(word for word in words if word not in held)
-                points[codec, label] = CurvePoint(" ".join([codec, *held]), point)
+                value = setting.params.get(swept) if swept else None
+                place = float(value) if isinstance(value, int | float) else 0.0
+                points[codec, label] = CurvePoint(" ".join([codec, *held]), point, place)
     return points
 
 

@@ -20,12 +20,12 @@ from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import SequenceEntry
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.results.columns import Column
-from codecbench.core.results.report import page_data
+from codecbench.core.results.intervals import intervals
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.style import FAILED, PALETTE, STROKES
 from codecbench.core.results.views import Bars, CurveView, Drawn, bars_views, curve_views, map_views
 
-_STYLE: Final[Any] = {
+STYLE: Final[Any] = {
     "font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False,
     "figure.constrained_layout.use": True, "svg.hashsalt": "codecbench", "legend.frameon": False,
     "text.parse_math": False,
@@ -35,13 +35,14 @@ _NAME_BYTES: Final = 200
 _NAME_LETTERS: Final = 40
 """What is left of a longer name, before a digest of the whole."""
 
+_FEWEST_TICKS: Final = 3
 _HATCHES: Final = ("", "////", "....", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
     """Draw every figure for which the run has data into `folder`, and give the path of each."""
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         for name, figure in _figures(run):
             path = folder / f"{name}.{format_}"
             with open_whole(path) as stream:
@@ -65,18 +66,25 @@ def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
 
 
 def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figure | None:
-    """One line a curve of settings; None where no setting has both values.
+    """One line a curve, through its settings in order; None where no setting has both values.
 
-    Bars are the 95 % intervals of medians over repeats, where there are any.
+    Bars are 95 % intervals, see `intervals`, where there are any. Baselines are level lines and bands over the range of
+    the others, whose rates they would otherwise press into a corner.
     """
-    ends = page_data.intervals(run.wide).get(view.y.name, ())
-    lines: dict[str, list[tuple[float, float, float, float]]] = {}
+    ends = intervals(run, view.y)
+    beside = {run.curves[key].curve for key in run.curves if key[0] in run.meaning.baselines}
+    lines: dict[str, list[tuple[float, float, float, float, float]]] = {}
     for row in run.wide[run.wide["sequence"] == entry.name].to_dict("records"):
-        value = _shown(row, view.y)
-        low, high = (float(row[end]) * view.y.factor for end in ends) if ends else (math.nan, math.nan)
-        point = (_shown(row, view.x), value, value - low, high - value)
-        if all(map(math.isfinite, point[:2])):
-            lines.setdefault(run.curves[row["codec"], row["setting"]].curve, []).append(point)
+        value, place = _shown(row, view.y), run.curves[row["codec"], row["setting"]]
+        low, high = ends.get((entry.name, row["codec"], row["setting"]), (math.nan, math.nan))
+        down, up = (
+            (max(0.0, value - low * view.y.factor), max(0.0, high * view.y.factor - value))
+            if math.isfinite(high - low)
+            else (0.0, 0.0)
+        )
+        point = (place.place, _shown(row, view.x), value, down, up)
+        if all(map(math.isfinite, point[1:3])):
+            lines.setdefault(place.curve, []).append(point)
     if not lines:
         return None
     figure, axes = plt.subplots(figsize=(5.2, 4.0))
@@ -84,10 +92,15 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
     for curve, points in lines.items():
         points.sort()
         style = run.styles[curve]
-        across, values, below, above = zip(*points, strict=True)
+        if curve in beside and len(points) == 1 and not beside.issuperset(lines):
+            _, _, value, down, up = points[0]
+            axes.axhspan(value - down, value + up, color=style.colour, alpha=0.15, linewidth=0)
+            handles.append(axes.axhline(value, color=style.colour, linestyle=style.linestyle, linewidth=1.2))
+            continue
+        _, across, values, *bars = zip(*points, strict=True)
         drawn = axes.errorbar(
-            across, values, (below, above) if ends else None, label=curve, color=style.colour, marker=style.marker,
-            markersize=4, linewidth=1.2, elinewidth=0.6, capsize=2,
+            across, values, bars, label=curve, color=style.colour, marker=style.marker,
+            linestyle=style.linestyle, markersize=4, linewidth=1.2, elinewidth=0.6, capsize=2,
         )  # fmt: skip
         handles.append(drawn.lines[0])
     _scale(axes.xaxis, view.x)
@@ -98,10 +111,13 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
 
 
 def _scale(axis: Any, column: Column) -> None:
-    """The scale that a metric declares; logarithmic axes are labelled with plain numbers, at 1, 2 and 5."""
+    """The scale that a metric declares; logarithmic axes are numbered at 1, 2 and 5, or evenly if these are few."""
     if column.metric.scale == "log":
         getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
-        axis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        low, high = axis.get_view_interval()
+        steps = matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=20)
+        few = sum(low <= tick <= high for tick in steps.tick_values(low, high)) < _FEWEST_TICKS
+        axis.set_major_locator(matplotlib.ticker.MaxNLocator(5) if few else steps)
         axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
         axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
@@ -144,7 +160,11 @@ def _draw(axes: Any, name: str, drawing: Drawing) -> None:
     for line in drawing.lines:
         style = STROKES[line.stroke]
         axes.plot(*line.points.T, label=line.name, color=style.colour, linestyle=style.dash, linewidth=style.width)
-    axes.set_aspect("equal", adjustable="datalim")
+    if drawing.axes:
+        axes.set_xlabel(drawing.axes[0], fontsize=6)
+        axes.set_ylabel(drawing.axes[1], fontsize=6)
+    else:
+        axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(f"{name}\n{drawing.caption}", fontsize=7, color=FAILED if drawing.holds is False else "black")
     axes.tick_params(labelsize=6)
 

@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Drawing, Line, View
+from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.description import describe
@@ -66,7 +66,14 @@ class HostedEvaluator:
             Line(clean_line(name), stroke, np.array(points, float).reshape(-1, 2))
             for name, stroke, points in answer["lines"]
         )
-        return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"])
+        axes = tuple(clean_line(name) for name in answer["axes"])
+        course = answer["course"] and Course(
+            np.array(answer["course"]["frames"], np.int64),
+            np.array(answer["course"]["positions"], float).reshape(-1, 2),
+            np.array(answer["course"]["errors"], float),
+            clean_line(answer["course"]["unit"]),
+        )
+        return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, course)
 
     def _ask(self, function: Any, *outcomes: Any) -> Any:
         asked: tuple[Kind, str] = "evaluator", self._setting.name
@@ -91,16 +98,30 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
     drawing = evaluator.drawing(_outcome(outcome))
     if drawing is None:
         return None
-    if (points := sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
+    on_course = 0 if drawing.course is None else len(drawing.course.frames)
+    if (points := on_course + sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
         raise PluginError(f"its drawing has {points:,} points; at most {_MOST_POINTS:,} are drawn")
     if not all(np.isfinite(line.points).all() for line in drawing.lines):
         raise PluginError("its drawing has points that are not finite")
     lines = [(line.name, line.stroke, line.points.tolist()) for line in drawing.lines]
+    course = drawing.course
     return {
         "lines": lines,
         "caption": str(drawing.caption),
         "holds": None if drawing.holds is None else bool(drawing.holds),
+        "axes": [str(name) for name in drawing.axes],
+        "course": course
+        and {
+            "frames": course.frames.tolist(),
+            "positions": [[_known(value) for value in place] for place in course.positions.tolist()],
+            "errors": [_known(value) for value in course.errors.tolist()],
+            "unit": str(course.unit),
+        },
     }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _plain(outcome: Outcome) -> dict[str, Any]:

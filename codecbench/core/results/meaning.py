@@ -22,7 +22,7 @@ class Meaning:
     metrics: Mapping[str, Mapping[str, Metric]]
     views: Mapping[str, tuple[View, ...]]
     baselines: frozenset[str] = frozenset()
-    anchors: frozenset[str] = frozenset()
+    anchors: tuple[str, ...] = ()
 
 
 def meaning_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: Registry) -> Meaning:
@@ -47,7 +47,7 @@ def meaning_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry:
         metrics,
         views,
         frozenset(name for name, reference in references.items() if reference == "baseline"),
-        frozenset(name for name, reference in references.items() if reference == "anchor"),
+        tuple(name for name, reference in references.items() if reference == "anchor"),
     )
 
 

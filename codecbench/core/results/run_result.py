@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.metric import Role
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.results.columns import Column, columns_of
@@ -18,11 +23,17 @@ from codecbench.core.results.meaning import Meaning
 from codecbench.core.results.style import CurveStyle, curve_styles
 from codecbench.core.results.table import CellResult, tidy, wide
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from codecbench.core.results.answers import Answers
+    from codecbench.core.results.ranking.ranking import Ranked
+
 Key = tuple[str, str, str]
 """Sequence, codec and setting: a row of the wide table."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
     """A run folder, read.
 
@@ -93,6 +104,69 @@ class RunResult:
     def missing(self) -> int:
         """Cells of the plan that have no record yet."""
         return len(self.plan.cells) - len(self.results)
+
+    def __repr__(self) -> str:
+        """Three lines: what was run, what became of it, and by what it is judged."""
+        sequences = ", ".join(f"{entry.name} ({entry.frames} frames)" for entry in self.plan.sequences)
+        counts = Counter(result.status for result in self.results)
+        became = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "none"
+        to_do = f", {self.missing} to do" if self.missing else ""
+        codecs = ", ".join(dict.fromkeys(cell.codec.name for cell in self.plan.cells))
+        return f"run {self.plan.name} in {self.folder}\n{codecs} on {sequences}\ncells: {became}{to_do}"
+
+    def _repr_html_(self) -> str:
+        """The headlines as a table and what is noted beside them, for notebooks."""
+        from codecbench.core.results.export import short_table
+        from codecbench.core.results.notes import notes
+
+        table = short_table(self).to_html(index=False, na_rep="–", float_format=lambda value: f"{value:.4g}")
+        return "\n".join([str(table), *(f"<p>{escape(note)}</p>" for note in notes(self))])
+
+    def plot(self, what: str = "", sequence: str | None = None) -> Figure:
+        """A figure of the run: `rate-ate` is the trajectory error over the rate.
+
+        what: words of the two axes' metrics with a hyphen between; by default what codecs are judged by, over the rate.
+        sequence: its name; by default the first. Raises ParamsError, with what there is, where there is no such figure.
+        """
+        from codecbench.core.results.one_figure import one_figure
+
+        return one_figure(self, what, sequence)
+
+    def report(self, path: str | Path | None = None, *, frames: Collection[int] = ()) -> Path:
+        """Write the report as one HTML page and return its path, by default `report/report.html` in the run folder.
+
+        frames: numbers of the frames to show, from 0; by default a few. Raises ParamsError for one that is not there.
+        """
+        from codecbench.core.results.report.write import write_report
+
+        page = self.folder / "report" / "report.html" if path is None else Path(path)
+        write_report(self, page, frames=frames)
+        return page
+
+    def best(self, rate: float | None = None) -> Answers | Ranked:
+        """What to take. Without a rate a sentence a codec; at a rate, in the unit that people are shown, the codec.
+
+        Raises ParamsError where nothing can be ranked at the rate.
+        """
+        from codecbench.core.results.answers import answers
+        from codecbench.core.results.ranking.ranking import rankings
+
+        if rate is None:
+            return answers(self)
+        found = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
+        if not found:
+            raise ParamsError("nothing can be ranked at that rate: no two codecs have settings around it")
+        return found[0].taken
+
+    def frames(self, codec: str, setting: str = "", sequence: str | None = None) -> CodedSequence:
+        """The frames of a codec setting beside what was decoded of them, from the bitstreams in the run folder.
+
+        setting: as in the tables, `quality=10`; it may be left out where there is one. Opens the sequence. Raises
+        ParamsError where the run has no such setting, and DatasetError where the sequence is no longer that of the run.
+        """
+        from codecbench.core.results.stored_frames import stored_frames
+
+        return stored_frames(self, codec, setting, sequence)
 
     def of(self, evaluator: str) -> list[CellResult]:
         """The cells that were computed of an evaluator, by its name, or of one of its settings, by its title."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from codecbench.core.engine.planning.matrix import Matrix, read_matrix
+from codecbench.core.engine.planning.matrix import Matrix, matrix_from, read_matrix
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    matrix: str | Path,
+    matrix: str | Path | Mapping[str, Any],
     *,
     out: str | Path | None = None,
     workers: int | None = None,
@@ -30,18 +30,18 @@ def run(
 ) -> RunResult:
     """Compute what is missing of a matrix and return its results.
 
-    out: the run folder, by default `runs/NAME`. workers: processes, by default what the matrix says.
-    recompute: names of codecs, evaluators and sequences whose cells are computed again. listener: called with the
-    progress after every job and cell. Cells that fail are rows of the result, not exceptions. Raises MatrixError for a
+    matrix: a file, or what would stand in one as a dict, whose paths start at the working directory. out: the run
+    folder, by default `runs/NAME`. workers: processes, by default what the matrix says. recompute: names of codecs,
+    evaluators and sequences whose cells are computed again. listener: called with the progress after every job and
+    cell. Cells that fail are rows of the result, not exceptions. Raises MatrixError for a
     wrong matrix, ParamsError for a name to recompute that it does not have, and StoreError for a folder that is in use.
 
     Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
     """
     from codecbench.core.results.collect import open_run
 
-    summary = run_matrix(
-        read_matrix(matrix), out, workers=workers, recompute=recompute, listener=listener, log_level=log_level
-    )
+    read = matrix_from(matrix) if isinstance(matrix, Mapping) else read_matrix(matrix)
+    summary = run_matrix(read, out, workers=workers, recompute=recompute, listener=listener, log_level=log_level)
     return open_run(summary.folder)
 
 

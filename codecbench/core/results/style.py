@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -18,47 +19,58 @@ _MARKERS: Final = (
     ("o", "circle"), ("s", "square"), ("D", "diamond"), ("^", "triangle-up"), ("P", "cross"), ("X", "x"),
     ("*", "star"), ("h", "hexagon"),
 )  # fmt: skip
+_DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (1.5, 1.5), (6.0, 2.0, 1.5, 2.0))
 
 
 @dataclass(frozen=True)
 class CurveStyle:
-    """Colour of a codec's curve, and its marker's name in matplotlib and in plotly."""
+    """Colour of a curve, the marker's name in matplotlib and on the page, and lengths of dashes and gaps in points."""
 
     colour: str
     marker: str
     symbol: str
+    dashes: tuple[float, ...] = ()
+
+    @property
+    def linestyle(self) -> tuple[float, tuple[float, ...]] | str:
+        """The dashes as matplotlib takes them."""
+        return (0.0, self.dashes) if self.dashes else "-"
 
 
 @dataclass(frozen=True)
 class LineStyle:
-    """Colour, dash and width in points of a drawing's line, and the dash's name in plotly."""
+    """Colour, dash in matplotlib and on the page, and width in points of a drawing's line."""
 
     colour: str
     dash: str
-    plotly_dash: str
+    dashes: str
     width: float
 
 
 STROKES: Final[dict[Stroke, LineStyle]] = {
-    "truth": LineStyle("#8a8f98", "-", "solid", 3.6),
-    "before": LineStyle(PALETTE[4], "--", "dot", 1.2),
-    "after": LineStyle(PALETTE[0], "-", "solid", 1.4),
+    "truth": LineStyle("#8a8f98", "-", "", 3.6),
+    "before": LineStyle(PALETTE[4], "--", "3 2", 1.2),
+    "after": LineStyle(PALETTE[0], "-", "", 1.4),
 }
 
 
 def curve_styles(curves: Iterable[str], baselines: Iterable[str]) -> dict[str, CurveStyle]:
     """A style for every curve of a run, the same in every figure and on the page.
 
-    Colours and markers repeat after eight; then each colour comes with another marker. baselines: names of codecs
-    whose curves are neutral.
+    A codec has one colour, and its curves differ in dashes and markers. Colours repeat after eight codecs, with other
+    dashes and markers: eight curves of a colour are told apart. baselines: names of codecs whose curves are neutral.
     """
     neutral = set(baselines)
     styles: dict[str, CurveStyle] = {}
-    count = len(PALETTE)
-    coloured = 0
+    codecs: dict[str, int] = {}
+    used: Counter[int] = Counter()
     for curve in dict.fromkeys(curves):
-        is_neutral = curve.split(" ")[0] in neutral
-        marker, symbol = _MARKERS[(coloured + coloured // count) % len(_MARKERS)]
-        styles[curve] = CurveStyle(NEUTRAL if is_neutral else PALETTE[coloured % count], marker, symbol)
-        coloured += not is_neutral
+        codec = curve.split(" ")[0]
+        if codec in neutral:
+            styles[curve] = CurveStyle(NEUTRAL, *_MARKERS[0])
+            continue
+        colour = codecs.setdefault(codec, len(codecs)) % len(PALETTE)
+        marker, symbol = _MARKERS[(colour + used[colour]) % len(_MARKERS)]
+        styles[curve] = CurveStyle(PALETTE[colour], marker, symbol, _DASHES[used[colour] % len(_DASHES)])
+        used[colour] += 1
     return styles

@@ -40,7 +40,7 @@ class CellResult:
     declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
     folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
     drawing: makes the picture of what it left, where its evaluator offers one. code: of its plugins, by label.
-    worker: of the record.
+    worker, notes, traceback: of the record.
     """
 
     cell: Cell
@@ -55,6 +55,8 @@ class CellResult:
     drawing: Callable[[], Drawing | None] = lambda: None
     code: dict[str, str] = field(default_factory=dict)
     worker: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    traceback: str = ""
 
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""

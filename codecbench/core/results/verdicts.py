@@ -44,8 +44,22 @@ def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tup
     return labels, np.array(rows)
 
 
-def bd_rates(run: RunResult, column: Column, *, resamples: int = 200) -> dict[SequenceCurve, BdRate]:
+def bd_rates_by_anchor(
+    run: RunResult, column: Column, *, resamples: int = 200
+) -> dict[str, dict[SequenceCurve, BdRate]]:
+    """`bd_rates` against each anchor by its curve; where the run has but one, by "" against each sequence's own."""
+    curves: dict[str, list[str]] = defaultdict(list)
+    for point in run.curves.values():
+        curves[point.curve].append(point.point)
+    several = anchors_of(curves, run.meaning.anchors)
+    named = several if len(several) > 1 else ("",)
+    return {anchor: bd_rates(run, column, anchor=anchor, resamples=resamples) for anchor in named}
+
+
+def bd_rates(run: RunResult, column: Column, *, anchor: str = "", resamples: int = 200) -> dict[SequenceCurve, BdRate]:
     """BD-rate of every curve against the anchor at equal values of a column, with an interval.
+
+    anchor: a curve; by default the first of `anchors_of` each sequence's curves.
 
     The interval is over frames where the metric is measured a frame, drawn in blocks as neighbours are alike, else over
     repeats; repeats are noisy, so that their curves are first reduced to monotone hulls. A metric that is better when
@@ -57,10 +71,11 @@ def bd_rates(run: RunResult, column: Column, *, resamples: int = 200) -> dict[Se
     results = run.of(column.evaluator.title)
     key = (column.metric.name, column.stage, column.aggregate)
     if any(key in result.summaries for result in results):
-        return _bd_rates_over_frames(run, run.rate, results, column, resamples)
+        return _bd_rates_over_frames(run, run.rate, results, column, anchor, resamples)
     measured = values_of_repeats(run, column)
     values = {row: as_quality(np.array(list(many.values())), column) for row, many in measured.items()}
-    return bd_rates_over_repeats(run.rates, values, run.curves, run.meaning.anchors, resamples=resamples)
+    anchors = run.meaning.anchors
+    return bd_rates_over_repeats(run.rates, values, run.curves, anchors, anchor=anchor, resamples=resamples)
 
 
 def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
@@ -82,7 +97,7 @@ _Pair = tuple[CellResult, CellResult]
 
 
 def _bd_rates_over_frames(
-    run: RunResult, rate: Column, qualities: list[CellResult], column: Column, resamples: int
+    run: RunResult, rate: Column, qualities: list[CellResult], column: Column, anchor: str, resamples: int
 ) -> dict[SequenceCurve, BdRate]:
     """Frames that lack the metric in every setting do not count."""
     coded = {_row(result): result for result in run.of(rate.evaluator.title)}
@@ -99,12 +114,12 @@ def _bd_rates_over_frames(
 
     found = {}
     for sequence, lines in curves.items():
-        anchor = anchor_of(lines, run.meaning.anchors)
-        if anchor is None:
+        against = _against(lines, anchor, run.meaning.anchors)
+        if against is None:
             continue
-        base = arrays(lines[anchor])
+        base = arrays(lines[against])
         for curve, members in lines.items():
-            if curve != anchor and len(members) > 1:
+            if curve != against and len(members) > 1:
                 test = arrays(members)
                 there = ~(np.isnan(base[1]).all(axis=0) | np.isnan(test[1]).all(axis=0))
                 four = [array[:, there] for array in (*base, *test)]
@@ -150,6 +165,7 @@ def bd_rates_over_repeats(
     points: Points,
     anchors: Iterable[str],
     *,
+    anchor: str = "",
     resamples: int = 200,
 ) -> dict[SequenceCurve, BdRate]:
     """BD-rate of every curve against the anchor at equal quality, by sequence and curve, with an interval over repeats.
@@ -163,12 +179,12 @@ def bd_rates_over_repeats(
         curves[sequence][points[codec, setting].curve].append((rate, values))
     found = {}
     for sequence, members in curves.items():
-        anchor = anchor_of(members, anchors)
+        against = _against(members, anchor, anchors)
         for curve, settings in members.items():
-            repeats = {len(values) for name in (anchor, curve) if name for _, values in members[name]}
-            if anchor is None or curve == anchor or len(settings) < 2 or len(repeats) != 1:
+            repeats = {len(values) for name in (against, curve) if name for _, values in members[name]}
+            if against is None or curve == against or len(settings) < 2 or len(repeats) != 1:
                 continue
-            base, test = (_repeated(members[name]) for name in (anchor, curve))
+            base, test = (_repeated(members[name]) for name in (against, curve))
             rng = np.random.default_rng(0)
             found[sequence, curve] = bd_rate_with_interval(*base, *test, rng=rng, hull=True, resamples=resamples)
     return found
@@ -180,28 +196,41 @@ def _repeated(settings: list[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.
     return np.repeat(np.array([[rate] for rate, _ in settings]), qualities.shape[1], axis=1), qualities
 
 
-def anchor_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> str | None:
-    """The curve that others are compared with: of a codec that declares itself an anchor, or else the first.
+def anchors_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> tuple[str, ...]:
+    """The curves that others are compared with: the first of each codec that is an anchor, or else the first of all.
 
     Only curves of several settings can be one.
     """
-    names = set(anchors)
     several = [curve for curve, members in curves.items() if len(members) > 1]
-    return next((curve for curve in several if curve.split(" ")[0] in names), several[0] if several else None)
+    firsts: dict[str, str] = {}
+    for curve in several:
+        firsts.setdefault(curve.split(" ")[0], curve)
+    return tuple(firsts[name] for name in anchors if name in firsts) or tuple(several[:1])
+
+
+def _against(curves: Mapping[str, Sequence[Any]], anchor: str, anchors: Iterable[str]) -> str | None:
+    """The curve of a sequence that others are compared with there: `anchor`, if it is named and there, or the first."""
+    if not anchor:
+        return next(iter(anchors_of(curves, anchors)), None)
+    return anchor if len(curves.get(anchor, ())) > 1 else None
 
 
 def pareto_settings(wide: pd.DataFrame, criteria: Iterable[Column]) -> tuple[list[str], np.ndarray]:
-    """The criteria that every setting of one sequence has, and which settings no other beats in all of them.
+    """The criteria that some setting of one sequence has, and which settings no other beats in all of them.
 
-    wide: rows of one sequence. A criterion that some setting lacks (operations of an opaque library, the error of a
-    run that failed everywhere) would bar that setting from the front, so it is left out for all.
+    wide: rows of one sequence. What is missing never wins: a cost that is not known (operations of an opaque library)
+    counts as the worst, and a setting whose rate, quality or task is not known is not on the front and beats nobody.
     """
-    usable = [column for column in criteria if column.name in wide.columns and wide[column.name].notna().all()]
+    usable = [column for column in criteria if column.name in wide.columns and wide[column.name].notna().any()]
     if not usable:
         return [], np.zeros(len(wide), dtype=bool)
     ways = [cast(Literal["higher", "lower"], column.metric.better) for column in usable]
-    front = pareto_front(wide[[column.name for column in usable]].to_numpy(float), ways)
-    return [column.label for column in usable], front
+    values = wide[[column.name for column in usable]].to_numpy(float, copy=True)
+    for at, column in enumerate(usable):
+        if column.metric.role in ("time", "operations"):
+            worst = -math.inf if column.metric.better == "higher" else math.inf
+            values[np.isnan(values[:, at]), at] = worst
+    return [column.label for column in usable], pareto_front(values, ways)
 
 
 def pareto_criteria(run: RunResult) -> list[Column]:

@@ -13,6 +13,10 @@ def _imagecodecs(name: str, target: str, summary: str) -> PluginSpec:
     )
 
 
+def _video(name: str, target: str, summary: str) -> PluginSpec:
+    return PluginSpec(name, f"{_HERE}.video.codecs:{target}", summary, requires=("av",), extra="codecbench[video]")
+
+
 @hookimpl
 def codecbench_codecs() -> list[PluginSpec]:
     return [
@@ -26,9 +30,20 @@ def codecbench_codecs() -> list[PluginSpec]:
         PluginSpec(
             "multilevel", f"{_HERE}.multilevel:Multilevel", "multi-level minimisation of quantised DCT coefficients"
         ),
+        PluginSpec(
+            "multilevel_stream",
+            f"{_HERE}.multilevel.stream:MultilevelStream",
+            "the multi-level codec with the table of the picture before as its memory",
+        ),
         _imagecodecs("jpegxl", "JpegXl", "JPEG XL through imagecodecs and libjxl"),
         _imagecodecs("jpegls", "JpegLs", "JPEG-LS through imagecodecs and CharLS, lossless or near-lossless"),
         _imagecodecs("htj2k", "Htj2k", "High-Throughput JPEG 2000 through imagecodecs and OpenJPH"),
         _imagecodecs("webp", "Webp", "WebP through imagecodecs and libwebp"),
         _imagecodecs("avif", "Avif", "AVIF through imagecodecs and libavif"),
+        _video("h264", "H264", "H.264 video through PyAV and x264, or an encoder in hardware"),
+        _video("hevc", "Hevc", "HEVC video through PyAV and x265"),
+        _video("av1", "Av1", "AV1 video through PyAV and SVT-AV1"),
+        _video("vp9", "Vp9", "VP9 video through PyAV and libvpx"),
+        _video("mjpeg", "Mjpeg", "Motion JPEG through PyAV: video whose packets stand alone"),
+        _video("ffv1", "Ffv1", "FFV1 video through PyAV, lossless"),
     ]

@@ -29,19 +29,24 @@ P = TypeVar("P", bound=Params)
 
 
 class _Enveloped(Codec[P]):
-    """What the codecs below share. Subclasses name their functions in imagecodecs and choose its arguments."""
+    """What the codecs below share. Subclasses name their functions in imagecodecs and choose its arguments.
+
+    decoder: the function that decodes, where it is not of the library that encodes.
+    """
 
     version = "1"
     capabilities = Capabilities()
     magic: ClassVar[bytes]
     function: ClassVar[str]
+    decoder: ClassVar[str] = ""
     colour_only: ClassVar[bool] = False
     max_side: ClassVar[int] = 65535
     decoding: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, params: P) -> None:
         super().__init__(params)
-        self._library = _load_imagecodecs(self.function)
+        self._functions = tuple(name for name in (self.function, self.decoder) if name)
+        self._library = _load_imagecodecs(self._functions)
 
     @abstractmethod
     def _arguments(self) -> dict[str, Any]:
@@ -65,15 +70,15 @@ class _Enveloped(Codec[P]):
         stored = (*shape[:2], 3) if self.colour_only else shape
         pixels: Image = np.empty(stored, np.uint8)
         try:
-            decode = getattr(self._library, f"{self.function}_decode")
+            decode = getattr(self._library, f"{self._functions[-1]}_decode")
             decode(bitstream[_CONTENT:], out=pixels, **self.decoding)
         except (RuntimeError, ValueError, TypeError) as error:
             raise BitstreamError(f"{self.name}: the library cannot read the file: {error}") from error
         return pixels if stored == shape else gray_from_image(pixels)
 
     def libraries(self) -> dict[str, str]:
-        name, _, version = getattr(self._library, f"{self.function}_version")().partition(" ")
-        return {"imagecodecs": self._library.__version__, name: version}
+        told = (getattr(self._library, f"{name}_version")().partition(" ") for name in self._functions)
+        return {"imagecodecs": self._library.__version__, **{name: version for name, _, version in told}}
 
     def _checked_shape(self, bitstream: bytes) -> tuple[int, ...]:
         if len(bitstream) <= _CONTENT:
@@ -89,13 +94,14 @@ class _Enveloped(Codec[P]):
         return (height, width) if channels == 1 else (height, width, 3)
 
 
-def _load_imagecodecs(function: str) -> ModuleType:
+def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
     try:
         import imagecodecs
     except ImportError as error:
         raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
-    if not getattr(imagecodecs, function.upper()).available:
-        raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
+    for function in functions:
+        if not getattr(imagecodecs, function.upper()).available:
+            raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
     return imagecodecs  # type: ignore[no-any-return]
 
 
@@ -150,12 +156,16 @@ class Htj2kParams(Params):
 
 
 class Htj2k(_Enveloped[Htj2kParams]):
-    """High-Throughput JPEG 2000 (ITU-T T.814) by OpenJPH."""
+    """High-Throughput JPEG 2000 (ITU-T T.814), encoded by OpenJPH and decoded by OpenJPEG.
+
+    OpenJPH's binding lets samples that overshoot black or white wrap round to the other end; OpenJPEG stops them there.
+    """
 
     name = "htj2k"
+    version = "2"
     params_type = Htj2kParams
     examples = ({}, {"step": 0})
-    magic, function = b"ICht", "htj2k"
+    magic, function, decoder, decoding = b"ICht", "htj2k", "jpeg2k", {"numthreads": 1}
 
     def is_lossless(self) -> bool:
         return self.params.step == 0

@@ -16,4 +16,11 @@ def codecbench_datasets() -> list[PluginSpec]:
         PluginSpec("euroc", f"{_HERE}.euroc:Euroc", "EuRoC MAV: mav0/cam0 with its body's ground truth"),
         PluginSpec("folder", f"{_HERE}.folder:Folder", "any image files of a folder, in natural order"),
         PluginSpec("video", f"{_HERE}.video:Video", "any video file that OpenCV opens"),
+        PluginSpec(
+            "bag",
+            f"{_HERE}.bag.dataset:Bag",
+            "pictures in a ROS 1 bag, a ROS 2 bag or an MCAP file",
+            requires=("rosbags",),
+            extra="codecbench[bag]",
+        ),
     ]

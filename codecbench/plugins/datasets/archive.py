@@ -40,6 +40,7 @@ def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, 
         new.chmod(0o755)
         new.rename(folder)
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
+        # NotImplementedError is zipfile's word for a method of compression that it does not know
         raise DatasetError(f"{archive}: is damaged or no archive: {error}; fetch it again") from error
     except OSError as error:
         raise DatasetError(f"{archive}: cannot be unpacked into {folder}: {error.strerror or error}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera
+from codecbench.core.contracts.sequence import Camera, CameraModel
 from codecbench.plugins.datasets.tables import read_text
 
 FREIBURG = {
@@ -21,7 +22,11 @@ FREIBURG = {
 """The colour cameras of the TUM RGB-D benchmark as its page on file formats gives them."""
 
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_DISTORTION: dict[Any, tuple[str, ...]] = {
+    "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "equidistant": ("k1", "k2", "k3", "k4"),
+}
+"""The coefficients of each model, in the order of `Camera.distortion`."""
 
 
 class YamlFile:
@@ -72,22 +77,39 @@ def numbers_in(value: Any, counts: tuple[int, ...], where: str, key: str) -> lis
     return [float(number) for number in value]
 
 
+def camera_from_model(
+    model: str, size: tuple[int, int], intrinsics: tuple[float, float, float, float], coefficients: Sequence[float]
+) -> Camera:
+    """A camera of `model` `pinhole` or `equidistant`; coefficients that are left out are 0."""
+    padded = (*coefficients, *[0.0] * (8 - len(coefficients)))
+    known: CameraModel = "equidistant" if model == "equidistant" else "pinhole"
+    return Camera(*size, *intrinsics, distortion=padded if any(padded[5:]) else padded[:5], model=known)
+
+
+def camera_from_view(width: int, height: int, fov_deg: float) -> Camera:
+    """An ideal pinhole camera of a horizontal field of view, looking through the middle of its pictures."""
+    focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
 def camera_from_file(file: Path) -> tuple[Camera, float | None]:
     """A camera, and the frame rate if the file has `fps`.
 
-    Keys: width, height, fx, fy, cx, cy in pixels; k1, k2, p1, p2, k3 (0 where left out); `model`, if there, is
-    `pinhole`. Raises DatasetError with file and line.
+    Keys: width, height, fx, fy, cx, cy in pixels; `model`, `pinhole` where left out, or `equidistant`; k1, k2, p1, p2,
+    k3 (of a rational lens also k4, k5, k6) of a pinhole camera or k1, k2, k3, k4 of a fisheye, 0 where left out. Raises
+    DatasetError with file and line.
     """
     entries = YamlFile(file, "calibration")
     model = entries.get("model", "pinhole")
-    if model != "pinhole":
-        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; only `pinhole` is known")
+    if not isinstance(model, str) or model not in _DISTORTION:
+        known = " and ".join(f"`{name}`" for name in _DISTORTION)
+        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; {known} are known")
     for key in _INTRINSICS[:4]:
         if entries.number(key) <= 0.0:
             raise DatasetError(f"{entries.where(key)}: `{key}` is {entries.get(key)}, which is not above 0")
-    k1, k2, p1, p2, k3 = (entries.number(key, 0.0) for key in _DISTORTION)
+    coefficients = [entries.number(key, 0.0) for key in _DISTORTION[model]]
     width, height, fx, fy, cx, cy = (entries.number(key) for key in _INTRINSICS)
-    camera = Camera(round(width), round(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    camera = camera_from_model(model, (round(width), round(height)), (fx, fy, cx, cy), coefficients)
     if "fps" not in entries._entries:
         return camera, None
     if entries.number("fps") <= 0.0:

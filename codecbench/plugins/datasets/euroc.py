@@ -11,7 +11,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
-from codecbench.plugins.datasets.calibration import YamlFile, numbers_in
+from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, numbers_in
 from codecbench.plugins.datasets.files import Content, FileSequence
 from codecbench.plugins.datasets.selection import Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
@@ -37,6 +37,17 @@ class Euroc(Dataset[EurocParams]):
     name: ClassVar[str] = "euroc"
     version: ClassVar[str] = "1"
     params_type = EurocParams
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        """The folder with mav0/, or that."""
+        root = path.resolve().parent if path.resolve().name == "mav0" else path
+        cameras = [name for name in ("cam0", "cam1") if (root / "mav0" / name / "data.csv").is_file()]
+        if not cameras:
+            return None
+        params = {"path": str(root), "camera": cameras[0]}
+        truth = root / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+        return params if truth.is_file() else {**params, "ground_truth": False}
 
     def open(self) -> Sequence:
         params = self.params
@@ -65,17 +76,23 @@ class Euroc(Dataset[EurocParams]):
 
 
 def _camera(sensor: YamlFile) -> Camera:
-    for key, only in (("camera_model", "pinhole"), ("distortion_model", "radial-tangential")):
-        model = sensor.get(key, only)
-        if model != only:
-            raise DatasetError(f"{sensor.where(key)}: `{key}` is {model!r}; only `{only}` is known")
+    if sensor.get("camera_model", "pinhole") != "pinhole":
+        found = sensor.get("camera_model")
+        raise DatasetError(f"{sensor.where('camera_model')}: `camera_model` is {found!r}; only `pinhole` is known")
+    model = sensor.get("distortion_model", "radial-tangential")
+    if model not in ("radial-tangential", "equidistant"):
+        raise DatasetError(
+            f"{sensor.where('distortion_model')}: `distortion_model` is {model!r}; "
+            "`radial-tangential` and `equidistant` are known"
+        )
     width, height = sensor.numbers("resolution", (2,))
     fx, fy, cx, cy = sensor.numbers("intrinsics", (4,))
     for key, values in (("resolution", (width, height)), ("intrinsics", (fx, fy))):
         if min(values) <= 0.0:
             raise DatasetError(f"{sensor.where(key)}: `{key}` holds a number that is not above 0")
-    k1, k2, p1, p2, k3 = (*sensor.numbers("distortion_coefficients", (4, 5)), 0.0)[:5]
-    return Camera(round(width), round(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    counts = (4,) if model == "equidistant" else (4, 5)
+    coefficients = sensor.numbers("distortion_coefficients", counts)
+    return camera_from_model(model, (round(width), round(height)), (fx, fy, cx, cy), coefficients)
 
 
 def _mounting(sensor: YamlFile) -> Floats:

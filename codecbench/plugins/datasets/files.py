@@ -16,6 +16,7 @@ import numpy as np
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.plugins.datasets.coded_before import jpeg_notes
 from codecbench.plugins.datasets.selection import Color, converted
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
@@ -87,6 +88,7 @@ class Content:
     ground_truth: Trajectory | None = None
     color: Color = "as_is"
     sizes_differ: bool = False
+    notes: tuple[str, ...] = ()
 
 
 class FileSequence(Sequence):
@@ -103,6 +105,7 @@ class FileSequence(Sequence):
         first = converted(read_image_file(content.files[0]), content.color)
         self.channels = channel_count(first)
         self._size = first.shape[:2]
+        self.notes = (*content.notes, *jpeg_notes(content.files[0].read_bytes()))
         self._check(first, content.files[0])
 
     @cached_property
@@ -144,11 +147,16 @@ def known_facts(sequence: Sequence) -> dict[str, Any]:
     return {
         "timestamps_s": sequence.timestamps_s.tolist(),
         "frame_rate_hz": sequence.frame_rate_hz,
-        "camera": None if sequence.camera is None else asdict(sequence.camera),
+        "camera": None if sequence.camera is None else _camera_facts(sequence.camera),
         "ground_truth": None
         if truth is None
         else [hashlib.sha256(part.tobytes()).hexdigest() for part in (truth.timestamps_s, truth.world_from_camera)],
     }
+
+
+def _camera_facts(camera: Camera) -> dict[str, Any]:
+    facts = asdict(camera)
+    return facts if camera.model != "pinhole" else {name: facts[name] for name in facts if name != "model"}
 
 
 def _check_all_there(files: Ordered[Path]) -> None:

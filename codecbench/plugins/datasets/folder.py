@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Sequence
-from codecbench.plugins.datasets.calibration import camera_from_file
-from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence
-from codecbench.plugins.datasets.selection import Located
+from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, read_image_file
+from codecbench.plugins.datasets.selection import Located, OwnCamera
 
 
-class FolderParams(Located):
+class FolderParams(Located, OwnCamera):
     """Parameters of `folder`."""
 
     frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0
-    calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
 
 
 class Folder(Dataset[FolderParams]):
@@ -30,6 +27,12 @@ class Folder(Dataset[FolderParams]):
     name: ClassVar[str] = "folder"
     version: ClassVar[str] = "1"
     params_type = FolderParams
+    catch_all = True
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        there = path.is_dir() and any(file.suffix.lower() in EXTENSIONS for file in path.iterdir())
+        return {"path": str(path)} if there else None
 
     def open(self) -> Sequence:
         params = self.params
@@ -42,11 +45,17 @@ class Folder(Dataset[FolderParams]):
             files=tuple(files[index] for index in chosen),
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,
-            camera=None if params.calibration is None else camera_from_file(params.calibration)[0],
+            camera=params.camera(lambda: _size(files[chosen[0]])),
             color=params.color,
             sizes_differ=True,
+            notes=params.camera_notes,
         )
         return FileSequence(content)
+
+
+def _size(file: Path) -> tuple[int, int]:
+    height, width = read_image_file(file).shape[:2]
+    return width, height
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from codecbench.plugins.datasets.selection import Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
+_Camera = Literal["image_0", "image_1", "image_2", "image_3"]
 
 
 class KittiParams(Located):
@@ -23,7 +24,7 @@ class KittiParams(Located):
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
     camera: Annotated[
-        Literal["image_0", "image_1", "image_2", "image_3"],
+        _Camera,
         Field(description="image_0 and image_1 are gray, image_2 and image_3 colour; even ones are on the left"),
     ] = "image_0"
     ground_truth: Annotated[bool, Field(description="false for sequences 11 to 21, whose poses are not public")] = True
@@ -39,6 +40,19 @@ class Kitti(Dataset[KittiParams]):
     name: ClassVar[str] = "kitti"
     version: ClassVar[str] = "1"
     params_type = KittiParams
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        """The folder with sequences/ and poses/, whose first sequence is meant, or one of its sequences."""
+        one = path.resolve() if (path / "times.txt").is_file() and path.resolve().parent.name == "sequences" else None
+        root = one.parent.parent if one else path / "dataset" if (path / "dataset").is_dir() else path
+        folders = [one] if one else sorted(root.glob("sequences/[0-9][0-9]"))
+        cameras = [found for found in get_args(_Camera) if folders and (folders[0] / found).is_dir()]
+        if not cameras:
+            return None
+        sequence = folders[0].name
+        params = {"path": str(root), "sequence": sequence, "camera": cameras[0]}
+        return params if (root / "poses" / f"{sequence}.txt").is_file() else {**params, "ground_truth": False}
 
     def open(self) -> Sequence:
         params = self.params

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -12,6 +13,8 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
+from codecbench.core.contracts.sequence import Camera
+from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
 
 Color = Literal["as_is", "rgb", "gray"]
 
@@ -36,6 +39,38 @@ class Selection(Params):
             limit = f"stop ({stop})" if self.stop is not None else f"the number of frames ({count})"
             raise DatasetError(f"{where}: start is {self.start}, which is not below {limit}; no frame is left")
         return range(self.start, stop, self.stride)
+
+
+class OwnCamera(Params):
+    """The camera of recordings that bring none: from a calibration file, or an ideal one by its field of view."""
+
+    calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
+    fov_deg: Annotated[
+        float | None,
+        Field(gt=0.0, lt=180.0, description="instead: horizontal field of view of an ideal pinhole camera"),
+    ] = None
+
+    @model_validator(mode="after")
+    def _one_camera(self) -> Self:
+        if self.calibration is not None and self.fov_deg is not None:
+            raise ValueError("give `calibration` or `fov_deg`, not both")
+        return self
+
+    @property
+    def camera_notes(self) -> tuple[str, ...]:
+        """What is to be said of a camera that nobody measured."""
+        if self.fov_deg is None:
+            return ()
+        return (f"the camera is an ideal one of {self.fov_deg:g} degrees: calibrate it before you trust a path",)
+
+    def camera(self, frame_size: Callable[[], tuple[int, int]]) -> Camera | None:
+        """The camera, if one was given, of frames whose width and height are asked for if they are needed.
+
+        Raises DatasetError for a wrong file.
+        """
+        if self.fov_deg is not None:
+            return camera_from_view(*frame_size(), self.fov_deg)
+        return None if self.calibration is None else camera_from_file(self.calibration)[0]
 
 
 class Located(Selection):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -108,14 +108,27 @@ def trajectory_from_quaternions(times_s: Floats, poses: Floats, order: str, rows
     order: `xyzw` or `wxyz`. Quaternions are normalised. Raises DatasetError where one is far from unit length.
     """
     quaternions = poses[:, 3:7] if order == "xyzw" else np.roll(poses[:, 3:7], -1, axis=1)
-    norms = np.linalg.norm(quaternions, axis=1)
-    wrong = np.flatnonzero((norms < _LEAST_NORM) | (norms > _MOST_NORM))
+    ordered = np.column_stack([poses[:, :3], quaternions])
+    return Trajectory(times_s, transforms_from_quaternions(ordered, lambda number: rows[number].where))
+
+
+def transforms_from_quaternions(poses: Floats, where: Callable[[int], str]) -> Floats:
+    """Rigid transforms (N, 4, 4) from rows (N, 7) of a position and a unit quaternion x, y, z, w.
+
+    Quaternions are normalised. Raises DatasetError, with `where` of the row, where one is far from unit length or a
+    number is not finite.
+    """
+    norms = np.linalg.norm(poses[:, 3:], axis=1)
+    wrong = np.flatnonzero(~((norms >= _LEAST_NORM) & (norms <= _MOST_NORM)))
     if len(wrong):
-        raise DatasetError(f"{rows[wrong[0]].where}: quaternion has length {norms[wrong[0]]:.4g}, not 1")
+        raise DatasetError(f"{where(wrong[0])}: quaternion has length {norms[wrong[0]]:.4g}, not 1")
+    wrong = np.flatnonzero(~np.isfinite(poses[:, :3]).all(axis=1))
+    if len(wrong):
+        raise DatasetError(f"{where(wrong[0])}: position holds a number that is not finite")
     transforms = np.tile(np.eye(4), (len(poses), 1, 1))
-    transforms[:, :3, :3] = _rotations(quaternions / norms[:, None])
+    transforms[:, :3, :3] = _rotations(poses[:, 3:] / norms[:, None])
     transforms[:, :3, 3] = poses[:, :3]
-    return Trajectory(times_s, transforms)
+    return transforms
 
 
 def _rotations(quaternions: Floats) -> Floats:

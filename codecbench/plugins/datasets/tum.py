@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -47,6 +47,14 @@ class Tum(Dataset[TumParams]):
     name: ClassVar[str] = "tum"
     version: ClassVar[str] = "1"
     params_type = TumParams
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        if not (path / "rgb.txt").is_file():
+            return None
+        known = (path / "calib.yaml").is_file() or _FOLDER_NAME.search(path.resolve().name)
+        truth = (path / "groundtruth.txt").is_file()
+        return {"path": str(path)} | ({} if known else {"camera": "none"}) | ({} if truth else {"ground_truth": False})
 
     def open(self) -> Sequence:
         params = self.params

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -15,25 +15,24 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, Sequence
-from codecbench.plugins.datasets.calibration import camera_from_file
-from codecbench.plugins.datasets.files import digest_of, digest_of_file, known_facts
-from codecbench.plugins.datasets.selection import Selection, converted
+from codecbench.plugins.datasets.files import EXTENSIONS, digest_of, digest_of_file, known_facts
+from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted
 
 _SKIP_AT_MOST = 64
 """Frames ahead that are decoded and dropped before a jump is tried."""
 
 _SAME_TIME_S = 1e-4
 _USUAL_RATE_HZ = 30.0
+_LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG", "MPNG", "I420", "IYUV", "RGBA", "BGR24", "RAW")
 _LEAST_LOSS_S = 1.0
 """A file that ends this much, and 2 %, before its own length is damaged: containers round."""
 
 
-class VideoParams(Selection):
+class VideoParams(Selection, OwnCamera):
     """Parameters of `video`."""
 
     path: Annotated[PathParam, Field(description="video file")]
     frame_rate_hz: Annotated[float | None, Field(gt=0.0, description="instead of the file's own times")] = None
-    calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
 
 
 class Video(Dataset[VideoParams]):
@@ -42,6 +41,14 @@ class Video(Dataset[VideoParams]):
     name: ClassVar[str] = "video"
     version: ClassVar[str] = "1"
     params_type = VideoParams
+    catch_all = True
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        """A file that OpenCV opens; single pictures, which it opens too, are no recording."""
+        if path.suffix.lower() in EXTENSIONS or not path.is_file():
+            return None
+        return {"path": str(path)} if cv2.VideoCapture(str(path)).isOpened() else None
 
     def open(self) -> Sequence:
         return VideoSequence(self.params)
@@ -49,12 +56,13 @@ class Video(Dataset[VideoParams]):
 
 @dataclass(frozen=True)
 class _Index:
-    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size."""
+    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size, the codec."""
 
     times_s: tuple[float, ...]
     rate_hz: float
     width: int
     height: int
+    coding: str
 
     @cached_property
     def timed(self) -> bool:
@@ -80,8 +88,12 @@ class VideoSequence(Sequence):
         self.timestamps_s = times_s[np.array(chosen)]
         self.frame_rate_hz = rate_hz / params.stride
         self.channels = 1 if params.color == "gray" else 3
-        self.camera = None if params.calibration is None else camera_from_file(params.calibration)[0]
+        self.camera = params.camera(lambda: (index.width, index.height))
         self.ground_truth = None
+        self.notes = params.camera_notes
+        if index.coding.upper() not in _LOSSLESS:
+            coding = f"{index.coding} video".strip()
+            self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
             size = f"{self.camera.width}x{self.camera.height}"
             raise DatasetError(f"{self._file}: is {index.width}x{index.height}, but the calibration is for {size}")
@@ -154,6 +166,8 @@ def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
     if not 0.0 < rate_hz < 1e5:
         rate_hz = _USUAL_RATE_HZ
     width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
+    coding = "".join(character for character in code.decode("latin-1") if character.isascii() and character.isalnum())
     promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     times_s: list[float] = []
     while capture.grab():
@@ -161,7 +175,7 @@ def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
     capture.release()
     if not times_s:
         raise DatasetError(f"{file}: holds no frame that OpenCV can decode")
-    index = _Index(tuple(times_s), rate_hz, width, height)
+    index = _Index(tuple(times_s), rate_hz, width, height, coding)
     if index.timed and times_s[-1] - times_s[0] < 0.98 * promised / rate_hz - _LEAST_LOSS_S:
         length_s = times_s[-1] - times_s[0]
         raise DatasetError(f"{file}: is cut short: {length_s:.1f} s of {promised / rate_hz:.1f} s can be decoded")

@@ -12,6 +12,10 @@ def codecbench_evaluators() -> list[PluginSpec]:
     return [
         PluginSpec("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
         PluginSpec("features", _HERE + "features:Features", "what a feature-based tracker would lose"),
+        PluginSpec("stream", _HERE + "stream:Stream", "bit rate, delay, and joining in the middle of a stream"),
+        PluginSpec(
+            "delivery", _HERE + "delivery:DeliveryEvaluator", "what arrives over a link, when, and how old it is"
+        ),
         PluginSpec("timing", _HERE + "timing:Timing", "encode and decode time per frame, wall and CPU"),
         PluginSpec("operations", _HERE + "operations:Operations", "operations per stage, in the paper's seven classes"),
         PluginSpec(

@@ -150,8 +150,9 @@ class _Bags:
     """Bags of words of images, by the vocabulary that comes with the SLAM."""
 
     def __init__(self, camera: Camera, features: int) -> None:
-        sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
-        self._extractor = FeatureExtractor(slam.Camera(*sizes), slam.Options(features=features))
+        sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        lens = slam.Camera(*sizes, camera.distortion, camera.model)
+        self._extractor = FeatureExtractor(lens, slam.Options(features=features))
         self._vocabulary = Vocabulary.load_default()
         self.words = len(self._vocabulary)
 

@@ -10,12 +10,14 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.forkserver
 import os
+import signal
 import sys
 import threading
 import types
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.context import BaseContext, ForkServerContext, ForkServerProcess, SpawnContext, SpawnProcess
 from typing import Any, Final
 
@@ -54,7 +56,7 @@ def worker_context(*modules: str) -> BaseContext:
 
 class _ForkedProcess(ForkServerProcess):
     def start(self) -> None:
-        with hidden_main():
+        with hidden_main(), _deaf():  # also where the server is gone, and started anew for it
             super().start()
 
 
@@ -64,7 +66,7 @@ class _ForkServer(ForkServerContext):
     def __init__(self, *modules: str) -> None:
         super().__init__()
         self.set_forkserver_preload([*_LOADED, *modules])
-        with hidden_main(), _safe_path():
+        with hidden_main(), _safe_path(), _deaf():
             multiprocessing.forkserver.ensure_running()
 
 
@@ -100,10 +102,25 @@ class Surroundings:
         os.environ.clear()
         os.environ.update(self.variables)
         os.umask(self.umask)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # which a worker ignores, and its children need not
         server: Any = getattr(multiprocessing.forkserver, "_forkserver", None)  # nothing public has the descriptor
         with suppress(AttributeError, TypeError, OSError):
             os.close(server._forkserver_alive_fd)
             server._forkserver_alive_fd = None
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes started meanwhile do not hear SIGINT: Ctrl-C is for the program, and reaches all of its terminal.
+
+    The server ignores it by itself, but only once it has loaded everything, and says so at length before.
+    """
+    resource_tracker.ensure_running()  # which would listen again after it has been started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

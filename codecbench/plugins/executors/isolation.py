@@ -60,11 +60,17 @@ class WorkerFiles:
     output: Path
     scratch: Path
 
+    @property
+    def begun(self) -> Path:
+        """Where the worker says which task it has begun, see `begin`."""
+        return self.scratch / ".begun"
+
 
 @dataclass
 class _State:
     baseline_mb: float = 0.0
     retiring: bool = False
+    begun: Path | None = None
 
 
 _state = _State()
@@ -81,6 +87,7 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: 
         surroundings.enter()
         _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
+    _state.begun = files.begun
     if "CODECBENCH_CACHE" in os.environ:
         os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
     os.chdir(files.scratch)
@@ -107,6 +114,8 @@ def perform(task: Task) -> Any:
     """
     if _state.retiring:
         os._exit(RETIRED)
+    if _state.begun is not None:
+        begin(_state.begun, task)
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
@@ -127,6 +136,20 @@ def perform(task: Task) -> Any:
         _state.retiring = not state.restore() or retirement.asked
         if task.memory_mb is not None:
             _state.retiring |= private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
+
+
+def begin(file: Path, task: Task) -> None:
+    """Say that this process begins the task, so that it is not begun again if the process dies before it was heard."""
+    with suppress(OSError):
+        file.write_text(f"{os.getpid()} {task.id}")
+
+
+def begun_by(files: WorkerFiles, task: Task) -> int | None:
+    """The process that has begun the task; None where none has."""
+    with suppress(OSError, ValueError):
+        pid, _, id_ = files.begun.read_text().partition(" ")
+        return int(pid) if id_ == task.id else None
+    return None
 
 
 def private_mb(pid: int) -> float:

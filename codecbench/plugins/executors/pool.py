@@ -28,7 +28,7 @@ from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.confined_context import ConfinedContext
 from codecbench.plugins.executors.fork_server import Surroundings, worker_context
-from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, enter_worker, perform, private_mb
+from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform, private_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 _POLL_S: Final = 0.1
@@ -148,7 +148,13 @@ class WorkerPool:
                 initargs=(slot.files, self._prepare, None if slot.confined else Surroundings.now()),
                 context=slot.confining or self._context,
             )
-        future: Future[Any] = slot.pool.schedule(perform, args=(slot.task,))
+        future: Future[Any]
+        try:
+            future = slot.pool.schedule(perform, args=(slot.task,))
+        except RuntimeError as error:  # no process could be started: the server may be dying of a signal to all of us
+            future = Future()
+            future.set_exception(error)
+            self._discard(slot)
         slot.future = future
         future.add_done_callback(lambda done: self._done.put((slot, done)))
 
@@ -166,14 +172,15 @@ class WorkerPool:
                 self._launch(slot)
                 return None
             return self._end(slot, "crashed", _death(exitcode), discard=True)
-        if isinstance(error, RuntimeError) and slot.pool is not None and not slot.pool.active:
+        if isinstance(error, RuntimeError) and (slot.pool is None or not slot.pool.active):
             return self._restarted(slot, f"its worker could not start or answer: {error}")
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return self._end(slot, "failed", text, traceback=str(error.__cause__ or ""))
 
     def _restarted(self, slot: _Slot, reason: str) -> Finished | None:
-        """Start the task again: its worker died before it began. After a few times that is its end."""
-        if slot.launches >= _LAUNCHES:
+        """Start the task again if its worker died before it began. After a few times that is its end."""
+        assert slot.task is not None
+        if slot.launches >= _LAUNCHES or begun_by(slot.files, slot.task) is not None:
             return self._end(slot, "crashed", reason, discard=True)
         self._discard(slot)
         self._launch(slot)
@@ -201,6 +208,8 @@ class WorkerPool:
         if slot.started is None:
             if slot.future is not None and slot.future.running():
                 self._meet(slot, now)
+            elif (pid := begun_by(slot.files, task)) is not None:  # pebble has not heard of it, and may never
+                slot.pid, slot.started, slot.baseline_mb = pid, now, _tree_mb(pid)
             elif now - slot.launched > _START_S:
                 return self._restarted(slot, f"its worker did not start within {_START_S:g} s")
             return None
@@ -217,7 +226,7 @@ class WorkerPool:
 
     def _watch_gone(self, slot: _Slot, now: float) -> Finished | None:
         """A worker that left with status 0 in the middle of a task is no death to pebble, but it is one."""
-        if psutil.pid_exists(slot.pid):
+        if _runs(slot.pid):
             slot.gone_since = None
         elif slot.gone_since is None:
             slot.gone_since = now
@@ -268,6 +277,17 @@ def _kill_tree(pid: int) -> None:
     for process in descendants:
         with suppress(psutil.NoSuchProcess):
             process.kill()
+
+
+def _runs(pid: int) -> bool:
+    """Whether the process still runs. One whose parent died stays a zombie where the first process reaps none.
+
+    That is so in a container whose command is its first process.
+    """
+    try:
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _tree_mb(pid: int) -> float:

@@ -93,7 +93,8 @@ class Orb(SlamBackend[OrbParams]):
 
 
 def _camera(camera: Camera) -> slam.Camera:
-    return slam.Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+    sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return slam.Camera(*sizes, camera.distortion, camera.model)
 
 
 class _Clock:

@@ -76,6 +76,8 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
     ) -> SlamRun:
         if keyframe_image is not None:
             raise SlamError("orbslam3 sees one image a frame; analyze-then-compress needs slam backend orb")
+        if any(camera.distortion[5:]):
+            raise SlamError("orbslam3 knows no rational lens (k4, k5, k6); slam backend orb does")
         with tempfile.TemporaryDirectory(prefix="codecbench-orbslam3-") as name:
             return self._run(Path(name), iter(frames), camera)
 
@@ -143,10 +145,10 @@ def read_answer(answer: dict[str, Any], frame: Frame) -> tuple[TrackedFrame, Tra
 
 def settings_text(camera: Camera, params: OrbSlam3Params, frame_rate_hz: float) -> str:
     """ORB-SLAM3's settings file, in OpenCV's dialect of YAML."""
-    k1, k2, p1, p2, k3 = camera.distortion
+    is_fisheye = camera.model == "equidistant"
     values: dict[str, float | int | str] = {
         "File.version": '"1.0"',
-        "Camera.type": '"PinHole"',
+        "Camera.type": '"KannalaBrandt8"' if is_fisheye else '"PinHole"',
         "Camera1.fx": camera.fx,
         "Camera1.fy": camera.fy,
         "Camera1.cx": camera.cx,
@@ -161,7 +163,10 @@ def settings_text(camera: Camera, params: OrbSlam3Params, frame_rate_hz: float) 
         "ORBextractor.iniThFAST": 20,
         "ORBextractor.minThFAST": 7,
     }
-    if any(camera.distortion):
+    if is_fisheye:
+        values |= {f"Camera1.k{number}": k for number, k in enumerate(camera.distortion[:4], start=1)}
+    elif any(camera.distortion):
+        k1, k2, p1, p2, k3 = camera.distortion[:5]
         values |= {"Camera1.k1": k1, "Camera1.k2": k2, "Camera1.p1": p1, "Camera1.p2": p2}
         values |= {"Camera1.k3": k3} if k3 else {}
     values |= {f"Viewer.{name}": value for name, value in _VIEWER.items()}

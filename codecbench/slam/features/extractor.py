@@ -7,7 +7,7 @@ aim of ORB-SLAM V-A (a quota for each level, corners in every cell), by ranking 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -92,10 +92,11 @@ class FeatureExtractor:
             describe_corners(level, corners, self._ratios[octave], spare, pixels[made], angles[made], descriptors[made])
             octaves[made] = octave
             count = end
-        found = slice(count)
-        return self.index(
-            self._camera.undistort(pixels[found]), octaves[found], angles[found], descriptors[found].view(np.uint64)
-        )
+        straight, found = self._camera.undistort(pixels[:count]), cast(Any, slice(count))
+        if self._camera.has_blind_pixels:
+            found = np.flatnonzero(np.isfinite(straight[:, 0]))
+            straight = straight[found]
+        return self.index(straight, octaves[found], angles[found], descriptors[found].view(np.uint64))
 
     def index(
         self, pixels: NDArray[Any], octaves: NDArray[Any], angles: NDArray[Any], descriptors: NDArray[Any]

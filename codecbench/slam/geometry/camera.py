@@ -1,27 +1,31 @@
-"""The camera: pinhole projection with Brown-Conrady distortion."""
+"""The camera: pinhole projection with Brown-Conrady or rational distortion, or a fisheye."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
+from codecbench.slam.geometry.fisheye import distort_fisheye, undistort_fisheye
+from codecbench.slam.geometry.rational import distort_rational, undistort_rational
+from codecbench.slam.thresholds import FISHEYE_ANGLE_DEG
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with Brown-Conrady distortion.
+    """A pinhole camera with Brown-Conrady or rational distortion, or a fisheye.
 
     `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels, pixel centres at integers; `distortion` is k1, k2, p1, p2, k3
-    (zeros when left out). Raises ValueError for sizes below 1, focal lengths not above 0 and numbers not finite.
-    Source: Brown, Photometric Engineering 37(8), 1971, in OpenCV's order of coefficients.
+    and with a rational lens k4, k5, k6 (zeros when left out); of the `model` `equidistant` k1, k2, k3, k4. Raises
+    ValueError for sizes below 1, focal lengths not above 0 and numbers not finite. Source: Brown, Photometric
+    Engineering 37(8), 1971, in OpenCV's order of coefficients; `rational` and `fisheye` say those of the others.
     """
 
     width: int
@@ -31,6 +35,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: Literal["pinhole", "equidistant"] = "pinhole"
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -40,9 +45,10 @@ class Camera:
             raise ValueError(f"Camera: calibration {numbers} holds a number that is not finite")
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"Camera: focal lengths {self.fx}, {self.fy} are not above 0")
-        if len(self.distortion) > 5:
-            raise ValueError(f"Camera: {len(self.distortion)} distortion coefficients; k1, k2, p1, p2, k3 are read")
-        padded = tuple(float(k) for k in self.distortion) + (0.0,) * (5 - len(self.distortion))
+        if len(self.distortion) > 8:
+            raise ValueError(f"Camera: {len(self.distortion)} distortion coefficients; k1, k2, p1, p2, k3..k6 are read")
+        padded = tuple(float(k) for k in self.distortion) + (0.0,) * (8 - len(self.distortion))
+        padded = padded if any(padded[5:]) else padded[:5]
         object.__setattr__(self, "distortion", padded)
 
     @cached_property
@@ -57,7 +63,20 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        return any(k != 0.0 for k in self.distortion)
+        return self.is_fisheye or any(k != 0.0 for k in self.distortion)
+
+    @property
+    def is_fisheye(self) -> bool:
+        return self.model == "equidistant"
+
+    @property
+    def is_rational(self) -> bool:
+        return not self.is_fisheye and len(self.distortion) > 5
+
+    @property
+    def has_blind_pixels(self) -> bool:
+        """Whether `undistort` may have no answer for some pixels."""
+        return self.is_fisheye or self.is_rational
 
     @cached_property
     def bounds(self) -> Floats:
@@ -72,8 +91,13 @@ class Camera:
         return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
     def undistort(self, pixels: Floats) -> Floats:
-        """Where `pixels` (N, 2) would lie without distortion (N, 2)."""
+        """Where `pixels` (N, 2) would lie without distortion (N, 2); NaN for those that are blind."""
         pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+        if self.is_fisheye:
+            widest_rad = math.radians(FISHEYE_ANGLE_DEG)
+            return undistort_fisheye(pixels, self.intrinsics, np.array(self.distortion), widest_rad)
+        if self.is_rational:
+            return undistort_rational(pixels, self.intrinsics, np.array(self.distortion))
         if not self.is_distorted:
             return pixels.copy()
         return np.asarray(_undistort(pixels, self.intrinsics, np.array(self.distortion)))
@@ -81,6 +105,10 @@ class Camera:
     def distort(self, pixels: Floats) -> Floats:
         """Where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
         pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+        if self.is_fisheye:
+            return distort_fisheye(pixels, self.intrinsics, np.array(self.distortion))
+        if self.is_rational:
+            return distort_rational(pixels, self.intrinsics, np.array(self.distortion))
         return np.asarray(_distort(pixels, self.intrinsics, np.array(self.distortion)))
 
     def project(self, points_camera: Floats) -> Floats:

@@ -19,6 +19,7 @@ CAUGHT_BY = {
     "DiffersByProcess": "deterministic",
     "WritesIntoItsInput": "untouched",
     "LosesARow": "shape",
+    "WrapsRound": "range",
     "ReturnsFloats": "shape",
     "PreparesAnotherSetting": "prepared",
     "IsChangedByPreparing": "prepared",

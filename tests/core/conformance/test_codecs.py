@@ -8,10 +8,13 @@ from typing import Any
 import pytest
 
 from codecbench.core.conformance.images import conformance_images
+from codecbench.core.conformance.moving_pictures import moving_pictures
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import CHECKS, Check
+from codecbench.core.conformance.suite import STREAM_CHECKS, Check, checks_of
+from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.registry import installed
 
+SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "self_contained")
 NAMES = [plugin.spec.name for plugin in installed().plugins("codec")]
 
 
@@ -25,10 +28,16 @@ def _cases() -> Iterator[Any]:
             claims = {
                 "lossless": codec_class(codec_class.params_type(**setting)).is_lossless(),
                 "threads": codec_class.capabilities.thread_safe,
+                "one_in_one_out": getattr(codec_class(codec_class.params_type(**setting)), "is_low_delay", bool)(),
             }
-            for check in CHECKS:
+            for check in checks_of(issubclass(codec_class, StreamCodec)):
                 if claims.get(check.name, True):
-                    marks = [pytest.mark.thorough] if check.name == "counting" else []
+                    is_slow = check.name == "counting"
+                    if check in STREAM_CHECKS:
+                        is_slow = setting != codec_class.examples[0] or (
+                            name != "h264" and check.name in SLOW_STREAM_CHECKS
+                        )
+                    marks = [pytest.mark.thorough] if is_slow else []
                     label = setting_label(name, setting).replace(" ", "-")
                     yield pytest.param(name, setting, check, id=f"{label}-{check.name}", marks=marks)
 
@@ -36,8 +45,9 @@ def _cases() -> Iterator[Any]:
 @pytest.mark.parametrize(("name", "setting", "check"), list(_cases()))
 def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Check) -> None:
     codec_class = installed().load("codec", name)
+    material: Any = moving_pictures if issubclass(codec_class, StreamCodec) else conformance_images
     for channels in codec_class.capabilities.channels:
-        check.function(codec_class, codec_class.params_type(**setting), conformance_images(channels))
+        check.function(codec_class, codec_class.params_type(**setting), material(channels))
 
 
 @pytest.mark.parametrize("name", NAMES)

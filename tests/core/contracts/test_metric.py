@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from codecbench import Drawing, Line, Metric, NoParams, SequenceEvaluator, View
+from codecbench import Course, Drawing, Line, Marks, Metric, NoParams, SequenceEvaluator, View
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
 from codecbench.core.engine import aggregate
@@ -128,7 +128,7 @@ def test_meaning_travels_with_the_plan() -> None:
     meaning = meaning_of(plan, {}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
-    assert (meaning.anchors, meaning.baselines) == ({"plain"}, frozenset())
+    assert (meaning.anchors, meaning.baselines) == (("plain",), frozenset())
     assert meant["evaluators"]["grain(size=2)"]["typical_ms_per_frame"] == 7.0
 
 
@@ -156,3 +156,31 @@ def test_curves_are_told_apart_and_baselines_are_neutral() -> None:
     assert len({(style.colour, style.marker) for style in styles.values()}) == 21
     assert len({(style.colour, style.symbol) for style in styles.values()}) == 21
     assert styles["raw"].colour not in {styles[name].colour for name in names[1:]}
+
+
+def test_curves_of_a_codec_share_its_colour_and_24_are_told_apart() -> None:
+    names = [f"codec{number} level={level}" for number in range(12) for level in (1, 2)]
+    styles = curve_styles(names, set())
+    assert len({(style.colour, style.symbol) for style in styles.values()}) == 24
+    assert all(styles[f"codec{n} level=1"].colour == styles[f"codec{n} level=2"].colour for n in range(12))
+    assert all(styles[f"codec{n} level=1"].dashes != styles[f"codec{n} level=2"].dashes for n in range(12))
+    assert len({styles[f"codec{n} level=1"].colour for n in range(8)}) == 8
+
+
+@pytest.mark.parametrize(
+    "values", [(np.zeros((3, 2)), np.zeros(2)), (np.zeros((2, 3)), np.zeros(2)), (np.full((2, 2), np.inf), np.zeros(2))]
+)
+def test_a_course_has_a_place_and_an_error_for_each_frame(values: tuple[np.ndarray, np.ndarray]) -> None:
+    with pytest.raises(PluginError, match="course: "):
+        Course(np.arange(2), *values, "m")
+
+
+def test_marks_have_a_verdict_for_each_place() -> None:
+    with pytest.raises(PluginError, match=r"they are \(N, 2\) and \(N,\)"):
+        Marks(np.zeros((3, 2)), np.zeros(2, bool), "two of three")
+
+
+@pytest.mark.parametrize("axes", [("time",), "time", ("a", "b", "c")])
+def test_a_drawing_names_both_axes_or_none(axes: object) -> None:
+    with pytest.raises(PluginError, match="names both axes, or none"):
+        Drawing((), "it", None, axes)  # type: ignore[arg-type]

@@ -110,7 +110,7 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
 
 
 INCOMPLETE = """
-from codecbench import Capabilities, Codec, NoParams
+from codecbench import AnyCodec, Capabilities, Codec, NoParams, StreamCodec
 
 
 class Vague(Codec):
@@ -128,13 +128,26 @@ class Half(Codec):
 
     def encode(self, image, *, trace=None):
         return image.tobytes()
+
+
+class Neither(AnyCodec):
+    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+
+
+class Mute(StreamCodec):
+    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+
+    def encoder(self, frame_rate_hz):
+        return None
 """
 
 
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ("json:JSONEncoder", "not a subclass of codecbench.Codec"),
+        ("json:JSONEncoder", "not a subclass of codecbench.Codec or codecbench.StreamCodec"),
+        ("liar:Neither", "not a subclass of codecbench.Codec or codecbench.StreamCodec"),
+        ("liar:Mute", "liar:Mute does not define decoder"),
         ("no_such_module_here:Thing", "does not import"),
         ("liar:Vague", "liar:Vague has no class attribute 'capabilities'"),
         ("liar:Half", "liar:Half does not define decode"),

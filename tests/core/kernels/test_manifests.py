@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -11,7 +12,9 @@ import pytest
 
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.registry import installed
+from codecbench.core.engine.running.warm_up import kernels_called
 from codecbench.core.kernels.manifest import ManifestError, listed
+from codecbench.plugins.codecs.multilevel import Multilevel
 
 RUN = """
 from numba.core import event
@@ -38,6 +41,14 @@ name: manifest
 sequences: [synthetic]
 codecs: [raw]
 evaluators: [trajectory]
+"""
+CODEC_MATRIX = """
+version: 1
+name: manifest
+sequences: [{use: synthetic, params: {stop: 1, width: 64, height: 48}}]
+codecs: [{use: multilevel, params: SETTING}]
+evaluators: [quality]
+run: {workers: 1}
 """
 
 
@@ -76,3 +87,46 @@ def test_after_warming_up_a_whole_slam_run_compiles_nothing(tmp_path: Path) -> N
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     assert "TRACKED 398 LOOPS 1" in done.stdout
     assert [line for line in done.stdout.splitlines() if line.startswith("COMPILED")] == []
+
+
+def test_a_setting_names_the_kernels_that_it_calls() -> None:
+    """The profile `context` is the longest to compile by far, and the static one calls nothing of it."""
+    whole, static, context, stream = (
+        set(kernels_called(installed(), "codec", name, params)["kernels"])
+        for name, params in (
+            ("multilevel", None), ("multilevel", {}), ("multilevel", {"profile": "context"}), ("multilevel_stream", {}),
+        )
+    )  # fmt: skip
+    room = "codecbench.plugins.codecs.multilevel.context"
+    assert whole == static | context
+    assert room in context
+    assert not any(name.startswith(room) for name in static | stream)
+
+
+@pytest.mark.parametrize(
+    ("setting", "foreign"),
+    [({}, "multilevel.context."), ({"profile": "context"}, "multilevel.tables:")],
+    ids=["static", "context"],
+)
+def test_what_a_setting_leaves_out_is_not_compiled_ahead(setting: dict[str, str], foreign: str) -> None:
+    called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
+    listed_ahead = {entry.kernel for name in called for entry in listed(name)}
+    everything = {entry.kernel for name in Multilevel.kernels for entry in listed(name)}
+    assert not [kernel for kernel in listed_ahead if foreign in kernel]
+    assert [kernel for kernel in everything if foreign in kernel]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("setting", [{}, {"decoding": "search"}, {"profile": "context"}], ids=str)
+def test_after_its_kernels_a_setting_compiles_nothing(setting: dict[str, str], tmp_path: Path) -> None:
+    matrix = tmp_path / "matrix.yaml"
+    matrix.write_text(CODEC_MATRIX.replace("SETTING", json.dumps(setting)))
+    environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "cache")}
+    for words in (["warm-up", "matrix.yaml"], ["run", "matrix.yaml", "--out", "run"]):
+        command = [sys.executable, "-m", "codecbench", *words]
+        subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=True)
+        if words[0] == "warm-up":
+            before = sorted(path.name for path in (tmp_path / "cache" / "kernels").glob("*.bin"))
+    after = sorted(path.name for path in (tmp_path / "cache" / "kernels").glob("*.bin"))
+    assert before
+    assert after == before

@@ -115,7 +115,7 @@ def test_what_its_cells_left_is_drawn(page: tuple[str, dict[str, Any]]) -> None:
     raw = view["drawings"][0]
     assert raw["holds"] is True
     assert [line["name"] for line in raw["lines"]] == ["original", "decoded"]
-    assert raw["lines"][0]["points"] == raw["lines"][1]["points"]
+    assert raw["lines"][0]["path"] == raw["lines"][1]["path"], "the same path is kept once"
 
 
 def test_its_figures_are_drawn(place: Path, printed: str) -> None:

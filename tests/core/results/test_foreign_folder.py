@@ -122,10 +122,10 @@ def command(place: Path, *words: str | Path, **variables: str) -> subprocess.Com
 
 
 def pictures(run: Path) -> int:
-    """How many pictures of frames a report's page has."""
+    """Of how many settings a report's page shows frames."""
     html = (run / "report" / "report.html").read_text()
     data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL).group(1))
-    return len(data["frames"])
+    return len({(frame["codec"], frame["setting"]) for frame in data["frames"]})
 
 
 def test_pictures_of_a_run_made_here(run: Path, place: Path) -> None:

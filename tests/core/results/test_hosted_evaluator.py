@@ -16,7 +16,7 @@ import pytest
 from codecbench import PluginError, Unsupported
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Drawing, Line
+from codecbench.core.contracts.view import Course, Drawing, Line
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
@@ -102,6 +102,21 @@ def test_a_drawing_arrives_as_it_was_drawn(evaluator: HostedEvaluator, monkeypat
     assert found.lines[1].points.shape == (0, 2)
     answering(monkeypatch, "drawing", lambda *_: None)
     assert evaluator.drawing(OUTCOME) is None
+
+
+def test_the_course_of_a_drawing_arrives_with_what_is_not_known(
+    evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    positions, errors = np.array([[0.5, 1.0], [np.nan, np.nan]]), np.array([0.25, np.nan])
+    course = Course(np.array([3, 4]), positions, errors, "m")
+    answering(monkeypatch, "drawing", lambda *_: Drawing((), "a path", course=course))
+    found = evaluator.drawing(OUTCOME)
+    assert found is not None
+    assert found.course is not None
+    assert found.course.frames.tolist() == [3, 4]
+    assert np.array_equal(found.course.positions, positions, equal_nan=True)
+    assert np.array_equal(found.course.errors, errors, equal_nan=True)
+    assert found.course.unit == "m"
 
 
 def test_one_that_is_missing_something_is_refused(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:

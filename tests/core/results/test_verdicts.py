@@ -15,9 +15,12 @@ from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.results.bjontegaard import BdRate, bd_rate_with_interval
 from codecbench.core.results.columns import Column
 from codecbench.core.results.curves import CurvePoint
+from codecbench.core.results.ranking.ranking import rankings
+from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.verdicts import (
-    anchor_of,
+    anchors_of,
     bd_rates,
+    bd_rates_by_anchor,
     bd_rates_over_repeats,
     frame_matrix,
     pareto_criteria,
@@ -82,9 +85,9 @@ def test_a_rate_that_is_not_known_gives_a_reason_and_no_number() -> None:
 
 def test_the_anchor_is_the_one_that_is_declared_and_else_the_first_of_several_settings() -> None:
     curves = {"raw": [0], "mine a=1": [1, 2], "plain b=2": [3, 4]}
-    assert anchor_of(curves, ANCHORS) == "plain b=2"
-    assert anchor_of(curves, ()) == "mine a=1"
-    assert anchor_of({"raw": [0], "plain": [1]}, ANCHORS) is None
+    assert anchors_of(curves, ANCHORS) == ("plain b=2",)
+    assert anchors_of(curves, ()) == ("mine a=1",)
+    assert anchors_of({"raw": [0], "plain": [1]}, ANCHORS) == ()
 
 
 def test_codecs_that_cannot_be_compared_have_no_bd_rate() -> None:
@@ -100,22 +103,25 @@ def test_codecs_that_cannot_be_compared_have_no_bd_rate() -> None:
     assert bd_rates_over_repeats(known, {("s", "alone", "q=1.0"): np.ones(3)}, points("alone"), ANCHORS) == {}
 
 
-def column(name: str, better: str) -> Column:
-    return Column(PluginSetting("evaluator", "test", "1"), Metric(name, "1", better, ""), "", "mean")  # type: ignore[arg-type]
+def column(name: str, better: str, role: str = "quality") -> Column:
+    metric = Metric(name, "1", better, "", role=role)  # type: ignore[arg-type]
+    return Column(PluginSetting("evaluator", "test", "1"), metric, "", "mean")
 
 
-def test_the_front_is_over_the_criteria_that_all_settings_have() -> None:
-    criteria = [column("rate", "lower"), column("score", "higher"), column("work", "lower")]
+def test_what_is_missing_neither_wins_nor_removes_others_from_the_front() -> None:
+    """The second has no count of its work and is on the front by its score; the third is beaten by the first."""
+    criteria = [column("rate", "lower", "rate"), column("score", "higher"), column("work", "lower", "operations")]
     table = pd.DataFrame(
         {
-            "test.rate.mean": [1.0, 2.0, 2.0, 3.0],
-            "test.score.mean": [30.0, 35.0, 34.0, np.inf],
-            "test.work.mean": [1e6, np.nan, 1e6, 1e6],
+            "test.rate.mean": [1.0, 2.0, 2.0, 3.0, 0.1, 2.0],
+            "test.score.mean": [30.0, 35.0, 29.0, np.inf, np.nan, 35.0],
+            "test.work.mean": [1e6, np.nan, 1e6, 1e6, 1.0, 9e9],
         }
     )
     names, front = pareto_settings(table, criteria)
-    assert names == ["rate", "score"]
-    assert front.tolist() == [True, True, False, True]
+    assert names == ["rate", "score", "work"]
+    assert front.tolist() == [True, False, False, True, False, True]
+    assert pareto_settings(table[:4], criteria)[1].tolist() == [True, True, False, True]
     assert pareto_settings(table.drop(columns=list(table.columns)), criteria)[0] == []
 
 
@@ -231,6 +237,43 @@ def test_bd_rates_go_by_repeats_where_a_metric_is_measured_once_a_repeat() -> No
     assert bd_rates(run, column, resamples=20) == again
     without = run_of(*(result for result in results if result.cell.evaluator.name == "track"))
     assert bd_rates(without, column) == {}
+
+
+def test_several_anchors_have_bd_rates_each() -> None:
+    """`mine` needs half of plain's rate and twice that of `video`."""
+    results = []
+    for codec, factor in (("plain", 1.0), ("mine", 0.5), ("video", 0.25)):
+        for rate in RATES:
+            results.append(cell_result(codec, rate, "size", own={("bits", ""): [factor * rate]}))
+            results += [
+                cell_result(codec, rate, "track", own={("drift", ""): [error]}, repeat=repeat)
+                for repeat, error in enumerate(errors(rate))
+            ]
+    run = run_of(*results, anchors=("video", "absent", "plain"))
+    column = run.columns["track.drift.median"]
+    found = bd_rates_by_anchor(run, column, resamples=0)
+    percents = {(anchor, curve): rate.percent for anchor, of in found.items() for (_, curve), rate in of.items()}
+    assert percents == {
+        ("plain", "mine"): pytest.approx(-50.0),
+        ("plain", "video"): pytest.approx(-75.0),
+        ("video", "mine"): pytest.approx(100.0),
+        ("video", "plain"): pytest.approx(300.0),
+    }
+    assert bd_rates(run, column, anchor="raw") == {}
+    (table,), anchors = verdict_tables(run)
+    assert anchors == "video and plain"
+    heads = ["BD-rate beside video, drift", "BD-rate beside plain, drift"]
+    places = [table["heads"].index(head) for head in heads]
+    cells = {row[0]: [row[place] for place in places] for row in table["rows"]}
+    assert cells["mine"][0].startswith("+100.0 %")
+    assert cells["mine"][1].startswith("-50.0 %")
+    assert (cells["video"][0], cells["plain"][1]) == ("anchor", "anchor")
+    assert "At equal drift, video needs least rate." in table["words"]
+    (ranking,) = rankings(run)
+    assert ranking.anchors == ("video", "plain")
+    beside = {ranked.curve: {name: round(rate.percent) for name, rate in ranked.bd_rates.items()}
+              for ranked in ranking.ranked}  # fmt: skip
+    assert beside == {"mine": {"video": 100, "plain": -50}, "plain": {"video": 300}, "video": {"plain": -75}}
 
 
 def test_bd_rates_over_repeats_are_those_of_hulls_with_seeded_resamples() -> None:

@@ -52,6 +52,17 @@ def test_settings_trade_size_for_quality(
 
 
 @IMAGES
+@pytest.mark.parametrize("step", [0.01, 0.06, 0.2])
+def test_htj2k_stops_at_black_and_white(image: np.ndarray, step: float) -> None:
+    """Overexposed and underexposed, the picture is as good as it is without: nothing wraps round."""
+    codec = Htj2k.create(step=step)
+    usual = peak_signal_noise_ratio(image, codec.decode(codec.encode(image)))
+    for exposed in (np.clip(image.astype(int) + 120, 0, 255), np.clip(image.astype(int) - 120, 0, 255)):
+        picture = exposed.astype(np.uint8)
+        assert peak_signal_noise_ratio(picture, codec.decode(codec.encode(picture))) > usual - 0.5
+
+
+@IMAGES
 def test_near_lossless_keeps_its_bound(image: np.ndarray) -> None:
     codec = JpegLs.create(near=4)
     assert np.abs(codec.decode(codec.encode(image)).astype(int) - image).max() == 4
@@ -82,7 +93,7 @@ def test_bitstreams_of_the_others_are_refused(codec_class: Any) -> None:
 
 @EVERY_CODEC
 def test_the_library_that_codes_is_recorded_with_its_version(codec_class: Any) -> None:
-    (binding, own), (library, version) = codec_class.create().libraries().items()
-    assert (binding, own) == ("imagecodecs", importlib.metadata.version("imagecodecs"))
-    assert library in ("libjxl", "charls", "openjph", "libwebp", "libavif")
-    assert re.match(r"\d+\.\d+\.\d+", version)
+    libraries = codec_class.create().libraries()
+    assert libraries.pop("imagecodecs") == importlib.metadata.version("imagecodecs")
+    assert set(libraries) in ({"libjxl"}, {"charls"}, {"openjph", "openjpeg"}, {"libwebp"}, {"libavif"})
+    assert all(re.match(r"\d+\.\d+\.\d+", version) for version in libraries.values())

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.calibration import FREIBURG, camera_from_file
 from codecbench.plugins.datasets.euroc import Euroc
 from codecbench.plugins.datasets.files import read_image_file
@@ -129,7 +130,12 @@ def test_tum_without_ground_truth_says_so(tum):
         ("calib.yaml", "fx: 30.5\n", "", "calib.yaml: `fx` is missing"),
         ("calib.yaml", "fx: 30.5", "fx: -1", "calib.yaml:5: `fx` is -1, which is not above 0"),
         ("calib.yaml", "fps: 25", "fps: 0", "calib.yaml:4: `fps` is 0"),
-        ("calib.yaml", "pinhole", "fisheye", "calib.yaml:1: `model` is 'fisheye'; only `pinhole` is known"),
+        (
+            "calib.yaml",
+            "pinhole",
+            "fisheye",
+            "calib.yaml:1: `model` is 'fisheye'; `pinhole` and `equidistant` are known",
+        ),
         ("calib.yaml", "width: 32", "width: [", "calib.yaml:"),
         ("calib.yaml", "width: 32", "width: 64", "0.png: is 32x24, but the calibration is for 64x24"),
     ],
@@ -413,13 +419,28 @@ def test_euroc_turns_body_poses_into_camera_poses(euroc):
     np.testing.assert_allclose(sequence.ground_truth.timestamps_s[5] - START_NS / 1e9, 0.025, atol=1e-6)
 
 
+def test_euroc_and_calibration_files_may_describe_a_fisheye(euroc, tmp_path):
+    rewrite(euroc / "mav0/cam0/sensor.yaml", "radial-tangential", "equidistant")
+    expected = Camera(32, 24, 30.5, 31.0, 15.5, 11.5, (-0.28, 0.07, 0.0002, 1.76e-05, 0.0), "equidistant")
+    assert Euroc.create(path=euroc).open().camera == expected
+    file = tmp_path / "calib.yaml"
+    file.write_text(
+        "model: equidistant\nwidth: 32\nheight: 24\nfx: 30.5\nfy: 31\ncx: 15.5\ncy: 11.5\n"
+        "k1: -0.28\nk2: 0.07\nk3: 2.0e-4\nk4: 1.76e-05\n"
+    )
+    assert camera_from_file(file)[0] == expected
+    fisheye = Euroc.create(path=euroc).open().fingerprint
+    rewrite(euroc / "mav0/cam0/sensor.yaml", "equidistant", "radial-tangential")
+    assert Euroc.create(path=euroc).open().fingerprint != fisheye
+
+
 @pytest.mark.parametrize(
     ("file", "before", "after", "words"),
     [
         ("cam0/data.csv", f"{START_NS},", "12.5,", "data.csv:2: field 1 is '12.5', which is not a whole number of ns"),
         ("cam0/data.csv", f"{START_NS + 50_000_000},", f"{START_NS},", "data.csv:3: time 1403636579763555584 repeats"),
         ("cam0/sensor.yaml", "pinhole", "omni", "sensor.yaml:9: `camera_model` is 'omni'; only `pinhole` is known"),
-        ("cam0/sensor.yaml", "radial-tangential", "equidistant", "sensor.yaml:11: `distortion_model` is"),
+        ("cam0/sensor.yaml", "radial-tangential", "fov", "sensor.yaml:11: `distortion_model` is 'fov'; `radial-tang"),
         ("cam0/sensor.yaml", "[32, 24]", "[32]", "sensor.yaml:8: `resolution` is [32], not a list of 2 numbers"),
         ("cam0/sensor.yaml", "30.5", "-30.5", "sensor.yaml:10: `intrinsics` holds a number that is not above 0"),
         ("cam0/sensor.yaml", "  data: [", "  data: [9, ", "`T_BS.data` is"),

@@ -19,9 +19,11 @@ from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
+from codecbench.core.engine.identity import without_defaults
 from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.localization.evaluator import _measured
 from codecbench.plugins.evaluators.localization.survey import Sighting
+from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.slam_backends.orb import Orb
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
@@ -171,3 +173,31 @@ def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
     assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
     assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"
     assert unknown["located_auc"].reason == "the raw frame is not located itself"
+
+
+@pytest.mark.thorough
+def test_frames_that_do_not_come_are_not_located(tmp_path: Path) -> None:
+    film = Film()
+    away = {"link": "constant", "link_params": {"rate_kbps": 1e6, "loss": 0.1}, "mtu": 60_000}
+    where = Plugins(orb=plugins().factories["orb"], constant=lambda params: Constant.create(**params))
+    without = {(m.metric, m.frame): m for m in measured(film, tmp_path)}
+    evaluator = Localization.create(**away)
+    over = {(m.metric, m.frame): m for m in evaluator.evaluate(CodedInMemory(film), context(tmp_path, 0, where))}
+    assert over.keys() == without.keys()
+    gone = {frame for (metric, frame), m in over.items() if metric == "tracked_located" and m.value == 0.0}
+    assert 0 < len(gone) < FRAMES / 2
+    assert all(without["tracked_located", frame].value == 1.0 for frame in gone)
+    for (metric, frame), there in without.items():
+        here = over[metric, frame]
+        if frame not in gone:
+            assert here == there or math.isnan(there.value)
+        elif metric in ("located_auc", "tracked_inliers", "relocalized_located"):
+            assert here.value == 0.0
+        elif metric == "tracked_position_error_mm":
+            assert here.reason == "the frame is not located"
+
+
+def test_without_a_link_a_cell_is_what_it_was() -> None:
+    evaluator = Localization.create()
+    assert without_defaults(evaluator.repeat_identity(0), evaluator.params) == {}
+    assert [use.kind for use in Localization.create(link="ideal").uses] == ["slam_backend", "link"]

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 import pytest
+from codecbench_delta.codec import Delta
 from memory_sequence import MemorySequence, context, textured
 from PIL import Image as PillowImage
 from pydantic import ValidationError
@@ -83,6 +84,12 @@ def test_a_codec_with_neither_is_unsupported_with_both_reasons(tmp_path: Path) -
         values(Raw.create(), tmp_path)
     with pytest.raises(Unsupported, match="no model of jpeg2000"):
         values(Jpeg2000.create(lossless=True), tmp_path, SMALL)
+
+
+def test_a_codec_with_memory_is_opaque(tmp_path: Path) -> None:
+    for family in ("source", "model", "machine"):
+        with pytest.raises(Unsupported, match="delta is opaque: it has memory"):
+            list(Operations.create(families=[family]).evaluate(Delta.create(), SMALL, context(tmp_path)))
 
 
 def test_frames_are_spread_over_the_sequence(tmp_path: Path) -> None:

@@ -185,6 +185,21 @@ def test_keypoints_are_undistorted() -> None:
     assert np.abs(found.pixels - straight.pixels).max() > 3.0
 
 
+def test_keypoints_of_a_fisheye_are_undistorted() -> None:
+    fisheye = Camera(320, 240, 90.0, 90.0, 158.5, 121.0, (0.02, -0.01, 0.003, 0.0, 0.0), "equidistant")
+    image = textured(240, 320)
+    plain, found = matcher().detect(image), matcher(camera=fisheye).detect(image)
+    matrix, k = np.array([[90.0, 0.0, 158.5], [0.0, 90.0, 121.0], [0.0, 0.0, 1.0]]), np.array(fisheye.distortion[:4])
+    expected = cv2.fisheye.undistortPoints(plain.pixels[:, None], matrix, k, P=matrix)[:, 0]
+    seen = (
+        np.hypot(*((plain.pixels - [158.5, 121.0]) / 90.0).T) < np.radians(75.0) * 1.05
+    )  # not beyond what the lens sees
+    seen &= np.hypot(*(expected - [158.5, 121.0]).T) < 90.0 * np.tan(np.radians(75.0))
+    assert 0.5 < seen.mean() < 1.0
+    np.testing.assert_allclose(found.pixels, expected[seen], atol=1e-3)
+    assert len(found.descriptors) == seen.sum()
+
+
 # Pairs --------------------------------------------------------------------------------------------------------------
 
 
@@ -206,6 +221,15 @@ def test_a_pair_is_the_first_frame_far_enough_away() -> None:
     passed_over = pair_of(2, poses, CAMERA, 4.0, 0.06, 0.5)
     assert isinstance(passed_over, Pair)
     assert passed_over.second == 6
+
+
+def test_overlap_of_a_fisheye_counts_what_lies_in_its_picture() -> None:
+    fisheye = Camera(320, 240, 120.0, 120.0, 159.5, 119.5, (0.0,) * 5, "equidistant")
+    turned = np.eye(4)
+    turned[:3, :3] = cv2.Rodrigues(np.array([0.0, np.radians(40.0), 0.0]))[0]
+    pinhole = Camera(320, 240, 120.0, 120.0, 159.5, 119.5)
+    assert overlap(np.eye(4), fisheye, 3.0) == 1.0
+    assert overlap(turned, fisheye, 3.0) > overlap(turned, pinhole, 3.0) + 0.05
 
 
 def test_overlap_is_the_share_that_both_see() -> None:

@@ -15,8 +15,10 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
+from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.evaluators.timing import Timing, duration
+from codecbench.plugins.evaluators.timing import Timing
+from codecbench.plugins.evaluators.timing.clock import duration
 
 
 class Slow(Codec[NoParams]):
@@ -138,3 +140,62 @@ def test_a_short_sequence_is_used_whole(tmp_path: Path) -> None:
     names = [measurement.metric for measurement in measured]
     assert names.count("encode_wall_ms") == 1
     assert set(names) == {metric.name for metric in Timing.metrics}
+
+
+class SlowStream(StreamCodec[NoParams]):
+    """Encoding sleeps 20 ms a picture, 50 ms at flush for the two that it held back; decoding sleeps 10 ms a packet."""
+
+    name = "slow"
+    version = "1"
+    params_type = NoParams
+    capabilities = Capabilities()
+
+    def __init__(self) -> None:
+        super().__init__(NoParams())
+        self.sessions: list[SlowSession] = []
+
+    def encoder(self, frame_rate_hz: float) -> StreamEncoder:
+        assert frame_rate_hz == 10.0
+        self.sessions.append(SlowSession())
+        return self.sessions[-1]
+
+    def decoder(self) -> StreamDecoder:
+        return SlowPlayback()
+
+
+class SlowSession(StreamEncoder):
+    def __init__(self) -> None:
+        self.seen: list[int] = []
+
+    def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+        time.sleep(0.02)
+        self.seen.append(int(image[0, 0]))
+        ready = len(self.seen) - 3
+        return [Packet(b"x", ready, True)] if ready >= 0 else []
+
+    def flush(self) -> list[Packet]:
+        time.sleep(0.05)
+        return [Packet(b"x", frame, True) for frame in range(max(0, len(self.seen) - 2), len(self.seen))]
+
+
+class SlowPlayback(StreamDecoder):
+    def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+        time.sleep(0.01)
+        return []
+
+    def flush(self) -> list[Picture]:
+        return []
+
+
+def test_a_stream_is_timed_in_order_each_call_once(tmp_path: Path) -> None:
+    sequence = MemorySequence([np.full((100, 200), value, np.uint8) for value in range(9)])
+    codec = SlowStream()
+    measured = list(Timing.create(frames=4, warmup=2).evaluate(codec, sequence, context(tmp_path)))
+    assert [session.seen for session in codec.sessions] == [[0, 1], [0, 1, 2, 3]]
+    found = {metric.name: [m.value for m in measured if m.metric == metric.name] for metric in Timing.metrics}
+    assert [m.frame for m in measured if m.metric == "encode_wall_ms"] == [0, 1, 2, 3]
+    assert found["encode_wall_ms"] == pytest.approx([20, 20, 45, 45], abs=12)
+    assert found["decode_wall_ms"] == pytest.approx([10] * 4, abs=8)
+    assert max(found["encode_cpu_ms"] + found["decode_cpu_ms"]) < 5
+    assert all(m.reason and "has memory" in m.reason for m in measured if m.metric.startswith("prepare"))
+    assert len(found["yardstick_ms"]) == 4

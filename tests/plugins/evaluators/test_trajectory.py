@@ -19,6 +19,7 @@ from codecbench.core.contracts.slam import LoopEvent
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 from codecbench.plugins.evaluators.trajectory.alignment import Pairs, align
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
+from codecbench.plugins.evaluators.trajectory.metrics import LIVE
 
 COUNT = 100
 
@@ -87,7 +88,8 @@ def test_every_declared_metric_is_measured_and_no_other(tmp_path: Path) -> None:
     evaluator = TrajectoryEvaluator.create(backend="told")
     one = outcome(found, tmp_path)
     compared = {m.metric for m in evaluator.compare(one, [one])}
-    assert set(found) | compared == {metric.name for metric in TrajectoryEvaluator.metrics}
+    expected = {metric.name for metric in TrajectoryEvaluator.metrics} - {metric.name for metric in LIVE}
+    assert set(found) | compared == expected
     assert not set(found) & compared
 
 
@@ -212,6 +214,47 @@ def test_without_ground_truth_the_rest_is_there(tmp_path: Path) -> None:
     assert not (tmp_path / "raw" / files.GROUND_TRUTH).exists()
 
 
+def runs_of_raw(tmp_path: Path, *sigmas_m: float) -> list[Outcome]:
+    """Runs without ground truth, each in a unit and frame of its own, this much off the path that was walked."""
+    made = []
+    for repeat, sigma_m in enumerate(sigmas_m):
+        where, path = folder(tmp_path, f"raw{repeat}"), moved(noisy(helix(COUNT), sigma_m, repeat), scale=2.0 + repeat)
+        made.append(outcome(measured(Told(path), where), where, repeat))
+    return made
+
+
+def off_path(tmp_path: Path, sigma_m: float, repeat: int = 0) -> Outcome:
+    where = folder(tmp_path, f"coded {sigma_m} {repeat}")
+    return outcome(measured(Told(moved(noisy(helix(COUNT), sigma_m, 9))), where), where, repeat)
+
+
+def test_raw_s_paths_stand_in_for_the_ground_truth(tmp_path: Path) -> None:
+    """Noise of two paths adds up in squares, and the share of the length is the same in every unit."""
+    raw = runs_of_raw(tmp_path, 0.01, 0.01, 0.01)
+    length_m = np.linalg.norm(np.diff(noisy(helix(COUNT), 0.01, 0).positions_world, axis=0), axis=1).sum()
+    for run, apart_m in ((raw[0], 0.01 * math.sqrt(2)), (off_path(tmp_path, 0.05), math.hypot(0.05, 0.01))):
+        found = verdicts(run, raw)["raw_path_error_percent"].value
+        assert found == pytest.approx(100 * math.sqrt(3) * apart_m / length_m, rel=0.1)
+
+
+def test_without_truth_a_path_succeeds_that_is_about_as_near_as_raw_s_own(tmp_path: Path) -> None:
+    raw = runs_of_raw(tmp_path, 0.01, 0.01, 0.01)
+    near, far = off_path(tmp_path, 0.02), off_path(tmp_path, 0.1)
+    assert [verdicts(run, raw)["success"].value for run in (raw[1], near, far)] == [1.0, 1.0, 0.0]
+    assert verdicts(far, raw, ate_to_raw=20.0)["success"].value == 1.0
+
+
+def test_raw_s_paths_that_disagree_and_a_single_one_judge_nobody(tmp_path: Path) -> None:
+    wild = runs_of_raw(tmp_path, 0.05, 0.05, 0.05)
+    apart = verdicts(wild[0], wild)["raw_path_error_percent"].value
+    strict = verdicts(wild[0], wild, raw_agrees_percent=apart / 2)["success"]
+    assert "too much to judge by" in str(strict.reason)
+    assert verdicts(wild[0], wild, raw_agrees_percent=apart * 2)["success"].value == 1.0
+    single = verdicts(off_path(tmp_path, 0.02), wild[:1])
+    assert "give start_offsets" in str(single["success"].reason)
+    assert "give several start_offsets" in str(single["raw_path_error_percent"].reason)
+
+
 def test_comparison_with_raw_pairs_repeats(tmp_path: Path) -> None:
     truth = helix(COUNT)
     evaluator = TrajectoryEvaluator.create(backend="told", start_offsets=[0, 1, 2])
@@ -231,6 +274,7 @@ def test_comparison_with_raw_pairs_repeats(tmp_path: Path) -> None:
     assert compared["success"] == 0.0
     assert compared["ate_to_raw_m"] == pytest.approx(math.hypot(0.05, 0.02) * math.sqrt(3), rel=0.1)
     own = {m.metric: m.value for m in evaluator.compare(raw[2], raw)}
+    assert math.isnan(own.pop("raw_path_error_percent"))
     nothing = {"ate_to_raw_m": pytest.approx(0.0, abs=1e-6), "ate_minus_raw_m": 0.0}
     assert own == {"success": 1.0, "starts_in_time": 1.0, **nothing}
 
@@ -285,7 +329,9 @@ def test_offsets_and_seeds_make_repeats(tmp_path: Path) -> None:
 
 def test_longer_lists_of_repeats_and_other_thresholds_change_no_identity() -> None:
     short = TrajectoryEvaluator.create(start_offsets=[0, 5], backend_params={"features": 500})
-    thresholds = {"ate_limit_m": 0.5, "ate_to_raw": 3.0, "tracked_to_raw": 0.5, "delay_frames": 5}
+    thresholds = {
+        "ate_limit_m": 0.5, "ate_to_raw": 3.0, "tracked_to_raw": 0.5, "delay_frames": 5, "raw_agrees_percent": 1.0,
+    }  # fmt: skip
     longer = TrajectoryEvaluator.create(start_offsets=[0, 5, 10], backend_params={"features": 500}, **thresholds)
     assert [short.repeat_identity(i) for i in range(2)] == [longer.repeat_identity(i) for i in range(2)]
     assert longer.repeat_identity(1) != longer.repeat_identity(2)

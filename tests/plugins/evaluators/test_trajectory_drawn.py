@@ -61,6 +61,25 @@ def test_the_truth_is_shown_for_the_frames_that_were_given_and_half_a_second_aro
     assert np.allclose(lines["truth"][5 + 10 : -5], lines["after"], atol=1e-6)
 
 
+def test_the_course_says_of_each_frame_where_it_is_and_how_far_off(folder: Path) -> None:
+    """The path is 0.1 m beside the truth from frame 40 on; frames 20 to 29 were lost."""
+    shifted = path(STAMPS_S[30:70])
+    shifted.world_from_camera[10:, 0, 3] += 0.1
+    files.write_tum(folder / files.TRAJECTORY, shifted)
+    course = drawn(outcome(folder)).course
+    assert course.frames.tolist() == list(range(20, 70))
+    assert np.isnan(course.positions[:10]).all()
+    assert not np.isnan(course.positions[10:]).any()
+    assert np.isnan(course.errors[:10]).all()
+    assert course.errors[10:20] == pytest.approx(0.0, abs=1e-6)
+    assert course.errors[20:] == pytest.approx(0.1, abs=1e-6)
+    assert course.unit == "m"
+    (folder / files.GROUND_TRUTH).unlink()
+    assert np.isnan(drawn(outcome(folder)).course.errors).all(), "no true path, no error"
+    (folder / files.STATES).unlink()
+    assert drawn(outcome(folder)).course is None
+
+
 def test_a_failure_is_said_and_an_unknown_is_no_failure(folder: Path) -> None:
     failed = drawn(outcome(folder, ate_rmse_m=1.0, tracked_fraction=0.5, success=0.0))
     assert failed.holds is False

@@ -13,12 +13,15 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
 import pytest
+from pebble import ProcessPool
+from pebble.pool.process import PoolManager
 
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.plugins.executors.local import LocalExecutor
@@ -364,3 +367,43 @@ def test_a_worker_that_cannot_be_restored_ends(executor) -> None:  # type: ignor
     (pid_after, state_after), pid_before = done["after"].value, done["lower"].value
     assert pid_after != pid_before
     assert state_after.limits[resource.RLIMIT_NOFILE] != (64, 64)
+
+
+def test_a_worker_that_cannot_be_started_is_started_again(
+    executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the server that forks workers dies of a signal to the whole group of processes."""
+    schedule, failures = ProcessPool.schedule, {"late": 2, "never": 10}
+
+    def broken(pool: ProcessPool, function: Any, args: tuple[Task]) -> Any:
+        if failures.get(args[0].id, 0):
+            failures[args[0].id] -= 1
+            raise BrokenProcessPool
+        return schedule(pool, function, args=args)
+
+    monkeypatch.setattr(ProcessPool, "schedule", broken)
+    assert beside_others(executor, Task("late", double, 4)).value == 8
+    lost = beside_others(executor, Task("never", double, 4))
+    assert (lost.status, failures) == ("crashed", {"late": 0, "never": 7})
+    assert "could not start" in lost.reason
+
+
+def say_and_die(path: str) -> None:
+    """Leave a trace, and take along the server that forked this process."""
+    with open(path, "a") as file:
+        file.write("begun\n")
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60)
+
+
+def test_a_task_that_has_begun_is_not_begun_again(
+    executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Also where the pool never hears of its worker that it took the task."""
+    monkeypatch.setattr(PoolManager, "process_next_message", lambda *_: time.sleep(0.05))
+    executor.submit(Task("once", say_and_die, str(tmp_path / "trace")))
+    deadline = time.monotonic() + 60
+    while (found := executor.next_finished(1.0)) is None:
+        assert time.monotonic() < deadline
+    assert found.status == "crashed"
+    assert (tmp_path / "trace").read_text() == "begun\n"

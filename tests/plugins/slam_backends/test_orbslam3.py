@@ -180,6 +180,12 @@ def test_settings_are_opencv_yaml(tmp_path: Path) -> None:
         assert stored.getNode(name).real() == value
     assert stored.getNode("File.version").string() == "1.0"
     assert stored.getNode("ORBextractor.nFeatures").real() == 700
+    fisheye = Camera(512, 512, 190.9, 190.9, 254.9, 256.8, (0.003, 0.0007, -0.002, 0.0002, 0.0), "equidistant")
+    path.write_text(settings_text(fisheye, OrbSlam3Params(), 20.0))
+    stored = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    assert stored.getNode("Camera.type").string() == "KannalaBrandt8"
+    assert [stored.getNode(f"Camera1.k{number}").real() for number in (1, 2, 3, 4)] == [0.003, 0.0007, -0.002, 0.0002]
+    assert "Camera1.p1" not in path.read_text()
     assert "Camera1.k1" not in settings_text(CAMERA, OrbSlam3Params(), 10.0)
 
 

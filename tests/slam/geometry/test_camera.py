@@ -44,7 +44,7 @@ def test_bounds_hold_every_undistorted_border_pixel() -> None:
         ((640, 480, float("nan"), 500.0, 1.0, 1.0), "finite"),
         ((640, 480, 500.0, 500.0, float("inf"), 1.0), "finite"),
         ((640, 480, -1.0, 500.0, 1.0, 1.0), "focal"),
-        ((640, 480, 500.0, 500.0, 1.0, 1.0, (0.0,) * 8), "distortion"),
+        ((640, 480, 500.0, 500.0, 1.0, 1.0, (0.0,) * 9), "distortion"),
         ((640, 480, 500.0, 500.0, 1.0, 1.0, (float("nan"),)), "finite"),
     ],
 )

@@ -16,7 +16,7 @@ from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.planning.matrix import Entry
+    from codecbench.core.engine.planning.entry import Entry
 
 Bound = Literal["min", "max", "equal"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,6 +14,7 @@ from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, sh
 MOST_SETTINGS: Final = 100_000
 """That one entry of a matrix may stand for."""
 _MOST_STEPS: Final = 10_000
+_AXES: Final = ("grid", "range")
 
 Point = dict[str, tuple[Where, Any]]
 """A value for each parameter, with its place in the file."""
@@ -50,8 +52,21 @@ def points(spanned: Sequence[Axis]) -> Iterator[Point]:
         yield {axis.name: choice for axis, choice in zip(spanned, combination, strict=True)}
 
 
+def axis_hint(name: str, value: Any) -> str:
+    """How an axis is written, where a value that its parameter does not take was meant as one; else empty."""
+    if isinstance(value, list):
+        return f"; for a setting of each of these write `{name}: {{grid: {shown(value)}}}`"
+    if not (isinstance(value, Mapping) and len(value) == 1):
+        return ""
+    ((word, choices),) = value.items()
+    near = difflib.get_close_matches(str(word).lower(), _AXES, n=1)
+    if not near or not isinstance(choices, list):
+        return ""
+    return f"; did you mean `{name}: {{{near[0]}: {shown(choices)}}}`?"
+
+
 def _is_axis(value: Any) -> bool:
-    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in ("grid", "range")
+    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in _AXES
 
 
 def _axis(value: Mapping[str, Any], where: Where, problems: Problems) -> list[tuple[Where, Any]]:

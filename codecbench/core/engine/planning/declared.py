@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
@@ -17,7 +17,7 @@ from codecbench.core.contracts.view import View
 log = logging.getLogger("codecbench.results")
 
 
-def codec_declared(codec: Codec[Any]) -> dict[str, Any]:
+def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
     """The meaning of a codec."""
     return {"reference": codec.reference}
 

@@ -19,11 +19,13 @@ from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json, without_defaults
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.planning.yaml_file import suggest
 from codecbench.core.engine.registry import Registry
 
-_CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor")
+_CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor", "link")
 _MOST_REPEATS: Final = 100_000
 _LONGEST_NAME: Final = 100
+_MOST_NOTES: Final = 20
 
 
 class InvalidParams(Exception):
@@ -32,6 +34,19 @@ class InvalidParams(Exception):
     def __init__(self, details: list[dict[str, Any]], fields: list[str]) -> None:
         super().__init__(f"{len(details)} invalid parameter(s)")
         self.details, self.fields = details, fields
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, for errors that have no place in a file to point at."""
+        wrong = []
+        for detail in self.details:
+            name = ".".join(str(step) for step in detail["loc"])
+            unknown = detail["type"] == "extra_forbidden"
+            what = (
+                f"unknown; {suggest(name, self.fields)}" if unknown else f"{detail['msg']}; got {detail.get('input')!r}"
+            )
+            wrong.append(f"{name}: {what}" if name else what)
+        return "; ".join(wrong)
 
 
 @dataclass(frozen=True)
@@ -175,7 +190,15 @@ def sequence_described(registry: Registry, name: str, params: dict[str, Any]) ->
         "channels": int(sequence.channels),
         "has_camera": sequence.camera is not None,
         "has_ground_truth": sequence.ground_truth is not None,
+        "notes": _notes(sequence),
     }
+
+
+def _notes(sequence: Sequence) -> list[str]:
+    notes = sequence.notes
+    if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
+        raise PluginError(f"{type(sequence).__name__}.notes is {type(notes).__name__}; it is a tuple of strings")
+    return [clean_line(note) for note in notes[:_MOST_NOTES]]
 
 
 def _check_frames(sequence: Sequence) -> None:

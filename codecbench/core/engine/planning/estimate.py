@@ -9,7 +9,7 @@ from typing import Final
 
 from codecbench.core.engine.planning.model import Cell, Plan
 
-_TYPICAL_CELL_S: Final = 3.0
+TYPICAL_CELL_S: Final = 1.0
 """Evaluators that look at a few frames, whatever the length of the sequence."""
 _TYPICAL_CODING_MS: Final = 25.0
 _START_S: Final = 5.0
@@ -30,7 +30,7 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     durations: seconds of finished cells by id. A cell is estimated from the median cost per frame of finished
     cells of the same codec and evaluator, where there are any, else from what its evaluator declares as typical.
     """
-    declared = plan.declared.get("evaluators", {})
+    declared = typical_costs_ms(plan)
     costs: dict[tuple[str, str], list[float]] = defaultdict(list)
     for cell in plan.cells:
         if cell.id in durations and cell.sequence.frames:
@@ -39,12 +39,12 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     measured = 0
     for cell in missing:
         known = sorted(costs.get((cell.codec.name, cell.evaluator.name), []))
-        typical = declared.get(cell.evaluator.title, {}).get("typical_ms_per_frame")
+        typical = declared.get(cell.evaluator.title)
         if known:
             seconds = known[len(known) // 2] * cell.sequence.frames
             measured += 1
         else:
-            seconds = _TYPICAL_CELL_S if typical is None else typical / 1000 * cell.sequence.frames
+            seconds = TYPICAL_CELL_S if typical is None else typical / 1000 * cell.sequence.frames
         if cell.exclusive:
             alone += seconds
         else:
@@ -53,3 +53,9 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     shared += jobs * _TYPICAL_CODING_MS / 1000 * frames
     total = _START_S + shared / plan.run.workers + alone if missing else 0.0
     return Estimate(total, measured, len(missing) - measured)
+
+
+def typical_costs_ms(plan: Plan) -> dict[str, float]:
+    """Milliseconds a frame by the title of an evaluator's setting, of those that declare them."""
+    told = {title: of.get("typical_ms_per_frame") for title, of in plan.declared.get("evaluators", {}).items()}
+    return {title: float(cost) for title, cost in told.items() if isinstance(cost, int | float)}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,21 +12,22 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from codecbench.core.contracts.errors import CodecbenchError, Unsupported
+from codecbench.core.contracts.errors import CodecbenchError, MatrixError, Unsupported
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.aim import Aim
-from codecbench.core.engine.planning.axes import Point, axes, points
-from codecbench.core.engine.planning.description import Description, InvalidParams, describe
+from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
+from codecbench.core.engine.planning.description import InvalidParams, describe
+from codecbench.core.engine.planning.entry import Entry, distinct, labelled
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
 from codecbench.core.engine.planning.plan_bounds import require_plannable
-from codecbench.core.engine.planning.search import Search, Wanted, made_searches, read_wanted
+from codecbench.core.engine.planning.search import Search, made_searches, read_wanted
 from codecbench.core.engine.planning.until import UntilSection, decided_aim
-from codecbench.core.engine.planning.yaml_file import Problems, Where, load, plain, shown, suggest
+from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
 from codecbench.core.engine.registry import Registry, installed
 
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
-_TOP = ("version", "name", *_SECTIONS, "run")
+_TOP = ("version", "name", *_SECTIONS, "anchors", "run")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -43,27 +44,11 @@ class RunSection(BaseModel):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One setting of a section, and where in the file it stands.
-
-    description: what the plugin says of it; None where it cannot be used here, and `missing` then says why.
-    faulty: that is the plugin's own fault. wanted: the search that may try this setting, None where it is always run.
-    """
-
-    where: Where
-    setting: PluginSetting
-    name: str | None = None
-    description: Description | None = None
-    missing: str | None = None
-    faulty: bool = False
-    wanted: Wanted | None = None
-
-
-@dataclass(frozen=True)
 class Matrix:
     """A matrix file whose every name and parameter has been checked.
 
-    codecs: also all settings that the searches may try. until: what is to be decided by adding repeats.
+    codecs: also all settings that the searches may try. until: what is to be decided by adding repeats. anchors: codecs
+    that BD-rates are against; None for those that declare themselves one.
     """
 
     path: Path
@@ -76,6 +61,7 @@ class Matrix:
     root: Any
     searches: tuple[Search, ...] = ()
     until: Aim | None = None
+    anchors: tuple[str, ...] | None = None
 
     def problems(self) -> Problems:
         """An empty list of problems of this file, for checks that need more than the file."""
@@ -89,8 +75,25 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     """
     path = Path(path)
     text, root = load(path)
+    return _checked(path, text, root, path.resolve().parent, registry)
+
+
+def matrix_from(content: str | Mapping[str, Any], registry: Registry | None = None) -> Matrix:
+    """Check a matrix that is no file: its YAML text, or a mapping of JSON types and paths. Paths start here.
+
+    Raises MatrixError as `read_matrix` does, with lines of the text, or of the mapping as JSON.
+    """
+    try:
+        text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
+    except TypeError as error:
+        raise MatrixError(f"matrix: {error}; a matrix is made of mappings, lists, texts, numbers and paths") from None
+    return _checked(Path("matrix"), text, parsed(text, "matrix"), Path.cwd(), registry)
+
+
+def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
+    """The matrix of a parsed text. folder: where paths in it start."""
     problems = Problems(str(path), root)
-    reader = _Reader(problems, registry or installed(), path.resolve().parent)
+    reader = _Reader(problems, registry or installed(), folder)
     if not isinstance(root, Mapping):
         problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain(root)).__name__}")
         problems.raise_any()
@@ -102,14 +105,15 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
         problems.add(("name",), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
     sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
     run = reader.run_section(root.get("run") or {})
+    anchors = _anchors(root.get("anchors"), sections["codecs"], problems)
     problems.raise_any()
     assert run is not None
     searches = made_searches(sections["codecs"], sections["evaluators"], problems)
     until = decided_aim(run[1], root, sections["evaluators"], problems)
     problems.raise_any()
     require_plannable(sections, searches, problems)
-    named: Any = sections
-    return Matrix(path=path, text=text, name=name, run=run[0], root=root, searches=searches, until=until, **named)
+    named: Any = {**sections, "searches": searches, "until": until, "anchors": anchors}
+    return Matrix(path=path, text=text, name=name, run=run[0], root=root, **named)
 
 
 class _Reader:
@@ -129,7 +133,7 @@ class _Reader:
         entries: list[Entry] = []
         for index, item in enumerate(items):
             entries.extend(self.entries(kind, (section, index), item))
-        return _labelled(_distinct(entries))
+        return labelled(distinct(entries))
 
     def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
         """The settings that one item of a section stands for: one, or as many as its axes span."""
@@ -192,8 +196,9 @@ class _Reader:
         elif detail["type"] == "missing":
             self.problems.add((*where, "params", *location), "required")
         else:
-            place = point[location[0]][0] if location[0] in point else (*where, "params")
-            self.problems.add((*place, *location[1:]), _message(detail))
+            place, value = point.get(location[0], ((*where, "params"), None))
+            hint = "" if any(isinstance(part, int) for part in location) else axis_hint(str(location[0]), value)
+            self.problems.add((*place, *location[1:]), _message(detail) + hint)
 
     def run_section(self, section: Any) -> tuple[RunSettings, UntilSection | None] | None:
         if not isinstance(section, Mapping):
@@ -223,6 +228,23 @@ class _Reader:
         return RunSettings(run.workers, run.timeout_s, run.memory_mb, run.seed, executor[0].setting), run.until
 
 
+def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple[str, ...] | None:
+    """The codecs that BD-rates are to be against, each of them in the matrix and no baseline; None where not said."""
+    if items is None:
+        return None
+    if not isinstance(items, list) or not items:
+        problems.add(("anchors",), f"must be a list of codecs; got {shown(items)}")
+        return None
+    found = [str(plain(item)) for item in items]
+    references = {entry.setting.name: entry.description and entry.description.declared for entry in codecs}
+    for place, name in enumerate(found):
+        if name not in references:
+            problems.add(("anchors", place), f"{name!r} is no codec of this matrix; {suggest(name, list(references))}")
+        elif (references[name] or {}).get("reference") == "baseline":
+            problems.add(("anchors", place), f"{name} is the baseline, which has no curve to compare with")
+    return tuple(found)
+
+
 def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
     """What a plugin does not take though nobody gave it: a default of its own."""
     for detail in invalid.details:
@@ -237,60 +259,3 @@ def _message(detail: Any) -> str:
     message = str(detail["msg"]).removeprefix("Value error, ")
     shown = repr(got)
     return message if isinstance(got, Mapping) or len(shown) > 80 else f"{message}; got {shown}"
-
-
-def _distinct(entries: list[Entry]) -> list[Entry]:
-    """The entries without those that validate to a setting that came before, but with all that a search may try."""
-    kept: list[Entry] = []
-    alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
-    for entry in entries:
-        values = entry.setting.params.values()
-        if entry.wanted is not None:
-            kept.append(entry)
-            continue
-        few = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]
-        if not any(entry.setting == other.setting and entry.name == other.name for other in few):
-            few.append(entry)
-            kept.append(entry)
-    return kept
-
-
-def _labelled(entries: list[Entry]) -> tuple[Entry, ...]:
-    """Give each setting the label that tells it from the other settings of its plugin."""
-    same: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for entry in entries:
-        same[entry.setting.name].append(entry.setting.params)
-    differing = {name: _differing(several) for name, several in same.items()}
-    done = []
-    for entry in entries:
-        params = entry.setting.params
-        if len(same[entry.setting.name]) > 1:
-            keys = [key for key in params if key in differing[entry.setting.name]]
-        else:
-            keys = _explicit(entry) if entry.setting.kind == "codec" else []
-        label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
-        done.append(replace(entry, setting=replace(entry.setting, label=label)))
-    return tuple(done)
-
-
-def _differing(several: list[dict[str, Any]]) -> set[str]:
-    """The parameters that are not the same in all settings of a plugin."""
-    first = several[0]
-    return {key for params in several for key in {**first, **params} if params.get(key) != first.get(key)}
-
-
-def _explicit(entry: Entry) -> list[str]:
-    """Parameters of the only setting of a codec that differ from the defaults."""
-    return list(entry.setting.params) if entry.description is None else entry.description.explicit
-
-
-def _word(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float) and value.is_integer():
-        return str(int(value))
-    if isinstance(value, list):
-        return ",".join(_word(item) for item in value)
-    if isinstance(value, dict):
-        return ",".join(f"{key}:{_word(item)}" for key, item in value.items())
-    return str(value)

@@ -53,6 +53,7 @@ class SequenceEntry:
     """A sequence of the matrix, opened once while planning.
 
     missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
+    notes: what its dataset says of it, in sentences.
     """
 
     name: str
@@ -63,6 +64,7 @@ class SequenceEntry:
     has_camera: bool
     has_ground_truth: bool
     missing: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,7 @@ _BODY: Final = TypeAdapter(_PlanBody)
 def plan_from_json(value: dict[str, Any]) -> Plan:
     """The plan that `as_json` wrote, its texts fit to be shown. Raises ValueError or IndexError for anything else."""
     body = _BODY.validate_python(value)
-    sequences = [replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset)) for entry in body.sequences]
+    sequences = [_shown_sequence(entry) for entry in body.sequences]
     settings = [_shown(setting) for setting in body.settings]
     return Plan(
         name=body.name,
@@ -243,6 +245,11 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
         declared=clean_value(body.declared),
         searches=tuple(SearchFinding(**clean_value(vars(finding))) for finding in body.searches),
     )
+
+
+def _shown_sequence(entry: SequenceEntry) -> SequenceEntry:
+    notes = tuple(clean_line(note) for note in entry.notes)
+    return replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset), notes=notes)
 
 
 def _shown(setting: PluginSetting) -> PluginSetting:

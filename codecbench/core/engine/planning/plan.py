@@ -17,7 +17,8 @@ from codecbench.core.engine.planning.description import (
     describe,
     sequence_described,
 )
-from codecbench.core.engine.planning.matrix import Entry, Matrix
+from codecbench.core.engine.planning.entry import Entry
+from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.search import EVERY, Extent
 from codecbench.core.engine.registry import Registry, installed
@@ -87,13 +88,20 @@ def make_plan(
         cells=tuple(cells.values()),
         declared={
             "codecs": {
-                side.setting.name: side.description.declared
+                side.setting.name: _with_anchors(side.description.declared, side.setting.name, matrix.anchors)
                 for side in codecs
                 if side.description and side.description.declared
             },
             "evaluators": {side.setting.title: side.description.declared for side in evaluators if side.description},
         },
     )
+
+
+def _with_anchors(declared: dict[str, Any], name: str, anchors: tuple[str, ...] | None) -> dict[str, Any]:
+    """What a codec declares, but that the matrix says who is an anchor, where it does."""
+    if anchors is None or declared.get("reference") == "baseline":
+        return declared
+    return {**declared, "reference": "anchor" if name in anchors else ""}
 
 
 def make_sampled_plan(matrix: Matrix) -> Plan:
@@ -166,7 +174,7 @@ def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
             found = registry.ask(
                 sequence_described, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
             )
-            return SequenceEntry(dataset=setting, **found)
+            return SequenceEntry(dataset=setting, **{**found, "notes": tuple(found["notes"])})
         except PluginFault as fault:
             missing = str(fault)
     elif not entry.faulty:

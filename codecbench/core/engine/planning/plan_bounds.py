@@ -10,7 +10,7 @@ from codecbench.core.engine.planning.search import Search
 from codecbench.core.engine.planning.yaml_file import Problems
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.planning.matrix import Entry
+    from codecbench.core.engine.planning.entry import Entry
 
 _MOST_CELLS: Final = 1_000_000
 

@@ -31,7 +31,7 @@ from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import Problems, Where, shown
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.planning.matrix import Entry
+    from codecbench.core.engine.planning.entry import Entry
 
 EVERY: Final = 1 << 30
 """More repeats than an evaluator can have."""

@@ -11,7 +11,7 @@ from codecbench.core.engine.planning.aim import Aim, AimSection, find_aim
 from codecbench.core.engine.planning.yaml_file import Problems, plain
 
 if TYPE_CHECKING:
-    from codecbench.core.engine.planning.matrix import Entry
+    from codecbench.core.engine.planning.entry import Entry
 
 
 class UntilSection(BaseModel):

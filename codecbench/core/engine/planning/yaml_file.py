@@ -63,15 +63,20 @@ def load(path: Path) -> tuple[str, Any]:
         raise MatrixError(f"{path}: no such file; codecbench's folder examples/ has matrices to begin with") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MatrixError(f"{path}: cannot be read as UTF-8 text: {error}") from None
+    return text, parsed(text, str(path))
+
+
+def parsed(text: str, source: str) -> Any:
+    """The content of a YAML text, which remembers positions. source: what errors call it. Raises MatrixError."""
     try:
-        require_bounded(text, str(path))
-        return text, YAML(typ="rt").load(text)
+        require_bounded(text, source)
+        return YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise MatrixError(f"{path}{where}: not valid YAML: {error.problem or error.context}") from None
+        raise MatrixError(f"{source}{where}: not valid YAML: {error.problem or error.context}") from None
     except (YAMLError, ValueError, OverflowError) as error:
-        raise MatrixError(f"{path}: not valid YAML: {error}") from None
+        raise MatrixError(f"{source}: not valid YAML: {error}") from None
 
 
 def plain(value: Any) -> Any:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
+from codecbench.core.engine.planning.estimate import TYPICAL_CELL_S
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.storage.record import Record
@@ -15,8 +18,8 @@ from codecbench.core.engine.storage.record import Record
 class Progress:
     """A moment of a run.
 
-    Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate,
-    None before there is anything to base one on. compiling: how many kernels are compiled ahead so far, in words,
+    Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate, None before
+    the first job or cell has ended. compiling: how many kernels are compiled ahead so far, in words,
     empty when they all are. notice: something that its user has to know. cell and record: what just ended, None for a
     coding job.
     """
@@ -34,16 +37,49 @@ class Progress:
     cell: Cell | None = None
     record: Record | None = None
 
+    @property
+    def share(self) -> float | None:
+        """How much of the work is done, 0 to 1; None before the first job or cell has ended."""
+        if self.remaining_s is None:
+            return None
+        return self.elapsed_s / (self.elapsed_s + self.remaining_s) if self.remaining_s else 1.0
+
+
+@dataclass
+class _Spent:
+    """Seconds that work of a kind took, and how many frames its sequences had."""
+
+    seconds: float = 0.0
+    frames: int = 0
+
+    def add(self, seconds: float, frames: int) -> None:
+        self.seconds += seconds
+        self.frames += frames
+
+    @property
+    def per_frame_s(self) -> float:
+        return self.seconds / self.frames
+
 
 class Pace:
-    """Estimates the time that is left from the time that each kind of work took per frame so far."""
+    """Estimates the time that is left from frames and from what a frame of each kind of work took so far.
 
-    def __init__(self, workers: int) -> None:
+    A kind is an evaluator's setting, or encoding, under one codec: a slow codec says nothing of a fast one. Of a kind
+    that has not been seen yet the estimate is that of the same evaluator under other codecs; of an evaluator that has
+    not, what it declares as typical, in proportion to how the others did beside what they declare. An evaluator that
+    declares nothing is taken, until it is seen, to look at a few frames of a sequence, as `estimate` takes it.
+    """
+
+    def __init__(self, workers: int, typical_ms: Mapping[str, float] | None = None) -> None:
+        """typical_ms: milliseconds a frame, by the title of an evaluator's setting, where it declares them."""
         self._workers = workers
+        self._typical_s = {title: ms / 1000 for title, ms in (typical_ms or {}).items() if ms > 0}
+        self._guessed_s: dict[str, float] = {}
         self._begun = time.monotonic()
-        self._left: Counter[tuple[str, str]] = Counter()
-        self._spent: dict[tuple[str, str], tuple[float, int]] = defaultdict(lambda: (0.0, 0))
-        self._alone: set[tuple[str, str]] = set()
+        self._left: Counter[_Kind] = Counter()
+        self._spent: dict[_Kind, _Spent] = defaultdict(_Spent)
+        self._of_task: dict[str, _Spent] = defaultdict(_Spent)
+        self._alone: set[_Kind] = set()
 
     def expect(self, jobs: list[CodingJob], cells: list[Cell]) -> None:
         """There are jobs and cells to be done."""
@@ -51,6 +87,8 @@ class Pace:
         everything: list[Work] = [*jobs, *cells]
         for work in everything:
             self._left[_kind(work)] += work.sequence.frames
+        for cell in cells:
+            self._guessed_s.setdefault(cell.evaluator.title, TYPICAL_CELL_S / max(cell.sequence.frames, 1))
 
     @property
     def elapsed_s(self) -> float:
@@ -60,26 +98,46 @@ class Pace:
         """A job or cell has ended; `duration_s` is None where it was never computed."""
         kind, frames = _kind(work), work.sequence.frames
         self._left[kind] -= frames
-        if duration_s is not None:
-            seconds, counted = self._spent[kind]
-            self._spent[kind] = seconds + duration_s, counted + frames
+        if duration_s is not None and frames:
+            self._spent[kind].add(duration_s, frames)
+            self._of_task[kind[0]].add(duration_s, frames)
 
     def again(self, work: Work) -> None:
         """A job or cell that has ended is to be done once more."""
         self._left[_kind(work)] += work.sequence.frames
 
     def remaining_s(self) -> float | None:
-        """Seconds to the end; kinds of work that have not been seen yet are taken to cost the mean."""
-        seconds = sum(spent for spent, _ in self._spent.values())
-        frames = sum(count for _, count in self._spent.values())
-        if not frames:
+        """Seconds to the end."""
+        if not self._of_task:
             return None
-        total = 0.0
-        for kind, left in self._left.items():
-            spent, counted = self._spent.get(kind, (seconds, frames))
-            total += left * spent / counted / (1 if kind in self._alone else self._workers)
-        return total
+        return sum(
+            frames * self._per_frame_s(kind) / (1 if kind in self._alone else self._workers)
+            for kind, frames in self._left.items()
+            if frames
+        )
+
+    def _per_frame_s(self, kind: _Kind) -> float:
+        if kind in self._spent:
+            return self._spent[kind].per_frame_s
+        if kind[0] in self._of_task:
+            return self._of_task[kind[0]].per_frame_s
+        known = {task: spent for task, spent in self._of_task.items() if task in self._typical_s}
+        if kind[0] in self._typical_s and known:
+            declared = sum(self._typical_s[task] * spent.frames for task, spent in known.items())
+            return self._typical_s[kind[0]] * sum(spent.seconds for spent in known.values()) / declared
+        if kind[0] in self._typical_s:
+            return self._typical_s[kind[0]]
+        if kind[0] in self._guessed_s:
+            return self._guessed_s[kind[0]]
+        tasks = self._of_task.values()
+        return sum(spent.seconds for spent in tasks) / sum(spent.frames for spent in tasks)
 
 
-def _kind(work: Work) -> tuple[str, str]:
-    return ("coding", work.codec.name) if isinstance(work, CodingJob) else ("cell", work.evaluator.name)
+_Kind = tuple[str, str]
+"""The title of an evaluator's setting, or what encoding is called here, and a codec."""
+
+_ENCODING: Final = "encoding, which is no evaluator"
+
+
+def _kind(work: Work) -> _Kind:
+    return (_ENCODING if isinstance(work, CodingJob) else work.evaluator.title), work.codec.name

@@ -12,6 +12,7 @@ from typing import Any
 from codecbench.core.contracts.confinement import confinement, wanted
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status
+from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
@@ -114,7 +115,7 @@ class _Run:
         self.kept: dict[str, Status] = {}
         self.statuses: dict[str, Status] = {}
         self.damaged: dict[str, str] = {}
-        self.pace = Pace(workers)
+        self.pace = Pace(workers, typical_costs_ms(plan))
         self.jobs_total, self.jobs_done, self.not_ok = 0, 0, 0
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
@@ -151,7 +152,8 @@ class _Run:
         self.not_ok += sum(status != "ok" for status in found.kept.values())
         message = "%d cells: %d kept, %d to compute; %d of their coding jobs to encode"
         log.info(message, len(cells), len(found.kept), len(todo), len(jobs))
-        for notice in found.notices:
+        notes = [f"{entry.name}: {note}" for entry in plan.sequences for note in entry.notes]
+        for notice in (*(notes if len(self.found) == 1 else ()), *found.notices):
             log.warning("%s", notice)
             self._tell(notice=notice)
 

@@ -12,7 +12,14 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError, PluginError
-from codecbench.core.contracts.evaluator import CodedFrame, Context, Evaluator, Measurement, SequenceEvaluator
+from codecbench.core.contracts.evaluator import (
+    CodedFrame,
+    Context,
+    Evaluator,
+    Measurement,
+    SentPacket,
+    SequenceEvaluator,
+)
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.engine.registry import Registry
@@ -34,7 +41,7 @@ class Sentinel:
 
     def __init__(self, registry: Registry) -> None:
         self._evaluators = list(_cheap_evaluators(registry))
-        self._answers = self._answered()  # first, because it imports what is watched next
+        self._answers = dict(self._answered())  # first, because it imports what is watched next
         self._functions = dict(_functions())
 
     def check(self, company: tuple[str, ...]) -> None:
@@ -51,18 +58,16 @@ class Sentinel:
         raise Tampering(f"code of {' or '.join(company)} {what}; nothing that ran there can be trusted")
 
     def _wrong(self) -> str | None:
-        answers = self._answered()
-        return next((name for name, known in self._answers.items() if answers[name] != known), None)
+        """The first evaluator that answers otherwise. Those after it are not asked, for they may not survive that."""
+        return next((name for name, answer in self._answered() if answer != self._answers[name]), None)
 
-    def _answered(self) -> dict[str, str]:
+    def _answered(self) -> Iterator[tuple[str, str]]:
         """What each evaluator measures of the known picture, or that it fails, spelled out."""
-        found = {}
         for evaluator in self._evaluators:
             try:
-                found[evaluator.name] = repr(known_measurements(evaluator))
+                yield evaluator.name, repr(known_measurements(evaluator))
             except Exception as error:  # noqa: BLE001 - patched libraries may raise anything, which is an answer too
-                found[evaluator.name] = f"{type(error).__name__}: {error}"
-        return found
+                yield evaluator.name, f"{type(error).__name__}: {error}"
 
 
 class KnownSequence(Sequence):
@@ -96,6 +101,16 @@ class KnownCoded:
 
     def size_bytes(self, index: int) -> int:
         return 100
+
+    @property
+    def packets(self) -> tuple[SentPacket, ...]:
+        return tuple(SentPacket(index, 100, True, index + 1) for index in range(len(self)))
+
+    def sender(self) -> KnownCoded:
+        return self
+
+    def send(self, index: int) -> CodedFrame:
+        return self.frame(index)
 
 
 class _NoPlugins:

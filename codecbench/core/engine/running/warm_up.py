@@ -151,7 +151,7 @@ def missing(registry: Registry, calls: Iterable[_Call], *builds: str) -> dict[En
 
 
 def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None) -> dict[str, Any]:
-    """`kernels`, the packages and modules that a plugin names, and `counts`, whether it runs counting builds.
+    """`kernels`, the packages and modules that a setting names, and `counts`, whether it runs counting builds.
 
     params: None where the class alone is asked.
     """

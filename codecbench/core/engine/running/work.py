@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.confinement import confined_by, outer_pid
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import (
@@ -29,16 +29,25 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.executor import Status, retirement
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
-from codecbench.core.engine.running.coding import CodedFrames, WorkPosition, encode_sequence
+from codecbench.core.engine.running.coding.coded_frames import CodedFrames
+from codecbench.core.engine.running.coding.encoding import encode_sequence
+from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.sentinel import Tampering
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.atomic import open_whole
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
+from codecbench.core.engine.storage.bitstream_file import (
+    BitstreamDamage,
+    BitstreamFile,
+    write_bitstreams,
+    write_stream,
+)
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
     SAMPLES_FILE,
@@ -143,7 +152,7 @@ def _reason(error: BaseException, position: WorkPosition) -> str:
 def _titles(work: Work) -> dict[str, str]:
     """The plugins of other distributions by the stage at which their code runs."""
     settings = {"open": work.sequence.dataset, "read": work.sequence.dataset}
-    settings |= dict.fromkeys(("construct codec", "encode", "decode", "libraries"), work.codec)
+    settings |= dict.fromkeys(("construct codec", "encode", "decode", "remark", "libraries"), work.codec)
     if isinstance(work, Cell):
         used = next((setting for setting in work.evaluator.uses if setting.distribution), work.evaluator)
         judge = work.evaluator if work.evaluator.distribution else used
@@ -177,15 +186,23 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
     bench = _workbench()
     sequence = bench.sequence(job.sequence, order.cache_bytes)
     position.at("construct codec")
-    codec: Codec[Any] = bench.create(job.codec)
-    bitstreams = encode_sequence(codec, sequence, position)
+    codec: AnyCodec[Any] = bench.create(job.codec)
     if isinstance(order.bitstreams, Path):
         with open_whole(order.bitstreams) as file:
-            write_bitstreams(file, bitstreams, job.id)
+            _write_coded(file, codec, sequence, job.id, position)
         return Record(job.id, "ok")
-    stream = BytesIO()
-    write_bitstreams(stream, bitstreams, job.id)
-    return Record(job.id, "ok", contents={BITSTREAMS: stream.getvalue()})
+    content = BytesIO()
+    _write_coded(content, codec, sequence, job.id, position)
+    return Record(job.id, "ok", contents={BITSTREAMS: content.getvalue()})
+
+
+def _write_coded(file: BinaryIO, codec: AnyCodec[Any], sequence: Sequence, job_id: str, position: WorkPosition) -> None:
+    """Encode the sequence into a file of the job."""
+    packets = encode_sequence(codec, sequence, position)
+    if isinstance(codec, StreamCodec):
+        write_stream(file, packets, job_id)
+    else:
+        write_bitstreams(file, (packet.data for packet in packets), job_id)
 
 
 def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
@@ -193,10 +210,11 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
     bench = _workbench()
     sequence = bench.sequence(cell.sequence, order.cache_bytes)
     position.at("construct codec")
-    codec: Codec[Any] = bench.create(cell.codec)
+    codec: AnyCodec[Any] = bench.create(cell.codec)
     position.at("construct evaluator")
     evaluator: Evaluator[Any] = bench.create(cell.evaluator)
     check = MeasurementCheck(evaluator, len(sequence))
+    notes: tuple[str, ...] = ()
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
         rng, plugins = np.random.default_rng(cell.seed), DeclaredPlugins(bench.registry, evaluator.uses)
         context = Context(rng, cell.repeat, Path(folder), plugins)
@@ -206,8 +224,11 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
         else:
             assert order.bitstreams is not None
             assert cell.job_id is not None
-            coded = CodedFrames(sequence, codec, BitstreamFile(order.bitstreams, cell.job_id), position)
+            file = BitstreamFile(order.bitstreams, cell.job_id)
+            coded = CodedFrames(sequence, codec, file, position, bench.pictures(file, order.cache_bytes))
             found = list(_of_coded(evaluator, coded, context, check, position))
+            position.at("remark")
+            notes = (*_remarks(codec), *coded.notes)
         position.at("artifacts")
         contents = _artifacts(Path(folder))
     position.at("libraries")
@@ -222,6 +243,7 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
         summaries=summarise(samples, evaluator.metrics),
         metrics=tuple(metric.name for metric in evaluator.metrics),
         libraries=libraries,
+        notes=notes,
         contents=contents,
     )
 
@@ -243,7 +265,14 @@ def _of_coded(
         raise PluginError(f"{type(evaluator).__name__} is not a {kinds}; subclass one of them")
 
 
-def _libraries(codec: Codec[Any]) -> dict[str, str]:
+def _remarks(codec: AnyCodec[Any]) -> tuple[str, ...]:
+    found = codec.remark()
+    if not isinstance(found, str):
+        raise PluginError(f"remark returned {clean_line(repr(found))}; it returns text")
+    return (clean_line(found),) if found else ()
+
+
+def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
     found = codec.libraries()
     if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
         raise PluginError(f"libraries returned {clean_line(repr(found))}; it returns names with their versions")

@@ -17,8 +17,10 @@ from codecbench.core.engine.environment import describe_environment, environment
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.plugin_code import code_label, code_of
 from codecbench.core.engine.registry import Registry, registry_of
+from codecbench.core.engine.running.coding.decoding import SharedPictures
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
 from codecbench.core.engine.running.sentinel import Sentinel, Tampering
+from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 
 _OPEN_SEQUENCES: Final = 4
 
@@ -33,6 +35,7 @@ class Workbench:
         self.environment = environment_id(self.environment_description)
         self._sentinel: Sentinel | None = None
         self._cache = FrameCache()
+        self._pictures = SharedPictures(0)
         self._sequences: dict[str, Sequence] = {}
         self._code: dict[str, str] = {}
 
@@ -51,10 +54,10 @@ class Workbench:
             self._sentinel.check(company)
 
     def is_sound(self, company: tuple[str, ...]) -> bool:
-        """Whether `check` finds nothing."""
+        """Whether `check` finds nothing; where memory is too full to look, that is not known, and so it is not."""
         try:
             self.check(company)
-        except Tampering:
+        except (Tampering, MemoryError):
             return False
         return True
 
@@ -91,6 +94,10 @@ class Workbench:
             del self._sequences[next(iter(self._sequences))]
         self._cache.limit_bytes = cache_bytes
         return CachedSequence(source, entry.name, self._cache)
+
+    def pictures(self, bitstreams: BitstreamFile, cache_bytes: int) -> SharedPictures:
+        """What was decoded here of these bitstreams, with room for half of what frames may take."""
+        return self._pictures.of(bitstreams.digest, cache_bytes // 2)
 
 
 class DeclaredPlugins:

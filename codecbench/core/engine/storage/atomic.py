@@ -66,11 +66,12 @@ def make_folder(path: Path, *, durable: bool = False) -> None:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """An error of the system meanwhile names `path`, where it names nothing or a file that is only there meanwhile."""
+    """An error of the system meanwhile names `path`, where it names nothing or what is only there meanwhile."""
     try:
         yield
     except OSError as error:
-        if error.filename is None or Path(os.fsdecode(error.filename)).name.startswith((".new-", ".old-")):
+        parts = () if error.filename is None else Path(os.fsdecode(error.filename)).parts
+        if not parts or any(part.startswith((".new-", ".old-")) for part in parts):
             error.filename, error.filename2 = str(path), None
         raise
 
@@ -80,21 +81,31 @@ def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = F
 
     A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
     """
-    with _naming(path):
-        make_folder(path.parent, durable=durable)
-        new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
-    try:
-        new.chmod(0o755)
+    with whole_folder(path, durable=durable) as new:
         for name, content in contents.items():
             _write_plain(new / name, content, durable)
         if durable:
             _sync_folder(new)
         if path.exists():
             remove_folder(path)
-        os.rename(new, path)
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
+
+
+@contextmanager
+def whole_folder(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """A folder to fill that appears at `path`, which is not there by then, when the block ends well; or not at all.
+
+    What the block puts into it is made durable by the block. Raises OSError.
+    """
+    with _naming(path):
+        make_folder(path.parent, durable=durable)
+        new = Path(tempfile.mkdtemp(prefix=".new-", dir=path.parent))
+        try:
+            new.chmod(0o755)
+            yield new
+            os.rename(new, path)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
     if durable:
         _sync_folder(path.parent)
 

@@ -1,11 +1,15 @@
-"""One file for all bitstreams of a coding job, with a checksum a frame and one over the whole.
+"""One file for what a coding job sent, with a checksum a frame and one over the whole.
 
     magic | job id | bitstream 0 | bitstream 1 | ... | index: offset, size, CRC-32 of each | footer
 
 The job id, which names sequence and codec setting, says whose bitstreams these are, so that two files that changed
 places are noticed. The footer says where the index is and carries CRCs of the index and of itself, so that a torn or
 damaged file is noticed when it is opened, and a damaged bitstream when it is read. A BLAKE2b digest of all before
-it is in the footer too, so that copies can be compared by their last bytes. Nothing here knows what a codec is.
+it is in the footer too, so that copies can be compared by their last bytes.
+
+A stream of a codec with memory has a magic of its own. Its packets lie in the order in which they were sent, and the
+index says more of each: which frame it is, after how many frames it came out, whether decoding can start at it. Nothing
+here knows what a codec is.
 """
 
 from __future__ import annotations
@@ -16,17 +20,22 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from codecbench.core.contracts.errors import StoreError
+from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.engine.identity import DIGEST_BYTES
 from codecbench.core.engine.storage.plain_file import open_plain
 
 _MAGIC = b"CBBITS\x00\x02"
 _EARLIER = b"CBBITS\x00\x01"
+_STREAM = b"CBSTRM\x00\x01"
 _ID_BYTES = 2 * DIGEST_BYTES
 _ENTRY = struct.Struct("<QQI")
+_STREAM_ENTRY = struct.Struct("<QQIII?")
 _FOOTER = struct.Struct("<QQI16sI")
 _START = len(_MAGIC) + _ID_BYTES
 
@@ -35,21 +44,44 @@ class BitstreamDamage(StoreError):
     """A file of bitstreams is truncated or damaged; the engine encodes the sequence again."""
 
 
+@dataclass(frozen=True)
+class CodedPacket:
+    """A packet as a file keeps it; the fields are those of SentPacket, and the bytes themselves."""
+
+    data: bytes = field(repr=False)
+    frame: int
+    starts: bool
+    after: int
+
+
 def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes], job_id: str) -> int:
     """Write a whole file of a job, one bitstream at a time as they come, and return the sum of their sizes in bytes."""
+    return _write(stream, _MAGIC, ((data, _ENTRY, ()) for data in bitstreams), job_id)
+
+
+def write_stream(stream: BinaryIO, packets: Iterable[CodedPacket], job_id: str) -> int:
+    """Write a whole file of a job whose codec has memory, as `write_bitstreams` does."""
+    told = ((packet.data, _STREAM_ENTRY, (packet.frame, packet.after, packet.starts)) for packet in packets)
+    return _write(stream, _STREAM, told, job_id)
+
+
+def _write(
+    stream: BinaryIO, magic: bytes, parts: Iterable[tuple[bytes, struct.Struct, tuple[int, ...]]], job_id: str
+) -> int:
+    """parts: bytes, how their entry of the index is packed, and what follows offset, size and CRC in it."""
     whole = hashlib.blake2b(digest_size=DIGEST_BYTES)
 
     def put(data: bytes) -> None:
         stream.write(data)
         whole.update(data)
 
-    put(_MAGIC + _owner(job_id))
+    put(magic + _owner(job_id))
     index = bytearray()
     offset, count = _START, 0
-    for bitstream in bitstreams:
-        put(bitstream)
-        index += _ENTRY.pack(offset, len(bitstream), zlib.crc32(bitstream))
-        offset += len(bitstream)
+    for data, entry, told in parts:
+        put(data)
+        index += entry.pack(offset, len(data), zlib.crc32(data), *told)
+        offset += len(data)
         count += 1
     put(bytes(index))
     head = struct.pack("<QQI16s", offset, count, zlib.crc32(index), whole.digest())
@@ -58,31 +90,46 @@ def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes], job_id: str)
 
 
 class BitstreamFile:
-    """Bitstreams of one coding job, read as they are asked for.
+    """Bitstreams of one coding job, one a frame, read as they are asked for.
 
-    `source` is the path of the file or its content, for workers that do not see the run folder. Raises
-    BitstreamDamage for a file that is not whole, or is that of another job.
+    `source` is the path of the file or its content, for workers that do not see the run folder. is_stream: whether
+    they are packets of a codec with memory. digest: of all that is in it. Raises BitstreamDamage for a file that is
+    not whole, or is that of another job.
     """
 
     def __init__(self, source: Path | bytes, job_id: str) -> None:
         self._name = str(source) if isinstance(source, Path) else "bitstreams"
         self._data: bytes | mmap.mmap = _mapped(source) if isinstance(source, Path) else source
+        self.is_stream = self._data[: len(_STREAM)] == _STREAM
         self._check_owner(job_id)
-        self._entries = self._read_index()
+        self.digest, self._entries = self._read_index()
+        self._places = {entry[3]: place for place, entry in enumerate(self._entries)} if self.is_stream else None
+        if self._places is not None and self._places.keys() != set(range(len(self._entries))):
+            raise BitstreamDamage(f"{self._name}: damaged (its packets are not one of each frame)")
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def size_bytes(self, index: int) -> int:
-        return self._entries[index][1]
+    @cached_property
+    def packets(self) -> tuple[SentPacket, ...]:
+        """What was sent, in that order; without memory each frame at once, and decodable by itself."""
+        if self._places is None:
+            return tuple(SentPacket(frame, entry[1], True, frame + 1) for frame, entry in enumerate(self._entries))
+        return tuple(SentPacket(frame, size, starts, after) for _, size, _, frame, after, starts in self._entries)
 
-    def read(self, index: int) -> bytes:
-        """Bitstream `index`, checked against its CRC."""
-        offset, size, crc = self._entries[index]
+    def size_bytes(self, frame: int) -> int:
+        return int(self._entry(frame)[1])
+
+    def read(self, frame: int) -> bytes:
+        """The bitstream of a frame, checked against its CRC."""
+        offset, size, crc, *_ = self._entry(frame)
         bitstream = bytes(self._data[offset : offset + size])
         if zlib.crc32(bitstream) != crc:
-            raise BitstreamDamage(f"{self._name}: bitstream {index} is damaged (CRC-32 differs)")
+            raise BitstreamDamage(f"{self._name}: bitstream {frame} is damaged (CRC-32 differs)")
         return bitstream
+
+    def _entry(self, frame: int) -> tuple[Any, ...]:
+        return self._entries[frame if self._places is None else self._places[frame]]
 
     def _check_owner(self, job_id: str) -> None:
         magic, owner = self._data[: len(_MAGIC)], self._data[len(_MAGIC) : _START]
@@ -90,24 +137,26 @@ class BitstreamFile:
             raise BitstreamDamage(
                 f"{self._name}: an earlier version wrote it, without saying whose bitstreams they are"
             )
-        if magic != _MAGIC or len(owner) != _ID_BYTES:
+        if magic not in (_MAGIC, _STREAM) or len(owner) != _ID_BYTES:
             raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({len(self._data)} bytes)")
         if owner != _owner(job_id):
             found = owner.decode("ascii", "backslashreplace").rstrip()
             raise BitstreamDamage(f"{self._name}: holds the bitstreams of job {found}, not of {job_id}")
 
-    def _read_index(self) -> list[tuple[int, int, int]]:
+    def _read_index(self) -> tuple[bytes, list[tuple[Any, ...]]]:
+        """The digest; and offset, size and CRC of each bitstream, and of packets also frame, after and starts."""
         data, length = self._data, len(self._data)
         if length < _START + _FOOTER.size:
             raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({length} bytes)")
+        entry = _STREAM_ENTRY if self.is_stream else _ENTRY
         footer = data[length - _FOOTER.size :]
-        offset, count, index_crc, _, footer_crc = _FOOTER.unpack(footer)
-        if zlib.crc32(footer[:-4]) != footer_crc or offset + count * _ENTRY.size + _FOOTER.size != length:
+        offset, count, index_crc, digest, footer_crc = _FOOTER.unpack(footer)
+        if zlib.crc32(footer[:-4]) != footer_crc or offset + count * entry.size + _FOOTER.size != length:
             raise BitstreamDamage(f"{self._name}: truncated or damaged (footer)")
         index = data[offset : length - _FOOTER.size]
         if zlib.crc32(index) != index_crc:
             raise BitstreamDamage(f"{self._name}: damaged (index)")
-        return list(_ENTRY.iter_unpack(index))
+        return digest, list(entry.iter_unpack(index))
 
 
 def _owner(job_id: str) -> bytes:

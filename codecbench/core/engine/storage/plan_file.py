@@ -46,6 +46,14 @@ class PlanFile:
         self._compare_matrix(plan)
         return plan
 
+    def portable(self) -> tuple[bytes, bytes]:
+        """The matrix, and the plan without where it was made and without a seal, for others to keep.
+
+        Raises OSError, ValueError, KeyError or TypeError where the plan cannot be read.
+        """
+        body = self._document()["plan"]
+        return body["matrix_text"].encode(), canonical_json({"checksum": digest(body), "plan": body})
+
     def origin_elsewhere(self) -> str | None:
         """Where the plan was made, for people, or None where it was here.
 

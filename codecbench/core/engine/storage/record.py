@@ -43,8 +43,8 @@ class Record:
     record. environment: id of the description of where it was computed, None if its worker did not live to tell.
     libraries: the codec's foreign libraries. code: distribution and fingerprint of each plugin that ran, see
     `plugin_code`, and of the codec that wrote the bitstreams. started_utc: ISO 8601. worker: host and process, and the
-    distributions of others whose code ran there. cell: what entered
-    its identity, in readable form.
+    distributions of others whose code ran there. cell: what entered its identity, in readable form. notes: what is to
+    be known of the codec's setting beside its numbers.
 
     Only on the way from a worker to the run folder: contents, the files beside the record by name; and
     environment_description, what `environment` is the id of.
@@ -65,6 +65,7 @@ class Record:
     duration_s: float = 0.0
     worker: dict[str, Any] = field(default_factory=dict)
     cell: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     contents: dict[str, bytes] = field(default_factory=dict, repr=False)
     environment_description: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -114,6 +115,7 @@ class _Body(_Document):
     duration_s: float
     worker: dict[str, Any]
     cell: _Description
+    notes: list[str] = []
 
 
 def cell_description(cell: Cell) -> dict[str, Any]:
@@ -142,6 +144,8 @@ def settings_digest(description: dict[str, Any]) -> str:
 def bytes_from_record(record: Record) -> bytes:
     """The record as JSON with a checksum over everything else in it."""
     body = {name: getattr(record, name) for name in record.__dataclass_fields__ if name not in _TRANSIENT}
+    if not record.notes:
+        del body["notes"]
     body["schema"] = SCHEMA
     body["measurements"] = [json_from_measurement(measurement) for measurement in record.measurements]
     body["summaries"] = [[*key, json_from_value(value)] for key, value in record.summaries.items()]
@@ -171,6 +175,7 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
         raise RecordDamage(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     known = {name: body[name] for name in _Body.model_fields if name in body}
     known["metrics"] = tuple(body.get("metrics", ()))
+    known["notes"] = tuple(map(clean_line, body.get("notes", ())))
     known["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
     known["summaries"] = {
         (clean_line(metric), clean_line(stage), clean_line(how)): value_from_json(value)

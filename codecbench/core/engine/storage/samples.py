@@ -102,7 +102,10 @@ def table_from_parquet(content: bytes) -> pyarrow.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
+    file = pq.ParquetFile(pa.BufferReader(content))
+    if file.metadata.num_rows > MOST_OF_FRAMES:
+        raise ValueError(f"it has {file.metadata.num_rows:,} rows; a cell has at most {MOST_OF_FRAMES:,}")
+    table = file.read(use_threads=False)
     if table.schema.names != ["metric", "frame", "stage", "value", "reason"]:
         raise ValueError(f"its columns are {', '.join(table.schema.names)}")
     return table

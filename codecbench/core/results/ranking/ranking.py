@@ -19,7 +19,7 @@ from codecbench.core.results.limits import POOLED
 from codecbench.core.results.ranking.curve_values import Array, CurveValues, Of, curve_values
 from codecbench.core.results.ranking.groups import holm, joined_groups
 from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import anchor_of, bd_rates, from_quality
+from codecbench.core.results.verdicts import SequenceCurve, anchors_of, bd_rates_by_anchor, from_quality
 
 SIGNIFICANCE: Final = 0.01
 """Chance that a ranking of codecs that are all alike puts any of them before another."""
@@ -29,10 +29,10 @@ SIGNIFICANCE: Final = 0.01
 class Ranked:
     """A codec's place. first, last: the places that it may have, from those that are told apart from it.
 
-    ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rate: against
-    the anchor, without an interval, for what may be claimed is in the other fields; None for the anchor itself and
-    where it was never asked for. missing, values: how many of its values are missing, of how many. In a ranking at one
-    rate, value is the column's mean there, between settings, and nearest the setting with the nearest rate.
+    ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rates: by
+    anchor, without an interval, for what may be claimed is in the other fields; none against itself. missing, values:
+    how many of its values are missing, of how many. In a ranking at one rate, value is the column's mean there, between
+    settings, and nearest the setting with the nearest rate.
     """
 
     curve: str
@@ -40,7 +40,7 @@ class Ranked:
     last: int
     ahead_of: tuple[str, ...]
     group: str
-    bd_rate: BdRate | None
+    bd_rates: dict[str, BdRate]
     missing: int
     values: int
     value: float | None = None
@@ -51,10 +51,10 @@ class Ranked:
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    left_out: curves without a place, and why. anchor: whom BD-rates are against; empty where there is none. rate: at
-    which codecs are compared; None for all rates that they share. pairs: what is known of two curves that share a rate,
-    of the first over the second. foretold: by sequence, Kendall's tau-b of the order there and the order of all other
-    sequences together; empty for a single sequence.
+    left_out: curves without a place, and why. anchors: whom BD-rates are against. rate: at which codecs are compared;
+    None for all rates that they share. pairs: what is known of two curves that share a rate, of the first over the
+    second. foretold: by sequence, Kendall's tau-b of the order there and the order of all other sequences together;
+    empty for a single sequence.
     """
 
     column: Column
@@ -63,7 +63,7 @@ class Ranking:
     of: tuple[Of, ...]
     ranked: tuple[Ranked, ...]
     left_out: dict[str, str]
-    anchor: str
+    anchors: tuple[str, ...]
     rate: float | None
     pairs: tuple[tuple[str, str, Evidence], ...]
     foretold: dict[str, float]
@@ -92,7 +92,7 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     found = []
     for column in columns:
         sequences = [entry.name for entry in run.plan.sequences]
-        rates = bd_rates(run, column, resamples=0)
+        rates = bd_rates_by_anchor(run, column, resamples=0)
         gathered = {name: curve_values(run, column, name) for name in sequences}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]
@@ -101,6 +101,8 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     return found
 
 
+_Rates = dict[str, dict[SequenceCurve, BdRate]]
+"""BD-rates by anchor."""
 _Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]
 
 
@@ -109,23 +111,26 @@ def _ranking(
     column: Column,
     sequences: Sequence[str],
     gathered: _Gathered,
-    rates: dict[tuple[str, str], BdRate],
+    rates: _Rates,
     at: float | None,
 ) -> Ranking:
     values = {name: gathered[name][0] for name in sequences}
     curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences}, at)
     evidence = _evidence(curves, values, at)
     matrices = _told_apart(len(curves), evidence)
-    anchor = anchor_of({curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}, run.meaning.anchors)
+    placed = {curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}
+    anchors = anchors_of(placed, run.meaning.anchors)
+    if "" in rates:  # each sequence has its own
+        rates = dict.fromkeys(anchors[:1], rates[""])
     any_curve = [next(iter(found.values())) for found in values.values() if found]
     return Ranking(
         column,
         sequences[0] if len(sequences) == 1 else POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
-        tuple(_placed(curves, values, matrices, rates, anchor, column, at)),
+        tuple(_placed(curves, values, matrices, rates, column, at)),
         left_out,
-        anchor or "",
+        tuple(rates),
         at,
         tuple((curves[first], curves[second], found) for (first, second), found in evidence.items()),
         _foretold(curves, values, at),
@@ -220,8 +225,7 @@ def _placed(
     curves: list[str],
     values: dict[str, dict[str, CurveValues]],
     matrices: _Matrices,
-    rates: dict[tuple[str, str], BdRate],
-    anchor: str | None,
+    rates: _Rates,
     column: Column,
     rate: float | None,
 ) -> list[Ranked]:
@@ -240,7 +244,7 @@ def _placed(
                 len(curves) - int(better[at].sum()),
                 tuple(curves[other] for other in order if better[at, other]),
                 "".join(_letter(number) for number, group in enumerate(groups) if place in group),
-                None if curve == anchor else _over_sequences([rates.get((name, curve)) for name in values]),
+                _beside(curve, list(values), rates),
                 sum(found.missing for found in of_curve),
                 sum(found.qualities.size for found in of_curve),
                 None if rate is None else from_quality(_mean_at(of_curve, rate), column),
@@ -248,6 +252,16 @@ def _placed(
             )
         )
     return placed
+
+
+def _beside(curve: str, sequences: list[str], rates: _Rates) -> dict[str, BdRate]:
+    """The BD-rates of a curve over sequences, by anchor."""
+    found = {
+        anchor: _over_sequences([of_curves.get((name, curve)) for name in sequences])
+        for anchor, of_curves in rates.items()
+        if anchor != curve
+    }
+    return {anchor: rate for anchor, rate in found.items() if rate is not None}
 
 
 def _mean_at(of_curve: list[CurveValues], rate: float) -> float:

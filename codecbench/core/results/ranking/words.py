@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from codecbench.core.results.columns import Column
-from codecbench.core.results.limits import POOLED, Limit, Standing, limits, pooled_rates
+from codecbench.core.results.limits import POOLED, Limit, limits, pooled_rates
 from codecbench.core.results.ranking.ranking import Ranked, Ranking, rankings
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import SequenceCurve
@@ -18,12 +18,13 @@ from codecbench.core.results.verdicts import SequenceCurve
 
 @dataclass(frozen=True)
 class Verdict:
-    """A title, a table (heads, rows) that may be empty, and sentences below it."""
+    """A title, a table (heads, rows) that may be empty, and sentences below it. about: the column that is ranked."""
 
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     sentences: tuple[str, ...]
+    about: Column | None = None
 
 
 def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
@@ -60,18 +61,19 @@ def _found(run: RunResult) -> Iterator[Verdict]:
 def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
     title = f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
     if ranking.rate is None:
-        shown = {f"rate beside {ranking.anchor}" if ranking.anchor else "rate": _rate}
+        heads = [(f"rate beside {anchor}", anchor) for anchor in ranking.anchors] or [("rate", "")]
+        shown: dict[str, Callable[[Ranked], str]] = {head: partial(_rate, anchor) for head, anchor in heads}
     else:
         title += f", at {_spent(run, ranking.rate)}"
         shown = {ranking.column.heading: partial(_value, ranking.column), "nearest setting": _nearest}
-    heads = ("place", "codec", "group", *shown, "better than")
+    named = ("place", "codec", "group", *shown, "better than")
     rows = tuple(
         (_places(ranked), ranked.curve, ranked.group, *(cell(ranked) for cell in shown.values()),
          ", ".join(ranked.ahead_of) or "–")
         for ranked in ranking.ranked
     )  # fmt: skip
     taken = () if ranking.rate is None else (_taken(run, ranking),)
-    return Verdict(title, heads, rows, (*taken, *_notes(ranking)))
+    return Verdict(title, named, rows, (*taken, *_notes(ranking)), ranking.column)
 
 
 def _taken(run: RunResult, ranking: Ranking) -> str:
@@ -107,10 +109,9 @@ def _places(ranked: Ranked) -> str:
     return str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
 
 
-def _rate(ranked: Ranked) -> str:
-    if ranked.bd_rate is None:
-        return "–"
-    return "–" if ranked.bd_rate.reason else f"{ranked.bd_rate.percent:+.0f} %"
+def _rate(anchor: str, ranked: Ranked) -> str:
+    rate = ranked.bd_rates.get(anchor)
+    return "–" if rate is None or rate.reason else f"{rate.percent:+.0f} %"
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
@@ -167,20 +168,22 @@ def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
     if limit.lowest is None or run.rate is None:
         return f"{curve}: {limit.words(run.rate)}."
     standing = limit.lowest
-    words = f"{f'{curve} {standing.point}'.strip()} holds at {_share(run, sequence, standing)} ({standing})"
+    words = f"{f'{curve} {standing.point}'.strip()} holds at {share_of_rate(run, sequence, standing.rate)} ({standing})"
     return f"{words}; {limit.after_words()}."
 
 
-def _share(run: RunResult, sequence: str, standing: Standing) -> str:
-    """The rate as a share of the baseline's, and by itself."""
-    assert run.rate is not None
-    spent = _spent(run, standing.rate)
+def share_of_rate(run: RunResult, sequence: str, rate: float) -> str:
+    """A rate on a sequence, or on all (POOLED), beside the baseline's: `1/87 of raw's rate, 0.28 bit/px`."""
+    spent, raw = _spent(run, rate), baseline_rate(run, sequence)
+    return spent if raw is None or rate <= 0 or raw[1] <= rate else f"1/{raw[1] / rate:.0f} of {raw[0]}'s rate, {spent}"
+
+
+def baseline_rate(run: RunResult, sequence: str) -> tuple[str, float] | None:
+    """The name and the rate of the baseline on a sequence, or on all (POOLED); None where it is not known."""
     rates = pooled_rates(run) if sequence == POOLED else run.rates
     raw = [
         (codec, rate)
         for (on, codec, _), rate in rates.items()
         if on == sequence and codec in run.meaning.baselines and not np.isnan(rate)
     ]
-    if not raw or standing.rate <= 0 or raw[0][1] <= standing.rate:
-        return spent
-    return f"1/{raw[0][1] / standing.rate:.0f} of {raw[0][0]}'s rate, {spent}"
+    return raw[0] if raw else None

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from codecbench.core.contracts.view import Course
+from codecbench.core.results.answers import judged_column
 from codecbench.core.results.columns import Column
 from codecbench.core.results.export import json_value
+from codecbench.core.results.intervals import intervals
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.style import PALETTE, STROKES
-from codecbench.core.results.views import bars_views, curve_views, map_views
+from codecbench.core.results.views import Map, bars_views, curve_views, map_views
 
 _MOST_POINTS = 400
-"""Points of a drawn line that the page keeps."""
+_FEWEST_POINTS = 60
+_ALL_POINTS = 60_000
+"""Points of a drawn line that the page keeps, at the most and the least, and of all that it draws about."""
+_STEPS = 4000
+"""Coordinates are rounded to this share of what a drawing spans."""
 
 
 def page_data(run: RunResult) -> dict[str, Any]:
@@ -31,7 +38,9 @@ def page_data(run: RunResult) -> dict[str, Any]:
         "strokes": {name: asdict(style) for name, style in STROKES.items()},
         "palette": PALETTE,
         "presets": [{"title": view.title, "x": view.x.name, "y": view.y.name} for view in curve_views(run)],
-        "intervals": intervals(run.wide),
+        "first": _first_preset(run),
+        "intervals": _intervals(run),
+        "rate": run.rate.name if run.rate else None,
         "brief": [column.name for column in run.headlines()],
         "bars_views": [
             {
@@ -46,12 +55,19 @@ def page_data(run: RunResult) -> dict[str, Any]:
     }
 
 
+def _first_preset(run: RunResult) -> int:
+    """The curve that is shown first: over the rate, what codecs are judged by."""
+    judged = judged_column(run)
+    places = [at for at, view in enumerate(curve_views(run)) if view.x == run.rate and view.y == judged]
+    return places[0] if places else 0
+
+
 def table(run: RunResult) -> dict[str, list[Any]]:
     """The wide table by column, as JSON can hold it: infinities as text, missing values as null."""
     wide = run.wide
     found = {str(name): [json_value(value) for value in wide[name].tolist()] for name in wide.columns}
-    found["curve"] = [run.curves[key].curve for key in zip(wide["codec"], wide["setting"], strict=True)]
-    return found
+    points = [run.curves[key] for key in zip(wide["codec"], wide["setting"], strict=True)]
+    return found | {"curve": [point.curve for point in points], "place": [point.place for point in points]}
 
 
 def _column(column: Column) -> dict[str, Any]:
@@ -66,47 +82,80 @@ def _column(column: Column) -> dict[str, Any]:
     }
 
 
-def intervals(wide: pd.DataFrame) -> dict[str, tuple[str, str]]:
-    """Columns of medians that have a confidence interval beside them."""
-    names = set(wide.columns)
-    found = {}
-    for name in names:
-        stem = name.rpartition(".")[0]
-        low, high = f"{stem}.ci95_low", f"{stem}.ci95_high"
-        if name.endswith(".median") and low in names and high in names:
-            found[name] = (low, high)
-    return found
+def _intervals(run: RunResult) -> dict[str, list[list[float] | None]]:
+    """The intervals of headlines, row by row of the table."""
+    keys = list(zip(run.wide["sequence"], run.wide["codec"], run.wide["setting"], strict=True))
+    known = {column.name: intervals(run, column) for column in run.headlines()}
+    return {
+        name: [[_rounded(end) for end in found[key]] if key in found else None for key in keys]
+        for name, found in known.items()
+        if found
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def maps(run: RunResult) -> list[dict[str, Any]]:
-    """The drawings of each map view, first repeats, with lines as rounded x and y lists."""
-    return [
-        {
-            "title": view.view.title,
-            "note": view.view.note,
-            "strokes": {line.name: line.stroke for drawn in view.drawings for line in drawn.drawing.lines},
-            "drawings": [
-                {
-                    "sequence": drawn.result.cell.sequence.name,
-                    "codec": drawn.result.cell.codec.name,
-                    "setting": " ".join(
-                        filter(None, (drawn.result.cell.codec.label, drawn.result.cell.evaluator.label))
-                    ),
-                    "caption": drawn.drawing.caption,
-                    "holds": drawn.drawing.holds,
-                    "lines": [
-                        {"name": line.name, "stroke": line.stroke, "points": _thinned(line.points)}
-                        for line in drawn.drawing.lines
-                    ],
-                }
-                for drawn in view.drawings
-            ],
-        }
-        for view in map_views(run)
-    ]
+    """The drawings of each map view, first repeats; paths that are the same are kept once."""
+    return [_map(view) for view in map_views(run)]
 
 
-def _thinned(points: np.ndarray) -> list[list[float]]:
-    """At most `_MOST_POINTS` points of a (N, 2) path as rounded x and y lists."""
-    picks = np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).round().astype(int))
-    return [[round(float(value), 4) for value in points[picks, axis]] for axis in (0, 1)]
+def _map(view: Map) -> dict[str, Any]:
+    most = max(_FEWEST_POINTS, min(_MOST_POINTS, _ALL_POINTS // max(1, len(view.drawings))))
+    paths: dict[str, int] = {}
+    kept: list[list[list[float]]] = []
+
+    def kept_path(points: np.ndarray, step: float) -> int:
+        path = _thinned(points, most, step)
+        key = json.dumps(path)
+        if key not in paths:
+            paths[key] = len(kept)
+            kept.append(path)
+        return paths[key]
+
+    drawings = []
+    for drawn in view.drawings:
+        cell, drawing = drawn.result.cell, drawn.drawing
+        span = max((float(np.ptp(line.points, axis=0).max()) for line in drawing.lines if len(line.points)), default=1)
+        step = 10.0 ** np.floor(np.log10(span / _STEPS)) if span > 0 else 1.0
+        drawings.append(
+            {
+                "sequence": cell.sequence.name,
+                "codec": cell.codec.name,
+                "setting": cell.codec.label,
+                "way": cell.evaluator.label,
+                "caption": drawing.caption,
+                "holds": drawing.holds,
+                "axes": list(drawing.axes),
+                "lines": [
+                    {"name": line.name, "stroke": line.stroke, "path": kept_path(line.points, step)}
+                    for line in drawing.lines
+                ],
+                "course": drawing.course and _course(drawing.course, most, step),
+            }
+        )
+    strokes = {line.name: line.stroke for drawn in view.drawings for line in drawn.drawing.lines}
+    return {"title": view.view.title, "note": view.view.note, "strokes": strokes, "paths": kept, "drawings": drawings}
+
+
+def _course(course: Course, most: int, step: float) -> dict[str, Any]:
+    picks = _picks(len(course.frames), most)
+    errors = [None if np.isnan(error) else _rounded(error) for error in course.errors[picks].tolist()]
+    x, y = (_steps(course.positions[picks, axis], step) for axis in (0, 1))
+    return {"frames": course.frames[picks].tolist(), "x": x, "y": y, "errors": errors, "unit": course.unit}
+
+
+def _picks(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def _thinned(points: np.ndarray, most: int, step: float) -> list[Any]:
+    """At most so many points of a (N, 2) path as rounded x and y lists."""
+    picks = _picks(len(points), most)
+    return [_steps(points[picks, axis], step) for axis in (0, 1)]
+
+
+def _steps(values: np.ndarray, step: float) -> list[float | None]:
+    return [None if np.isnan(value) else _rounded(round(value / step) * step) for value in values.tolist()]

@@ -1,10 +1,12 @@
-"""Pictures of the report: frames at matched rate."""
+"""Pictures of the report: frames of settings in order of rate."""
 
 from __future__ import annotations
 
 import json
 import logging
-from dataclasses import asdict
+import math
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -12,63 +14,126 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
-from codecbench.core.contracts.evaluator import CodedFrame
+from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.running.coding import checked_decoding
+from codecbench.core.engine.running.coding.coded_frames import CodedFrames
+from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.relocation import SAME_PLACE, relocated
 from codecbench.core.results.report.frame_views import FrameView, frame_view
 from codecbench.core.results.run_result import RunResult
 
 log = logging.getLogger("codecbench.report")
 
-SAME_PLACE: Final = "same"
-"""Says that sequences are opened where the plan names them."""
-
-_SETTINGS_A_SEQUENCE: Final = 36
+_SETTINGS_A_SEQUENCE: Final = 64
 """Settings whose pictures the page shows of one sequence, spread over the rates."""
+_MOST_FRAMES: Final = 5
+"""Of one setting."""
+_VIEWS: Final = 72
+"""As many of all settings as there are frames for, where each has several."""
+_BYTES_A_PIXEL: Final = 0.9
+"""What a pixel of a view takes of the page, about."""
+_LEAST_SIZE: Final = (360, 270)
+_MOST_SIZE: Final = (640, 480)
 
 
-def frame_pictures(run: RunResult, budget_bytes: int, sequences_from: str | None = None) -> dict[str, Any]:
+def frame_pictures(
+    run: RunResult, budget_bytes: int, sequences_from: str | None = None, wanted: Collection[int] = ()
+) -> dict[str, Any]:
     """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly.
 
     sequences_from: a folder in which sequences are looked for, or `same` for where the plan says, even if the run was
-    made elsewhere; None opens only what this user's own plan names.
+    made elsewhere; None opens only what this user's own plan names. wanted: numbers of the frames to show, each of the
+    sequences that have it; by default a few spread evenly.
     Each sequence has an equal share of the budget; where it does not do for all settings, they are thinned evenly.
     """
-    originals: list[str] = []
+    originals: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
+    marker = _marker(run)
     for entry in run.plan.sequences:
         params = _dataset_params(run, entry, sequences_from)
         if params is None:
             continue
         chosen = _chosen(run, entry)
-        views = [(setting, rate, view) for setting, rate in chosen if (view := _view(run, entry, params, setting))]
-        views = _thinned(views, share)
-        for setting, rate, view in views:
-            name = f"{setting.name} {setting.label}".strip()
-            spent = _spent(run, rate)
-            frames.append(
-                {
-                    "sequence": entry.name,
-                    "original": len(originals),
-                    "title": " · ".join(filter(None, (spent, name))),
-                    "decoded": view.decoded,
-                    "difference": view.difference,
-                    "caption": ", ".join(filter(None, (name, spent, f"frame {entry.frames // 2}"))),
-                    "lost": f"difference x4; {view.lost} of {view.features} features lost (red)",
-                }
-            )
-        originals += [view.original for *_, view in views[:1]]
+        shape = _shape(entry.frames, len(chosen), len(run.plan.sequences), share, wanted)
+        views = [
+            (setting, rate, found)
+            for setting, rate in chosen
+            if (found := _views(run, entry, params, setting, shape, marker))
+        ]
+        places: dict[int, int] = {}
+        shown = _thinned(views, share)
+        if len(shown) < len(views):
+            log.warning("images of %d of %d settings on %s fit on the page", len(shown), len(views), entry.name)
+        for setting, rate, found in shown:
+            spent = " · ".join(filter(None, (_spent(run, rate), f"{setting.name} {setting.label}".strip())))
+            for view in found:
+                if view.index not in places:
+                    places[view.index] = len(originals)
+                    originals.append({"picture": view.original, "width": view.width, "height": view.height})
+                frames.append(
+                    {
+                        "sequence": entry.name,
+                        "codec": setting.name,
+                        "setting": setting.label,
+                        "title": spent,
+                        "frame": view.index,
+                        "original": places[view.index],
+                        "decoded": view.decoded,
+                        "difference": view.difference,
+                        "kept": view.kept,
+                        "lost": view.lost,
+                        "note": view.note,
+                    }
+                )
     return {"frames": frames, "originals": originals}
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Which frames are shown of each setting, and how much of them (width, height)."""
+
+    indices: list[int]
+    size: tuple[int, int]
+
+
+def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted: Collection[int]) -> _Shape:
+    """The frames that are wanted, or as many as there is room for, and as much of them as the budget allows."""
+    count = min(frames, max(1, min(_MOST_FRAMES, _VIEWS // max(1, settings * sequences))))
+    spread = [int(frames * (place + 0.5) / count) for place in range(count)]
+    indices = sorted({index for index in wanted if index < frames}) if wanted else spread
+    pixels = budget_bytes / max(1, settings * len(indices)) / _BYTES_A_PIXEL
+    scale = math.sqrt(pixels / (_LEAST_SIZE[0] * _LEAST_SIZE[1]))
+    width, height = (
+        max(least, min(most, int(scale * least))) for least, most in zip(_LEAST_SIZE, _MOST_SIZE, strict=True)
+    )
+    return _Shape(indices, (width, height))
+
+
+def _marker(run: RunResult) -> PluginSetting | None:
+    """The first evaluator of the run that marks frames."""
+    for setting in dict.fromkeys(result.cell.evaluator for result in run.results):
+        try:
+            if installed().ask(offers_marks, setting.name, of=[("evaluator", setting.name)]):
+                return setting
+        except CodecbenchError as error:
+            log.warning("evaluator %s marks nothing: %s", setting.name, clean_line(str(error)))
+    return None
+
+
+def offers_marks(registry: Registry, name: str) -> bool:
+    """Whether an evaluator marks frames."""
+    return bool(registry.load("evaluator", name).marks is not Evaluator.marks)
 
 
 def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, float]]:
@@ -89,17 +154,17 @@ def _spent(run: RunResult, rate: float) -> str:
     return "" if run.rate is None or np.isnan(rate) else f"{rate * run.rate.factor:.3g} {run.rate.unit}"
 
 
-_View = tuple[PluginSetting, float, FrameView]
+_Views = tuple[PluginSetting, float, list[FrameView]]
 
 
-def _thinned(views: list[_View], budget_bytes: int) -> list[_View]:
-    """As many views, spread evenly, as the budget allows."""
+def _thinned(views: list[_Views], budget_bytes: int) -> list[_Views]:
+    """As many settings, spread evenly, as the budget allows."""
     count = len(views)
     while count:
         picks = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
         chosen = [views[pick] for pick in picks]
-        weight = len(chosen[0][2].original) + sum(len(view.decoded) + len(view.difference) for *_, view in chosen)
-        if weight <= budget_bytes:
+        originals = sum(len(view.original) for view in chosen[0][2])
+        if originals + sum(view.weight_bytes for *_, found in chosen for view in found) <= budget_bytes:
             return chosen
         count -= 1
     return []
@@ -109,7 +174,7 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
     """The parameters to open a sequence with; None, with a line in the log, where it may not be opened."""
     try:
         if sequences_from not in (None, SAME_PLACE):
-            return {name: _relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+            return {name: relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
         elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
             message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"
@@ -120,34 +185,32 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
     return entry.dataset.params
 
 
-def _relocated(value: Any, folder: Path) -> Any:
-    """A parameter that is a path, as it is called in `folder`; others as they are. Raises DatasetError."""
-    if not isinstance(value, str) or "/" not in value:
-        return value
-    home, parts = folder.resolve(), [part for part in Path(value).parts if part not in ("/", "..")]
-    for start in range(len(parts)):
-        path = home.joinpath(*parts[start:])
-        if path.exists() and path.resolve().is_relative_to(home):
-            return str(path)
-    raise DatasetError(f"{parts[-1] if parts else value} is not in {folder}")
-
-
-def _view(run: RunResult, entry: SequenceEntry, params: dict[str, Any], setting: PluginSetting) -> FrameView | None:
-    """The middle frame of a sequence under a setting; None, with a line in the log, where it cannot be made again."""
+def _views(
+    run: RunResult,
+    entry: SequenceEntry,
+    params: dict[str, Any],
+    setting: PluginSetting,
+    shape: _Shape,
+    marker: PluginSetting | None,
+) -> list[FrameView]:
+    """Frames of a sequence under a setting; none, with a line in the log, where they cannot be made again."""
     job_id = coding_id(entry, setting)
     path = str(Store(run.folder).coded_path(job_id).absolute())
     asked: list[tuple[Kind, str]] = [("dataset", entry.dataset.name), ("codec", setting.name)]
+    asked += [("evaluator", marker.name)] if marker else []
     sequence = entry.dataset.name, params, entry.fingerprint, entry.frames
+    marked = (marker.name, marker.params) if marker else None
+    wanted = shape.indices, list(shape.size), marked
     try:
-        values = installed().ask(view_values, *sequence, setting.name, setting.params, path, job_id, of=asked)
+        found = installed().ask(views_values, *sequence, setting.name, setting.params, path, job_id, *wanted, of=asked)
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
         where = f"{setting.name} {setting.label} on {entry.name}"
         log.warning("no image of %s: %s", where, clean_line(str(error)))
-        return None
-    return FrameView(**values)
+        return []
+    return [FrameView(**values) for values in found]
 
 
-def view_values(
+def views_values(
     registry: Registry,
     dataset: str,
     dataset_params: dict[str, Any],
@@ -157,22 +220,31 @@ def view_values(
     codec_params: dict[str, Any],
     path: str,
     job_id: str,
-) -> dict[str, Any]:
-    """The fields of the view of a sequence's middle frame, whose bitstream is in the file `path` of the job.
+    indices: list[int],
+    size: list[int],
+    marker: tuple[str, dict[str, Any]] | None,
+) -> list[dict[str, Any]]:
+    """The fields of views of a sequence's frames, whose bitstreams are in the file `path` of the job.
 
-    Raises DatasetError where the sequence is no longer the one of the fingerprint, and BitstreamDamage where the file
-    is not the job's.
+    marker: the evaluator that marks them, and its parameters. Raises DatasetError where the sequence is no longer the
+    one of the fingerprint, and BitstreamDamage where the file is not the job's.
     """
-    middle = _middle_frame(registry, dataset, canonical_json(dataset_params).decode(), fingerprint, frames)
-    bitstream = BitstreamFile(Path(path), job_id).read(middle.index)
-    decoded = registry.create("codec", codec, codec_params).decode(bitstream)
-    return asdict(frame_view(CodedFrame(middle, bitstream, checked_decoding(decoded, middle.image))))
+    sequence = _opened(registry, dataset, canonical_json(dataset_params).decode(), fingerprint, frames)
+    bitstreams = BitstreamFile(Path(path), job_id)
+    coded = CodedFrames(sequence, registry.create("codec", codec, codec_params), bitstreams, WorkPosition())
+    evaluator: Evaluator[Any] | None = registry.create("evaluator", *marker) if marker else None
+    found = []
+    for index in indices:
+        frame = coded.frame(index)
+        view = frame_view(frame, index, (size[0], size[1]), evaluator.marks(frame) if evaluator else None)
+        found.append(asdict(view))
+    return found
 
 
 @lru_cache(maxsize=1)
-def _middle_frame(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> Frame:
-    """The middle frame of a sequence, read once for all settings. params: as JSON."""
+def _opened(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> Sequence:
+    """A sequence, whose frames are read once for all settings. params: as JSON."""
     sequence: Sequence = registry.create("dataset", dataset, json.loads(params)).open()
     if sequence.fingerprint != fingerprint or len(sequence) != frames:
         raise DatasetError("its frames are no longer those of the run")
-    return sequence.read(frames // 2)
+    return CachedSequence(sequence, sequence.name, FrameCache())

@@ -10,21 +10,24 @@ from importlib.resources import files
 from typing import Any, Final
 
 import jinja2
-import plotly.offline
 
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
+from codecbench.core.results.answers import answers, judged_column
+from codecbench.core.results.notes import notes
 from codecbench.core.results.ranking.words import verdicts
 from codecbench.core.results.report.page_data import page_data
 from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.style import STROKES
 
-SIZE_LIMIT_BYTES: Final = 8_000_000
+SIZE_LIMIT_BYTES: Final = 6_000_000
 """What the page should weigh: pictures of frames take what is left of it, those of settings beyond are left out."""
 
-_REST_BYTES: Final = 150_000
-"""Kept for the page's text, style and script, and for what is said of failures."""
-
+_REST_BYTES: Final = 250_000
+"""Kept for the page's text, style and scripts."""
+_SCRIPTS: Final = ("chart.js", "page.js", "curves.js", "look.js", "tables.js")
+_TRACEBACK_LETTERS: Final = 4000
+"""Of a failure's traceback, its end."""
 
 _MOST_FAILURES: Final = 500
 """Cells without a result of which the page tells the reason."""
@@ -40,17 +43,23 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((parts / "page.html.j2").read_text(encoding="utf-8"))
     tables, anchor = verdict_tables(run)
-    plotly_script = plotly.offline.get_plotlyjs()
-    spent_bytes = len(plotly_script.encode()) + len(_script_json(data).encode()) + len(run.plan.matrix_text.encode())
+    failures = _failures(run)
+    told_bytes = sum(len(text.encode()) for failure in failures for text in failure.values())
+    spent_bytes = len(_script_json(data).encode()) + len(run.plan.matrix_text.encode()) + told_bytes
     data |= frames(SIZE_LIMIT_BYTES - _REST_BYTES - spent_bytes)
+    decided = verdicts(run)
+    judged = judged_column(run)
+    ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
+    courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
     return template.render(
         name=run.plan.name,
         subtitle=_subtitle(run),
         css=_trusted((parts / "page.css").read_text(encoding="utf-8")),
-        script=_trusted((parts / "page.js").read_text(encoding="utf-8")),
-        plotly=_trusted(plotly_script),
+        scripts=[_trusted((parts / name).read_text(encoding="utf-8")) for name in _SCRIPTS],
         data=_trusted(_script_json(data)),
-        has_frames=bool(data["frames"]),
+        can_look=bool(data["frames"] or courses),
+        has_paths=bool(courses),
+        path_strokes=courses[0]["strokes"] if courses else {},
         map_views=data["map_views"],
         bars_views=data["bars_views"],
         strokes=STROKES,
@@ -58,10 +67,14 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
             (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
         ),
         cards=_cards(run),
-        decided=verdicts(run),
+        answers=answers(run),
+        ranked=ranked,
+        decided=[verdict for verdict in decided if verdict is not ranked],
         verdicts=tables,
+        notes=notes(run),
         anchor=anchor,
-        failures=_failures(run),
+        failures=failures,
+        failures_left_out=sum(result.status != "ok" for result in run.results) - len(failures),
         codes=_codes(run),
         environment=json.dumps(run.environments, indent=1, sort_keys=True),
         companies=_companies(run),
@@ -84,7 +97,7 @@ def _trusted(text: str) -> Any:
 
 def _subtitle(run: RunResult) -> str:
     sequences = ", ".join(f"{entry.name} ({entry.frames} frames)" for entry in run.plan.sequences)
-    return f"codecbench run, matrix version {MATRIX_VERSION}, on {sequences}"
+    return f"{sequences}; matrix version {MATRIX_VERSION}"
 
 
 def _cards(run: RunResult) -> list[dict[str, str]]:
@@ -133,22 +146,18 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _failures(run: RunResult) -> list[list[str]]:
-    """A row for each cell without a result, as far as the page shows them, and one that counts the others."""
-    rows = [
-        [
-            r.cell.sequence.name,
-            r.cell.codec.name,
-            r.cell.codec.label,
-            r.cell.evaluator.title,
-            r.status,
-            r.reason,
-            r.cell.id[:12],
-        ]
-        for r in run.results
-        if r.status != "ok"
-    ]
-    left_out = len(rows) - _MOST_FAILURES
-    if left_out <= 0:
-        return rows
-    return [*rows[:_MOST_FAILURES], [f"... and {left_out} more; `codecbench status --failed` lists them", *[""] * 6]]
+def _failures(run: RunResult) -> list[dict[str, str]]:
+    """What is told of each cell without a result, as far as the page shows them."""
+    told = []
+    for result in [result for result in run.results if result.status != "ok"][:_MOST_FAILURES]:
+        cell = result.cell
+        setting = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+        told.append(
+            {
+                "title": f"{cell.sequence.name}, {setting}, {cell.evaluator.title}: {result.status}",
+                "reason": result.reason,
+                "traceback": result.traceback[-_TRACEBACK_LETTERS:],
+                "cell": cell.id[:12],
+            }
+        )
+    return told

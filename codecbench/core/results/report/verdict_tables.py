@@ -13,8 +13,8 @@ from codecbench.core.results.limits import Limit, limits
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import (
     SequenceCurve,
-    anchor_of,
-    bd_rates,
+    anchors_of,
+    bd_rates_by_anchor,
     pareto_criteria,
     pareto_settings,
     spread,
@@ -25,27 +25,34 @@ _LEADS: Final = "on the Pareto front"
 
 @dataclass(frozen=True)
 class _Judged:
-    """What is said of every curve: BD-rates at equal values of some columns, and limits of others."""
+    """What is said of every curve: BD-rates at equal values of some columns, and limits of others.
 
-    rates: dict[Column, dict[SequenceCurve, BdRate]]
+    rates: by column and anchor; "" is the only anchor, which each sequence has by itself.
+    """
+
+    rates: dict[tuple[Column, str], dict[SequenceCurve, BdRate]]
     limits: dict[Column, dict[SequenceCurve, Limit]]
 
 
 def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
-    """A table for each sequence as the template takes it, and the name of the anchor of its BD-rates, if it has any."""
-    rates = {column: bd_rates(run, column) for column in run.headlines("quality", "task")}
+    """A table for each sequence as the template takes it, and the names of the anchors of BD-rates, if any."""
+    rates = {
+        (column, anchor): found
+        for column in run.headlines("quality", "task")
+        for anchor, found in bd_rates_by_anchor(run, column).items()
+    }
     judged = _Judged(
-        {column: found for column, found in rates.items() if found},
+        {key: found for key, found in rates.items() if found},
         {column: limits(run, [column]) for column in run.headlines("success")},
     )
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
     heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
-    heads += [f"BD-rate, {column.label}" for column in judged.rates]
+    heads += [f"BD-rate{f' beside {anchor}' if anchor else ''}, {column.label}" for column, anchor in judged.rates]
     heads += [f"{column.label} down to" for column in judged.limits]
     heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
-    tables, anchor = [], ""
+    tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
     for entry in run.plan.sequences:
         wide = run.wide[run.wide["sequence"] == entry.name]
         used, front = pareto_settings(wide, criteria)
@@ -53,25 +60,31 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
         for record, leads in zip(wide.to_dict("records"), front, strict=True):
             curve = run.curves[record["codec"], record["setting"]].curve
             curves.setdefault(curve, []).append({**record, _LEADS: leads})
-        anchor = anchor_of(curves, run.meaning.anchors) or anchor
+        own = next(iter(anchors_of(curves, run.meaning.anchors)), "")
+        if not any(anchor for _, anchor in judged.rates) and own:
+            anchors[own] = None
         rows = []
         for curve, records in curves.items():
             key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
-            row += ["anchor" if curve == anchor else str(found.get(key, "–")) for found in judged.rates.values()]
+            row += [
+                "anchor" if curve == (anchor or own) else str(found.get(key, "–"))
+                for (_, anchor), found in judged.rates.items()
+            ]
             row += [found[key].words(run.rate) if key in found else "–" for found in judged.limits.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
-        words = _in_words(entry.name, anchor, judged, run.rate)
+        words = _in_words(entry.name, own, judged, run.rate)
         tables.append({"sequence": entry.name, "heads": heads, "rows": rows, "note": note, "words": words})
-    return tables, anchor if judged.rates else ""
+    return tables, " and ".join(anchors) if judged.rates else ""
 
 
-def _in_words(sequence: str, anchor: str, judged: _Judged, rate: Column | None) -> list[str]:
+def _in_words(sequence: str, own: str, judged: _Judged, rate: Column | None) -> list[str]:
     """Who needs least rate on a sequence, for each thing held equal, and who holds down to the least."""
     words = []
-    for column, found in judged.rates.items():
+    for (column, named), found in judged.rates.items():
+        anchor = named or own
         here = {curve: bd for (name, curve), bd in found.items() if name == sequence and not bd.reason}
         if here:
             best = min(here, key=lambda curve: here[curve].percent)

@@ -108,7 +108,7 @@ def forward_dct(plane: Any, shift: Any, coefficients: Any) -> None:
             for x in range(width):
                 source[y, x] = np.float32(plane[block_row * 8 + y, x]) - shift
         _forward_down(source, target)
-        _transpose_blocks(target, source)
+        transpose_blocks(target, source)
         _forward_down(source, target)
         for column in range(columns):
             block = block_row * columns + column
@@ -134,7 +134,7 @@ def inverse_dct(coefficients: Any, shift: Any, plane: Any) -> None:
                 for u in range(8):
                     source[u, column * 8 + v] = coefficients[block, v * 8 + u] * _INVERSE_SCALES[v * 8 + u]
         _inverse_down(source, target)
-        _transpose_blocks(target, source)
+        transpose_blocks(target, source)
         _inverse_down(source, target)
         for y in range(8):
             for x in range(width):
@@ -143,7 +143,7 @@ def inverse_dct(coefficients: Any, shift: Any, plane: Any) -> None:
 
 
 @kernel
-def _transpose_blocks(source: Any, target: Any) -> None:
+def transpose_blocks(source: Any, target: Any) -> None:
     """Transpose every 8x8 block of an (8, 8n) strip."""
     for left in range(0, source.shape[1], 8):
         for y in range(8):

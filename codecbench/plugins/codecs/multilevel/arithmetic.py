@@ -30,7 +30,7 @@ _SPARE_BITS = 6
 _LOOKUP_BITS = 17
 
 
-@kernel
+@kernel(_nrt=False)
 def encode_interval(low: Any, width: Any, position: Any, out: Any, start: Any, count: Any, unit: Any) -> Any:
     """Narrow the range to `count` units from `start` on; returns the new low, width and position."""
     low += start * unit
@@ -46,7 +46,7 @@ def encode_interval(low: Any, width: Any, position: Any, out: Any, start: Any, c
     return low, width, position
 
 
-@kernel
+@kernel(_nrt=False)
 def _carry(out: Any, position: Any) -> None:
     """Add one to the number whose last byte stands before `position`."""
     position -= 1
@@ -56,7 +56,7 @@ def _carry(out: Any, position: Any) -> None:
     out[position] += 1
 
 
-@kernel
+@kernel(_nrt=False)
 def finish_encoder(low: Any, position: Any, out: Any) -> Any:
     """Write two more bytes, which name a number inside any range; returns the length of the output."""
     low = (low + _BELOW_LAST_BYTES) & ~_BELOW_LAST_BYTES
@@ -68,7 +68,7 @@ def finish_encoder(low: Any, position: Any, out: Any) -> Any:
     return position + 2
 
 
-@kernel
+@kernel(_nrt=False)
 def next_byte(data: Any, position: Any) -> Any:
     """The byte at a position; bytes after the end of the data are zero."""
     if position < data.shape[0]:
@@ -76,7 +76,7 @@ def next_byte(data: Any, position: Any) -> Any:
     return np.int64(0)
 
 
-@kernel
+@kernel(_nrt=False)
 def first_code(data: Any) -> Any:
     """The decoder's code at the beginning of `data`; LOOK_AHEAD bytes are then read."""
     code = np.int64(0)
@@ -85,7 +85,7 @@ def first_code(data: Any) -> Any:
     return code
 
 
-@kernel
+@kernel(_nrt=False)
 def decode_interval(code: Any, position: Any, data: Any, start: Any, count: Any, unit: Any) -> Any:
     """Take the interval of a decoded symbol out of the range; returns the new code, width and position."""
     code -= start * unit

@@ -45,8 +45,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
+from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN
 from codecbench.plugins.codecs.multilevel.header import (
-    HEADER_SIZE,
+    CONTEXT_VERSION,
     MAGIC,
     MAX_SYMBOLS,
     VERSION,
@@ -61,6 +62,8 @@ ITEMS_PER_BYTE = 1 << 10
 
 _LEVEL = struct.Struct("<II")
 _WORD = struct.Struct("<I")
+_SHORTEST = 28 + _WORD.size
+"""The fixed fields that all versions have, and the checksum."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,11 @@ class Sizes:
 
 def describe(bitstream: bytes) -> Sizes:
     """Bytes of header, tables and keys by level, and payload; raises BitstreamError as decoding would."""
+    if version_of(bitstream) == CONTEXT_VERSION:
+        from codecbench.plugins.codecs.multilevel.context.bitstream import unpack as unpack_context
+
+        payload = sum(map(len, unpack_context(bitstream)[1]))
+        return Sizes(len(bitstream) - payload, (), (), payload, ())
     parts = unpack(bitstream)
     tables = tuple(len(level.table) for level in parts.levels)
     keys = tuple(level.keys.nbytes for level in parts.levels)
@@ -125,24 +133,49 @@ def pack(parts: Bitstream) -> bytes:
     return body + _WORD.pack(zlib.crc32(body))
 
 
+def version_of(bitstream: bytes) -> int:
+    """The version that a bitstream says it has. Raises BitstreamError where it is none of this codec."""
+    data = bytes(bitstream[:_SHORTEST])
+    if data[:4] != MAGIC[: len(data)] or not data:
+        raise BitstreamError(
+            f"not a multi-level bitstream: starts with {data[:4].hex() or 'nothing'}, not {MAGIC.hex()}"
+        )
+    if len(data) < _SHORTEST:
+        raise BitstreamError(f"truncated: {len(data)} bytes, the shortest header has {_SHORTEST}")
+    if data[4] not in (VERSION, CONTEXT_VERSION):
+        raise BitstreamError(f"version {data[4]} is not supported, only {VERSION} and {CONTEXT_VERSION}")
+    return data[4]
+
+
+def checked(bitstream: bytes, version: int) -> Reader:
+    """A reader of a bitstream of this version whose checksum is right. Raises BitstreamError with the reason."""
+    data = bytes(bitstream)
+    if version_of(data) != version:
+        raise BitstreamError(f"version {data[4]} where {version} is expected")
+    (expected,) = _WORD.unpack(data[-_WORD.size :])
+    if (found := zlib.crc32(data[: -_WORD.size])) != expected:
+        raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
+    return Reader(data)
+
+
+def check_end(section: bytes, read: int, items: int, what: str) -> None:
+    """Refuse a section that is not exactly as long as its encoder would have made it.
+
+    read: bytes that the decoder took, UNWRITTEN of them beyond what is written.
+    """
+    written = read - UNWRITTEN
+    if len(section) < written:
+        raise BitstreamError(f"{what}: truncated")
+    if len(section) > max(written, least_size(items)) or any(section[written:]):
+        raise BitstreamError(f"{what}: trailing bytes")
+
+
 def unpack(bitstream: bytes) -> Bitstream:
     """Take a bitstream apart and check everything that can be checked without decoding.
 
     Raises BitstreamError with the reason.
     """
-    data = bytes(bitstream)
-    if data[:4] != MAGIC[: len(data)] or not data:
-        raise BitstreamError(
-            f"not a multi-level bitstream: starts with {data[:4].hex() or 'nothing'}, not {MAGIC.hex()}"
-        )
-    if len(data) < HEADER_SIZE + _WORD.size:
-        raise BitstreamError(f"truncated: {len(data)} bytes, a header has {HEADER_SIZE}")
-    if data[4] != VERSION:
-        raise BitstreamError(f"version {data[4]} is not supported, only {VERSION}")
-    (expected,) = _WORD.unpack(data[-_WORD.size :])
-    if (found := zlib.crc32(data[: -_WORD.size])) != expected:
-        raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
-    reader = Reader(data)
+    reader = checked(bitstream, VERSION)
     header = unpack_header(reader)
     levels = _unpack_levels(reader, header)
     (size,) = _WORD.unpack(reader.take(_WORD.size, "payload size"))

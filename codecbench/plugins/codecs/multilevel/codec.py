@@ -13,14 +13,23 @@ from codecbench.core.contracts.image import Image, check_image
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
-from codecbench.plugins.codecs.dct.tables import Table, steps_from_table
+from codecbench.plugins.codecs.dct.tables import steps_from_table
 from codecbench.plugins.codecs.multilevel import entropy_coding
-from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpack
-from codecbench.plugins.codecs.multilevel.header import MAX_SAMPLES, TABLES, Header
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpack, version_of
+from codecbench.plugins.codecs.multilevel.context import profile
+from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, ContextHeader
+from codecbench.plugins.codecs.multilevel.header import CONTEXT_VERSION, MAX_SAMPLES, TABLES, Header, Picture
 from codecbench.plugins.codecs.multilevel.keys import Keys, canonical_keys, checked, manual_keys, random_keys
 from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams
 from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
+
+_HERE = "codecbench.plugins.codecs.multilevel"
+STATIC_KERNELS = (
+    "codecbench.plugins.codecs.dct",
+    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "scan", "search", "tables")),
+)
+_CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.codecs.dct.planes", f"{_HERE}.context")
 
 
 class Multilevel(Codec[MultilevelParams]):
@@ -34,13 +43,20 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
-    kernels = ("codecbench.plugins.codecs.dct", "codecbench.plugins.codecs.multilevel")
+    kernels = (*STATIC_KERNELS, *_CONTEXT_KERNELS)
     examples = (
         {},
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
         {"qf": 75, "keys": "random", "seed": 3, "scan": "coefficient", "table": "standard", "color": "ycbcr444"},
         {"qf": 10, "group": 2, "table": "flat", "color": "gray"},
+        {"qf": 2, "profile": "context"},
+        {"qf": 0.1, "profile": "context", "effort": "fast", "color": "rgb", "restart": 1},
+        {"qf": 3, "profile": "context", "effort": "normal", "color": "ycbcr444", "table": "standard", "lapped": True},
     )
+
+    def __init__(self, params: MultilevelParams) -> None:
+        super().__init__(params)
+        self.kernels = _CONTEXT_KERNELS if params.profile == "context" else STATIC_KERNELS
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         """The bitstream of one image; a gray image is coded as one plane whatever `color` says.
@@ -49,16 +65,18 @@ class Multilevel(Codec[MultilevelParams]):
         fit 62 bits, ImageError for images of too many pixels or too many different tuples.
         """
         image = check_image(image)
+        if self.params.profile == "context":
+            return profile.encoded(image, self._context_header(self._picture(image)), self.params.effort, trace)
+        header = self.header_of(image)
+        values = self.values_of(image, header, trace)
+        found = minimised(values, self.params.levels, self._key_maker(), trace)
+        return pack(entropy_coding.encoded(header, found, trace))
+
+    def header_of(self, image: Image) -> Header:
+        """The header of an image's bitstream, but for its digits. Raises ImageError for too many pixels."""
         params = self.params
-        color: Color = params.color if image.ndim == 3 else "gray"
-        table = self._table()
-        header = Header(
-            width=image.shape[1],
-            height=image.shape[0],
-            channels=1 if image.ndim == 2 else 3,
-            color=color,
-            qf=params.qf,
-            table=table,
+        return Header(
+            **vars(self._picture(image)),
             levels=params.levels,
             group=params.group,
             search=params.decoding == "search",
@@ -66,10 +84,36 @@ class Multilevel(Codec[MultilevelParams]):
             offset=0,
             radix=1,
         )
-        if header.samples > MAX_SAMPLES:
-            raise ImageError(f"image of shape {image.shape} needs {header.samples} samples; allowed: {MAX_SAMPLES}")
-        values = scanned(self._blocks(image, header, trace), params.scan, trace)
-        return pack(entropy_coding.encoded(header, minimised(values, params.levels, self._key_maker(), trace), trace))
+
+    def values_of(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
+        """Quantised coefficients (n,) of all planes, in the order in which they are minimised."""
+        return scanned(self._blocks(image, header, trace), self.params.scan, trace)
+
+    def _picture(self, image: Image) -> Picture:
+        """What both profiles say of an image. Raises ImageError for too many pixels."""
+        chosen = self.params.table
+        picture = Picture(
+            width=image.shape[1],
+            height=image.shape[0],
+            channels=1 if image.ndim == 2 else 3,
+            color=self.params.color if image.ndim == 3 else "gray",
+            qf=self.params.qf,
+            table=TABLES[chosen][1] if isinstance(chosen, str) else np.array(chosen, np.int32).reshape(8, 8),
+        )
+        if picture.samples > MAX_SAMPLES:
+            raise ImageError(f"image of shape {image.shape} needs {picture.samples} samples; allowed: {MAX_SAMPLES}")
+        return picture
+
+    def _context_header(self, picture: Picture) -> ContextHeader:
+        params = self.params
+        return ContextHeader(
+            **vars(picture),
+            lapped=params.lapped,
+            mixing=params.effort != "fast",
+            chroma=round(params.chroma * CHROMA_UNITS),
+            restart=params.restart,
+            biases=np.zeros((len(picture.plane_shapes), 3, 3), np.int32),
+        )
 
     def _blocks(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
         """Quantised blocks (b, 64) of all planes, in zigzag order."""
@@ -89,27 +133,15 @@ class Multilevel(Codec[MultilevelParams]):
         Raises BitstreamError for damaged or foreign bytes, ParamsError where `search: sequential` would take
         too long.
         """
+        if version_of(bitstream) == CONTEXT_VERSION:
+            return profile.decoded(bitstream, trace)
         parts: Bitstream = unpack(bitstream)
         header = parts.header
         ranks, tuples = entropy_coding.decoded(parts, self.params.search, trace)
         del parts
         values = expanded(ranks, tuples, header.offset, header.samples, trace)
         del ranks, tuples
-        blocks = unscanned(values, "coefficient" if header.coefficient_scan else "block", trace)
-        steps = steps_from_table(header.table, header.qf)
-        planes = []
-        start = 0
-        for number, (shape, padded_shape) in enumerate(zip(header.plane_shapes, header.padded_shapes, strict=True)):
-            stop = start + padded_shape[0] * padded_shape[1] // 64
-            shift = _shift(header.color, number)
-            plane = plane_from_blocks(blocks[start:stop], padded_shape, steps, shift, trace=trace)
-            planes.append(cropped(plane, shape, trace))
-            start = stop
-        return image_from_planes(planes, header.color, header.channels, trace)
-
-    def _table(self) -> Table:
-        chosen = self.params.table
-        return TABLES[chosen][1] if isinstance(chosen, str) else np.array(chosen, np.int32).reshape(8, 8)
+        return image_from_values(values, header, trace)
 
     def _key_maker(self) -> KeyMaker:
         params = self.params
@@ -128,3 +160,18 @@ class Multilevel(Codec[MultilevelParams]):
 def _shift(color: Color, plane: int) -> float:
     """Level shift: 128 for chroma, none for luma, RGB and gray."""
     return 128.0 if color.startswith("ycbcr") and plane > 0 else 0.0
+
+
+def image_from_values(values: NDArray[np.int32], header: Header, trace: Trace) -> Image:
+    """The image of quantised coefficients (n,) in the order in which they were minimised."""
+    blocks = unscanned(values, "coefficient" if header.coefficient_scan else "block", trace)
+    steps = steps_from_table(header.table, header.qf)
+    planes = []
+    start = 0
+    for number, (shape, padded_shape) in enumerate(zip(header.plane_shapes, header.padded_shapes, strict=True)):
+        stop = start + padded_shape[0] * padded_shape[1] // 64
+        shift = _shift(header.color, number)
+        plane = plane_from_blocks(blocks[start:stop], padded_shape, steps, shift, trace=trace)
+        planes.append(cropped(plane, shape, trace))
+        start = stop
+    return image_from_planes(planes, header.color, header.channels, trace)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError, KeyCollision, ParamsError
 from codecbench.core.counting.trace import Trace
-from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN, decode_symbols, encode_symbols
-from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, filled_up, least_size
+from codecbench.plugins.codecs.multilevel.arithmetic import decode_symbols, encode_symbols
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, check_end, filled_up
 from codecbench.plugins.codecs.multilevel.header import Header
 from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
 from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
@@ -117,7 +117,7 @@ def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.
         read = run(decode_symbols, data, counts, np.empty(len(counts) + 1, np.int64), ranks)
     if read < 0:
         raise BitstreamError("payload: the histogram of its symbols differs from the counts")
-    _check_end(parts.payload, read, header.samples, "payload")
+    check_end(parts.payload, read, header.samples, "payload")
     return ranks, tuples
 
 
@@ -183,13 +183,4 @@ def _search(
 def _check_table(level: Level, read: int, number: int) -> None:
     if read < 0:
         raise BitstreamError(f"table of level {number}: {_REASONS[read]}")
-    _check_end(level.table, read, level.entries, f"table of level {number}")
-
-
-def _check_end(section: bytes, read: int, items: int, what: str) -> None:
-    """Refuse a section that is not exactly as long as its encoder would have made it."""
-    written = read - UNWRITTEN
-    if len(section) < written:
-        raise BitstreamError(f"{what}: truncated")
-    if len(section) > max(written, least_size(items)) or any(section[written:]):
-        raise BitstreamError(f"{what}: trailing bytes")
+    check_end(level.table, read, level.entries, f"table of level {number}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE, PAPER, Table
 
 MAGIC = b"CBML"
 VERSION = 1
+CONTEXT_VERSION = 2
 STATIC_PROFILE = 0
 CONTEXT_PROFILE = 1
-"""Reserved: adaptive contexts in place of tables. No decoder for it yet."""
+"""Adaptive contexts in place of tables: `context`."""
 
 MAX_LEVELS = 16
 MIN_GROUP, MAX_GROUP = 2, 16
@@ -30,7 +31,7 @@ MAX_SYMBOLS = 1 << 22
 
 COLORS: tuple[Color, ...] = get_args(Color)
 TABLES: dict[str, tuple[int, Table]] = {"paper": (0, PAPER), "standard": (1, LUMINANCE), "flat": (2, FLAT)}
-_CUSTOM_TABLE = 255
+CUSTOM_TABLE = 255
 
 _SEARCH, _COEFFICIENT, _THREE_CHANNELS = 1, 2, 4
 _FIXED = struct.Struct("<4sBBBBBBBxIIdiI")
@@ -41,8 +42,8 @@ _CHECKSUM_SIZE = 4
 
 
 @dataclass(frozen=True)
-class Header:
-    """What stands before the tables. table: (8, 8) int32. offset, radix: indices are offset..offset+radix-1."""
+class Picture:
+    """What is coded, in either profile. table: (8, 8) int32."""
 
     width: int
     height: int
@@ -50,12 +51,6 @@ class Header:
     color: Color
     qf: float
     table: Table = field(repr=False)
-    levels: int
-    group: int
-    search: bool
-    coefficient_scan: bool
-    offset: int
-    radix: int
 
     @property
     def plane_shapes(self) -> list[tuple[int, int]]:
@@ -71,6 +66,24 @@ class Header:
     def samples(self) -> int:
         """Samples of all planes with their padding."""
         return sum(height * width for height, width in self.padded_shapes)
+
+    def require_room(self) -> None:
+        """Raise BitstreamError for more samples than a decoder allows."""
+        if self.samples > MAX_SAMPLES:
+            size = f"{self.width}x{self.height}"
+            raise BitstreamError(f"header: {size} pixels are more than the {MAX_SAMPLES} samples allowed")
+
+
+@dataclass(frozen=True)
+class Header(Picture):
+    """What stands before the tables. offset, radix: indices are offset..offset+radix-1."""
+
+    levels: int
+    group: int
+    search: bool
+    coefficient_scan: bool
+    offset: int
+    radix: int
 
 
 class Reader:
@@ -91,7 +104,7 @@ class Reader:
 
 def pack_header(header: Header) -> bytes:
     """The bytes of a header, with its table where that is a custom one."""
-    number = next((number for number, table in TABLES.values() if np.array_equal(table, header.table)), _CUSTOM_TABLE)
+    number = table_number(header.table)
     flags = _SEARCH * header.search + _COEFFICIENT * header.coefficient_scan + _THREE_CHANNELS * (header.channels == 3)
     fixed = _FIXED.pack(
         MAGIC,
@@ -108,39 +121,34 @@ def pack_header(header: Header) -> bytes:
         header.offset,
         header.radix,
     )
-    return fixed + (_CUSTOM.pack(*header.table.reshape(64).tolist()) if number == _CUSTOM_TABLE else b"")
+    return fixed + pack_table(header.table)
+
+
+def table_number(table: Table) -> int:
+    """The number by which a header names a table."""
+    return next((number for number, known in TABLES.values() if np.array_equal(table, known)), CUSTOM_TABLE)
+
+
+def pack_table(table: Table) -> bytes:
+    """The steps of a custom table; nothing for those that have a number."""
+    return _CUSTOM.pack(*table.reshape(64).tolist()) if table_number(table) == CUSTOM_TABLE else b""
 
 
 def unpack_header(reader: Reader) -> Header:
     """The header that comes next, checked. Raises BitstreamError with the field that is not allowed."""
     fields = _FIXED.unpack(reader.take(HEADER_SIZE, "header"))
     _, _, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
-    for what, value, valid in (
+    require_fields(
         ("profile", profile, profile == STATIC_PROFILE),
         ("flags", flags, flags < 8),
-        ("colour", color, color < len(COLORS)),
-        ("table", number, number == _CUSTOM_TABLE or number < len(TABLES)),
         ("levels", levels, 1 <= levels <= MAX_LEVELS),
         ("group", group, MIN_GROUP <= group <= MAX_GROUP),
         ("reserved byte", reader.data[11], reader.data[11] == 0),
-        ("width", width, width >= 1),
-        ("height", height, height >= 1),
-        ("qf", qf, math.isfinite(qf) and MIN_QF <= qf <= MAX_QF),
         ("number of digits", radix, 1 <= radix <= MAX_SYMBOLS),
         ("offset", offset, -radix < offset <= 0),
-    ):
-        if not valid:
-            raise BitstreamError(f"header: {what} {value} is not allowed")
-    channels = 3 if flags & _THREE_CHANNELS else 1
-    if channels == 1 and COLORS[color] != "gray":
-        raise BitstreamError(f"header: one channel with colour {COLORS[color]}")
+    )
     header = Header(
-        width=width,
-        height=height,
-        channels=channels,
-        color=COLORS[color],
-        qf=qf,
-        table=_unpack_table(reader, number),
+        **picture_fields(reader, flags & _THREE_CHANNELS, color, number, width, height, qf),
         levels=levels,
         group=group,
         search=bool(flags & _SEARCH),
@@ -148,13 +156,40 @@ def unpack_header(reader: Reader) -> Header:
         offset=offset,
         radix=radix,
     )
-    if header.samples > MAX_SAMPLES:
-        raise BitstreamError(f"header: {width}x{height} pixels are more than the {MAX_SAMPLES} samples allowed")
+    header.require_room()
     return header
 
 
-def _unpack_table(reader: Reader, number: int) -> Table:
-    if number != _CUSTOM_TABLE:
+def require_fields(*fields: tuple[str, float, bool]) -> None:
+    """Raise BitstreamError for the first field, given by name and value, that is not allowed."""
+    for what, value, allowed in fields:
+        if not allowed:
+            raise BitstreamError(f"header: {what} {value} is not allowed")
+
+
+def picture_fields(
+    reader: Reader, three_channels: int, color: int, number: int, width: int, height: int, qf: float
+) -> dict[str, Any]:
+    """What every profile says of the picture, checked; a table of its own comes next in the bitstream."""
+    require_fields(
+        ("colour", color, color < len(COLORS)),
+        ("table", number, number == CUSTOM_TABLE or number < len(TABLES)),
+        ("width", width, width >= 1),
+        ("height", height, height >= 1),
+        ("qf", qf, math.isfinite(qf) and MIN_QF <= qf <= MAX_QF),
+    )
+    channels = 3 if three_channels else 1
+    if channels == 1 and COLORS[color] != "gray":
+        raise BitstreamError(f"header: one channel with colour {COLORS[color]}")
+    table = unpack_table(reader, number)
+    return {
+        "width": width, "height": height, "channels": channels, "color": COLORS[color], "qf": qf, "table": table
+    }  # fmt: skip
+
+
+def unpack_table(reader: Reader, number: int) -> Table:
+    """The table of a number, or the custom one that comes next. Raises BitstreamError for a step of 0."""
+    if number != CUSTOM_TABLE:
         return next(table for known, table in TABLES.values() if known == number)
     steps = np.array(_CUSTOM.unpack(reader.take(_CUSTOM.size, "custom table")), dtype=np.int32)
     if steps.min() < 1:

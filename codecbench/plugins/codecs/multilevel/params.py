@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from codecbench.core.contracts.params import Params
 from codecbench.plugins.codecs.dct.planes import Color
+from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, MAX_RESTART
+from codecbench.plugins.codecs.multilevel.context.profile import Effort
 from codecbench.plugins.codecs.multilevel.header import MAX_GROUP, MAX_LEVELS, MAX_QF, MIN_GROUP, MIN_QF
 from codecbench.plugins.codecs.multilevel.keys import AutomaticKeys
 from codecbench.plugins.codecs.multilevel.scan import Scan
@@ -16,10 +18,17 @@ from codecbench.plugins.codecs.multilevel.search import Search
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Step = Annotated[int, Field(ge=1, le=65535)]
 
+_CONTEXT_DEFAULTS = {"table": "flat", "color": "ycbcr420"}
+_ONLY_STATIC = ("levels", "group", "keys", "seed", "decoding", "search", "scan")
+_ONLY_CONTEXT = ("effort", "lapped", "chroma", "restart")
+
 
 class MultilevelParams(Params):
     """How the multi-level codec quantises, minimises and decodes."""
 
+    profile: Literal["static", "context"] = Field(
+        "static", description="the paper's levels and tables, or binary decisions in adaptive contexts"
+    )
     qf: float = Field(5.0, ge=MIN_QF, le=MAX_QF, description="factor on the quantisation table")
     levels: int = Field(1, ge=1, le=MAX_LEVELS, description="levels of minimisation")
     group: int = Field(3, ge=MIN_GROUP, le=MAX_GROUP, description="digits that become one code")
@@ -36,6 +45,31 @@ class MultilevelParams(Params):
     table: Literal["paper", "standard", "flat"] | tuple[Step, ...] = Field(
         "paper", description="quantisation table, or its 64 steps row by row"
     )
+
+    effort: Effort = Field("best", description="context: without mixing, mixing, or indices chosen by their cost too")
+    lapped: bool = Field(False, description="context: filter across the borders between blocks")
+    chroma: float = Field(
+        1.5, ge=1 / CHROMA_UNITS, le=255 / CHROMA_UNITS, description="context: factor on the steps of other planes"
+    )
+    restart: int = Field(
+        0, ge=0, le=MAX_RESTART, description="context: rows of 16 pixels from one restart point to the next, 0 for none"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_profile(cls, values: Any) -> Any:
+        """The profile `context` has other defaults for two parameters."""
+        if isinstance(values, dict) and values.get("profile") == "context":
+            return {**_CONTEXT_DEFAULTS, **values}
+        return values
+
+    @model_validator(mode="after")
+    def _check_profile(self) -> Self:
+        names = _ONLY_CONTEXT if self.profile == "static" else _ONLY_STATIC
+        for name in names:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name}: the profile {self.profile} has none; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Self:

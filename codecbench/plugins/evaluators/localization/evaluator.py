@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from pydantic import Field
@@ -16,9 +16,12 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
+from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame
+from codecbench.core.simulation.delivery import delivery_of
+from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.evaluators.localization.metrics import METRICS
 from codecbench.plugins.evaluators.localization.survey import Sighting, Survey, Way, survey_of
 from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
@@ -26,12 +29,13 @@ from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
 _BACKEND = "orb"
 
 
-class LocalizationParams(Params):
+class LocalizationParams(LinkSettings):
     """Settings of `localization`.
 
     backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
     limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing.
-    association_s: how far apart in time a frame and its ground truth may be.
+    association_s: how far apart in time a frame and its ground truth may be. link and all about it: see LinkSettings;
+    a frame that is not delivered is not located.
     """
 
     backend_params: dict[str, Any] = Field(default_factory=dict)
@@ -56,7 +60,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
 
     @property
     def uses(self) -> tuple[PluginUse, ...]:
-        return (PluginUse("slam_backend", _BACKEND, self.params.backend_params),)
+        return (PluginUse("slam_backend", _BACKEND, self.params.backend_params), *self.params.link_uses)
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         sequence = coded.sequence
@@ -66,7 +70,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             self.version,
             backend.version,
             backend.params.model_dump_json(),
-            self.params.model_dump_json(),
+            self.params.model_dump_json(exclude=set(LinkSettings.model_fields)),
         )
         survey = sequence.read(0).cached(
             (*key, "survey"),
@@ -74,10 +78,23 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         )
         for index, reason in survey.reasons.items():
             yield from (Measurement(metric.name, math.nan, frame=index, reason=reason) for metric in METRICS)
+        delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
+        pictures = None if delivery is None else DeliveredPictures(coded, delivery)
         for index in survey.predictions:
-            frame = coded.frame(index)
-            raw = _raw_sightings(survey, frame.original, key)
-            yield from _measured(survey, index, survey.sightings(frame.decoded, index), raw)
+            decoded: Image | None
+            if delivery is None or pictures is None:
+                frame = coded.frame(index)
+                original, decoded = frame.original, frame.decoded
+            else:
+                original = sequence.read(index)
+                decoded = pictures.picture(index) if math.isfinite(delivery.handed_s[index]) else None
+            raw = _raw_sightings(survey, original, key)
+            found = _UNDELIVERED if decoded is None else survey.sightings(decoded, index)
+            yield from _measured(survey, index, found, raw)
+
+
+_UNDELIVERED: Final[dict[Way, Sighting | None]] = {"tracked": None, "relocalized": None}
+"""What is found in a frame that does not come in time."""
 
 
 def _raw_sightings(survey: Survey, frame: Frame, key: tuple[object, ...]) -> dict[Way, Sighting | None]:

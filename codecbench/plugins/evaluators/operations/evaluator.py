@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
@@ -105,7 +105,9 @@ class Operations(CodecEvaluator[OperationsParams]):
     def counts_operations(self) -> bool:
         return "source" in self.params.families
 
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        if not isinstance(codec, Codec):
+            raise Unsupported(f"{codec.name} is opaque: it has memory, and what a frame takes depends on those before")
         families = self._available(codec)
         for index in evenly_spread(len(sequence), self.params.frames):
             image = sequence.read(index).image

@@ -13,6 +13,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Camera
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.hamming import hamming
+from codecbench.slam.geometry.camera import Camera as SlamCamera
 
 Detector = Literal["orb", "sift"]
 
@@ -51,6 +52,8 @@ class Matcher:
         )
         self.matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
         self._distortion = np.array(camera.distortion)
+        sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        self._lens = SlamCamera(*sizes, camera.distortion, camera.model)
 
     def detect(self, image: Image) -> KeypointSet:
         """The features of an image, colour or gray."""
@@ -61,7 +64,11 @@ class Matcher:
         if not found or descriptors is None:
             return NO_KEYPOINTS
         pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64)
-        if self._distortion.any():
+        if self._lens.has_blind_pixels:
+            pixels = self._lens.undistort(pixels)
+            seen = np.isfinite(pixels[:, 0])
+            pixels, descriptors = pixels[seen], descriptors[seen]
+        elif self._distortion.any():
             straight = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)
             pixels = np.asarray(straight[:, 0], dtype=np.float64)
         return KeypointSet(pixels, np.ascontiguousarray(descriptors).view(np.uint64) if self._binary else descriptors)

@@ -15,6 +15,7 @@ from codecbench.plugins.evaluators.relative_pose.matching import Matcher
 from codecbench.plugins.evaluators.relative_pose.two_view import near_epipolar_lines
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.true_poses import Poses
+from codecbench.slam.geometry.camera import Camera as SlamCamera
 from codecbench.slam.geometry.transforms import se3_inverse
 
 Floats = NDArray[np.float64]
@@ -89,11 +90,19 @@ def pair_of(
 
 def overlap(second_from_first: Floats, camera: Camera, distance_m: float) -> float:
     """Share of the first image that the second shows, were everything `distance_m` deep."""
-    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
-    rays = np.column_stack([(x.ravel() - camera.cx) / camera.fx, (y.ravel() - camera.cy) / camera.fy, np.ones(x.size)])
+    grid = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
+    x, y = (part.ravel() for part in grid)
+    sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    lens = SlamCamera(*sizes, camera.distortion, camera.model)
+    if lens.is_fisheye:
+        straight = lens.undistort(np.column_stack([x, y]))
+        x, y = straight[np.isfinite(straight[:, 0])].T
+    rays = np.column_stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(x.size)])
     seen = distance_m * rays @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx, camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+    if lens.is_fisheye:
+        u, v = lens.distort(np.column_stack([u, v])).T
     inside = (np.abs(u - 0.5 * (camera.width - 1)) < 0.5 * camera.width) & (seen[:, 2] > 0)
     inside &= np.abs(v - 0.5 * (camera.height - 1)) < 0.5 * camera.height
     return float(inside.mean())

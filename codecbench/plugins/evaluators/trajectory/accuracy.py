@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.sequence import Sequence, Trajectory
@@ -29,8 +30,17 @@ class Accuracy:
     ground truth or too little was tracked.
     """
 
-    def __init__(self, run: SlamRun, sequence: Sequence, association_s: float, interval_s: float) -> None:
+    def __init__(
+        self,
+        run: SlamRun,
+        sequence: Sequence,
+        stamps_s: NDArray[np.float64],
+        association_s: float,
+        interval_s: float,
+    ) -> None:
+        """stamps_s: of all frames that there were, whether SLAM saw them or not."""
         self._run = run
+        self._stamps_s = stamps_s
         self._truth = sequence.ground_truth
         self._association_s = association_s
         self._interval_s = interval_s
@@ -64,7 +74,7 @@ class Accuracy:
         return errors.rms(errors.position_errors(pairs, self.before))
 
     def _held(self, truth: Trajectory) -> float:
-        stamps_s = np.array([frame.timestamp_s for frame in self._run.frames])
+        stamps_s = self._stamps_s
         nearest = nearest_stamps(stamps_s, truth.timestamps_s, self._association_s)
         if not (nearest >= 0).any():
             raise Undefined("no frame has ground truth")

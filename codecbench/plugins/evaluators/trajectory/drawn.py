@@ -11,13 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Outcome
-from codecbench.core.contracts.view import Drawing, Line
+from codecbench.core.contracts.view import Course, Drawing, Line
 from codecbench.plugins.evaluators.trajectory import files
+from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
 NOTE: Final = (
     "Seen from the direction in which the true path spreads most; the estimate is aligned to ground truth by a "
     "similarity. Estimated is as tracked, optimised is after loops were closed."
 )
+_SAME_S: Final = 1e-6
+"""Files keep microseconds."""
 _MARGIN_S: Final = 0.5
 """Ground truth is drawn this much beyond the first and last frame that SLAM was given."""
 
@@ -40,7 +43,38 @@ def drawing(outcome: Outcome) -> Drawing | None:
     )
     success = outcome.value("success")
     holds = None if math.isnan(success) else success == 1.0
-    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds)
+    course = _course(folder / files.STATES, optimised, truth, centre, axes)
+    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds, course=course)
+
+
+def _course(
+    states: Path,
+    optimised: NDArray[np.float64],
+    truth: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    axes: NDArray[np.float64],
+) -> Course | None:
+    """Where each frame that SLAM was given was thought to be in the end, and how far that is from the true path."""
+    if not states.exists():
+        return None
+    with states.open(newline="") as stream:
+        rows = [(int(row["frame"]), float(row["timestamp_s"])) for row in csv.DictReader(stream)]
+    indices, stamps_s = np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows])
+    at = nearest_stamps(stamps_s, optimised[:, 0], _SAME_S)
+    places = np.full((len(rows), 3), np.nan)
+    places[at >= 0] = optimised[at[at >= 0], 1:]
+    return Course(indices, (places - centre) @ axes.T, _distances(places, stamps_s, truth), "m")
+
+
+def _distances(
+    places: NDArray[np.float64], stamps_s: NDArray[np.float64], truth: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """From each place (N, 3) to the true path at its time, linear between poses; NaN outside of it."""
+    if len(truth) < 2:
+        return np.full(len(places), np.nan)
+    columns = [np.interp(stamps_s, truth[:, 0], truth[:, axis], left=np.nan, right=np.nan) for axis in (1, 2, 3)]
+    distances: NDArray[np.float64] = np.linalg.norm(places - np.column_stack(columns), axis=1)
+    return distances
 
 
 def _caption(outcome: Outcome) -> str:

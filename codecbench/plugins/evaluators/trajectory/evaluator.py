@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import SlamError, Unsupported
 from codecbench.core.contracts.evaluator import (
@@ -19,10 +20,11 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import Sequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
-from codecbench.plugins.evaluators.trajectory import drawn, files, verdicts
+from codecbench.core.simulation.delivery import delivery_of
+from codecbench.plugins.evaluators.trajectory import drawn, files, stand_in, verdicts
 from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
@@ -33,7 +35,8 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
 )
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 from codecbench.plugins.evaluators.trajectory.feed import Feed
-from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED
+from codecbench.plugins.evaluators.trajectory.live import live_errors, live_positions
+from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
 
@@ -43,9 +46,10 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     name = "trajectory"
     version = "2"
     params_type = TrajectoryParams
-    metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *BEHAVIOUR, *COMPARED)
+    metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *LIVE, *BEHAVIOUR, *COMPARED)
     views = (
         View("curve", "Rate and trajectory error", ("ate_rmse_m",)),
+        View("curve", "Rate and distance from raw's path", ("raw_path_error_percent",)),
         View("curve", "Rate and tracked share", ("tracked_fraction",)),
         View("map", "Trajectories", note=drawn.NOTE),
     )
@@ -58,7 +62,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
     @property
     def uses(self) -> tuple[PluginUse, ...]:
-        return (PluginUse("slam_backend", self.params.backend, self.params.backend_params),)
+        return (PluginUse("slam_backend", self.params.backend, self.params.backend_params), *self.params.link_uses)
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         offset, seed = self.params.repeat(repeat)
@@ -74,28 +78,43 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
                 f"slam backend {self.params.backend} cannot run architecture {self.params.architecture}; "
                 f"it runs {', '.join(sorted(backend.architectures))}"
             )
-        feed = Feed(coded, self.params.architecture, offset)
+        delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
+        feed = Feed(coded, self.params.architecture, offset, delivery, 1e-3 * self.params.slam_ms)
         camera = coded.sequence.camera
         if camera is None:
             raise Unsupported(f"sequence {coded.sequence.name} has no camera; SLAM needs its calibration")
-        run = backend.run(feed.frames(), camera, seed=seed, keyframe_image=feed.keyframe_image)
-        _check(run, len(feed), self.params.backend)
-        accuracy = Accuracy(run, coded.sequence, self.params.association_s, self.params.rpe_interval_s)
+        run = (
+            backend.run(feed.frames(), camera, seed=seed, keyframe_image=feed.keyframe_image) if len(feed) else _NOTHING
+        )
+        _check(run, feed.seen, self.params.backend)
+        params, stamps_s = self.params, feed.stamps_s
+        accuracy = Accuracy(run, coded.sequence, stamps_s, params.association_s, params.rpe_interval_s)
         yield from accuracy.measurements()
-        yield from _behaviour(run)
+        yield from _behaviour(run, stamps_s)
         size_bytes = feed.sent_size_bytes()
         yield Measurement("sent_size_bytes", float(size_bytes))
-        yield Measurement("sent_rate_kbps", 8e-3 * size_bytes * coded.sequence.frame_rate_hz / len(feed))
+        yield Measurement("sent_rate_kbps", 8e-3 * size_bytes * coded.sequence.frame_rate_hz / len(stamps_s))
+        if delivery is not None:
+            positions = live_positions(
+                run, accuracy.before or accuracy.after, feed.read_at, delivery.captured_s[offset:]
+            )
+            yield from _live(positions, feed, coded.sequence.ground_truth, params.association_s)
+            files.write_live(context.artifacts / files.LIVE, delivery, feed.read_at, positions, offset)
         _save(run, accuracy, coded.sequence, context)
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        """Over a link there is no baseline: what becomes of raw frames there is no measure of what could be."""
+        over_link = self.params.link is not None
+        baseline = [] if over_link else baseline
         yield verdicts.success(outcome, baseline, self.params)
         same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"
-            for metric in ("starts_in_time", "ate_to_raw_m", "ate_minus_raw_m"):
+            reason = "over a link nothing is compared with the raw codec" if over_link else reason
+            for metric in ("starts_in_time", stand_in.METRIC, "ate_to_raw_m", "ate_minus_raw_m"):
                 yield Measurement(metric, math.nan, reason=reason)
             return
+        yield stand_in.raw_path_error(outcome, baseline)
         yield verdicts.starts_in_time(outcome, same, self.params)
         yield _distance(outcome, same)
         difference = outcome.value("ate_rmse_m") - same.value("ate_rmse_m")
@@ -126,13 +145,34 @@ def _check(run: SlamRun, frames: int, backend: str) -> None:
             raise SlamError(f"slam backend {backend}: timestamps of {name} do not increase")
 
 
-def _behaviour(run: SlamRun) -> Iterator[Measurement]:
-    """What SLAM did, whatever the truth is."""
+_NO_POSES = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+_NOTHING = SlamRun((), _NO_POSES, _NO_POSES, np.zeros(0, np.int64), np.zeros((0, 3)), (), 0)
+"""What SLAM makes of no frame at all."""
+
+
+def _live(
+    positions: NDArray[np.float64], feed: Feed, truth: Trajectory | None, tolerance_s: float
+) -> Iterator[Measurement]:
+    """What a robot knows at each moment. positions: the newest it has."""
+    stamps_s = feed.stamps_s
+    yield Measurement("delivered_fraction", feed.seen / len(stamps_s))
+    known_s = stamps_s[~np.isnan(positions[:, 0])]
+    first_s = known_s[0] - stamps_s[0] if len(known_s) else None
+    yield _or_missing("first_pose_s", first_s, "no pose was ever known")
+    reason = "the sequence has no ground truth" if truth is None else "no frame has ground truth"
+    errors_m = np.full(1, np.nan) if truth is None else live_errors(positions, stamps_s, truth, tolerance_s)
+    known = errors_m[~np.isnan(errors_m)]
+    yield _or_missing("live_position_error_m", rms(known) if len(known) else None, reason)
+    yield _or_missing("live_error_max_m", known.max() if len(known) else None, reason)
+
+
+def _behaviour(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
+    """What SLAM did, whatever the truth is. all_stamps_s: of all frames, whether SLAM saw them or not."""
     stamps_s = run.trajectory.timestamps_s
     states = [frame.state for frame in run.frames]
     lost = sum(before == "tracked" and now != "tracked" for before, now in pairwise(states))
-    yield Measurement("tracked_fraction", len(stamps_s) / len(run.frames))
-    yield from _since_map(run)
+    yield Measurement("tracked_fraction", len(stamps_s) / len(all_stamps_s))
+    yield from _since_map(run, all_stamps_s)
     tracked = (frame.index for frame in run.frames if len(stamps_s) and frame.timestamp_s >= stamps_s[0] - 1e-6)
     yield _or_missing("first_tracked_frame", next(tracked, None), "no frame was tracked")
     yield Measurement("times_lost", float(lost))
@@ -150,15 +190,16 @@ def _behaviour(run: SlamRun) -> Iterator[Measurement]:
     yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend does not time itself")
 
 
-def _since_map(run: SlamRun) -> Iterator[Measurement]:
+def _since_map(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
     """How long the first map took, whichever map was kept in the end, and how much of the rest has a pose."""
-    before = next((place for place, frame in enumerate(run.frames) if frame.state == "tracked"), len(run.frames))
+    first_s = next((frame.timestamp_s for frame in run.frames if frame.state == "tracked"), math.inf)
+    before = np.count_nonzero(all_stamps_s < first_s - 1e-6)
     yield Measurement("initialisation_frames", float(before))
-    if before == len(run.frames):
+    if before == len(all_stamps_s):
         yield Measurement("tracked_since_map_fraction", math.nan, reason="there never was a map")
         return
-    tracked = np.count_nonzero(run.trajectory.timestamps_s >= run.frames[before].timestamp_s - 1e-6)
-    yield Measurement("tracked_since_map_fraction", tracked / (len(run.frames) - before))
+    tracked = np.count_nonzero(run.trajectory.timestamps_s >= first_s - 1e-6)
+    yield Measurement("tracked_since_map_fraction", tracked / (len(all_stamps_s) - before))
 
 
 def _or_missing(metric: str, value: float | np.floating | None, reason: str) -> Measurement:

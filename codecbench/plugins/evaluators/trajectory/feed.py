@@ -5,48 +5,87 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Frame
+from codecbench.core.simulation.delivery import Delivery
+from codecbench.core.simulation.pictures import DeliveredPictures
 
 
 class Feed:
     """The frames of a coded sequence from `start_offset` on, as SLAM is to see them.
 
-    Raises Unsupported where the sequence has no frame left.
+    Under `atc` frames are sent as they are chosen: with a codec that has memory, they alone make the stream. Over a
+    link those are seen that are delivered and for which SLAM has time: `read_at` says when it has done with each.
+    stamps_s: of all frames from the offset on, seen or not. Raises Unsupported where the sequence has no frame left.
     """
 
-    def __init__(self, coded: CodedSequence, architecture: Literal["cta", "atc"], start_offset: int) -> None:
+    def __init__(
+        self,
+        coded: CodedSequence,
+        architecture: Literal["cta", "atc"],
+        start_offset: int,
+        delivery: Delivery | None = None,
+        slam_s: float = 0.0,
+    ) -> None:
+        """slam_s: what SLAM takes for a frame that comes over a link."""
         if start_offset >= len(coded):
             raise Unsupported(f"start offset {start_offset} leaves no frame of {len(coded)}; give a smaller one")
         self._coded = coded
-        self._architecture = architecture
-        self._indices = range(start_offset, len(coded))
-        self._keyframes: set[int] = set()
+        self._all = range(start_offset, len(coded))
+        self._delivery = delivery
+        self.read_at = {} if delivery is None else delivery.read_at(slam_s)
+        self._indices = [index for index in self._all if delivery is None or index in self.read_at]
+        self.stamps_s: NDArray[np.float64] = np.asarray(coded.sequence.timestamps_s[start_offset:], dtype=np.float64)
+        self.seen = 0
+        self._pictures = None if delivery is None else DeliveredPictures(coded, delivery)
+        self._sender = coded.sender() if architecture == "atc" else None
+        self._sizes_bytes: dict[int, int] = {}
 
     def __len__(self) -> int:
         return len(self._indices)
 
     def frames(self) -> Iterator[Frame]:
-        """Decoded frames under `cta`, raw ones under `atc`."""
+        """Decoded frames under `cta`, raw ones under `atc`; `seen` counts them."""
         for index in self._indices:
-            if self._architecture == "atc":
-                yield self._coded.sequence.read(index)
-            else:
-                coded = self._coded.frame(index)
-                yield Frame(index, coded.original.timestamp_s, coded.decoded)
+            frame = self._frame(index)
+            if frame is not None:
+                self.seen += 1
+                yield frame
+
+    def _frame(self, index: int) -> Frame | None:
+        if self._pictures is not None:
+            picture = self._pictures.picture(index)
+            stamp_s = float(self._coded.sequence.timestamps_s[index])
+            return None if picture is None else Frame(index, stamp_s, picture)
+        if self._sender is not None:
+            return self._coded.sequence.read(index)
+        coded = self._coded.frame(index)
+        return Frame(index, coded.original.timestamp_s, coded.decoded)
 
     @property
     def keyframe_image(self) -> Callable[[int], Image] | None:
         """Under `atc`, what mapping sees of a frame when it becomes a keyframe; None under `cta`."""
-        return self._decoded_keyframe if self._architecture == "atc" else None
+        return None if self._sender is None else self._decoded_keyframe
 
     def sent_size_bytes(self) -> int:
-        """Bytes that the device has sent: of all frames under `cta`, of the keyframes asked for under `atc`."""
-        sent = self._keyframes if self._architecture == "atc" else self._indices
-        return sum(self._coded.size_bytes(index) for index in sent)
+        """Bytes that the device has sent: of all frames under `cta`, of the keyframes asked for under `atc`.
+
+        Over a link all that was handed to it.
+        """
+        if self._delivery is not None:
+            return int(self._delivery.sent_bytes[self._all.start :].sum())
+        if self._sender is None:
+            return sum(self._coded.size_bytes(index) for index in self._all)
+        return sum(self._sizes_bytes.values())
 
     def _decoded_keyframe(self, index: int) -> Image:
-        self._keyframes.add(index)
-        return self._coded.frame(index).decoded
+        """A keyframe that is asked for again is given again, and was sent once."""
+        assert self._sender is not None
+        sent = self._sender.send(index)
+        self._sizes_bytes[index] = sent.size_bytes
+        return sent.decoded

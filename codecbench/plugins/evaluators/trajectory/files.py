@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.contracts.slam import LoopEvent, TrackedFrame
+from codecbench.core.simulation.delivery import Delivery
 
 TRAJECTORY: Final = "trajectory.txt"
 TRAJECTORY_BEFORE_LOOPS: Final = "trajectory_before_loops.txt"
@@ -20,6 +23,7 @@ GROUND_TRUTH: Final = "ground_truth.txt"
 MAP_POINTS: Final = "map_points.ply"
 STATES: Final = "states.csv"
 LOOPS: Final = "loops.csv"
+LIVE: Final = "live.csv"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -73,3 +77,20 @@ def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
         writer.writerow(["frame", "matched_frame", "inliers", "merged_maps"])
         for loop in loops:
             writer.writerow([loop.frame, loop.matched_frame, loop.inliers, int(loop.merged_maps)])
+
+
+def write_live(
+    path: Path, delivery: Delivery, read_at: Mapping[int, float], positions: NDArray[np.float64], offset: int
+) -> None:
+    """What became of each frame from `offset` on, and where the camera was thought to be when it was taken.
+
+    Times are in seconds from the first frame of the sequence; positions (M, 3) are empty where none was known.
+    """
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["frame", "taken_s", "fate", "delivered_s", "read_s", "x", "y", "z"])
+        for frame, position in enumerate(positions.tolist(), offset):
+            times = (float(delivery.handed_s[frame]), read_at.get(frame, math.inf))
+            told = [f"{time_s:.6f}" if math.isfinite(time_s) else "" for time_s in times]
+            where = ["" if math.isnan(value) else f"{value:.9g}" for value in position]
+            writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.fates[frame], *told, *where])

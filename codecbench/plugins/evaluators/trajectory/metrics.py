@@ -31,6 +31,16 @@ ACCURACY: Final = (
     _error("scale_drift", "change of the map's scale along the way, |ln| of the ratio", "drift of scale", unit="1"),
 )  # fmt: skip
 
+LIVE: Final = (
+    Metric(
+        "live_position_error_m", "m", "lower", "RMS distance of the newest known position from the true one",
+        _SPREAD, role="task", headline=True, label="live position error", brief="live m", scale="log", need="error",
+    ),
+    Metric("first_pose_s", "s", "lower", "from the first frame until a pose is known", label="time to the first pose"),
+    Metric("live_error_max_m", "m", "lower", "the largest such distance", label="worst live error", scale="log"),
+    Metric("delivered_fraction", "1", "higher", "share of the frames that SLAM was given", label="delivered share"),
+)  # fmt: skip
+
 BEHAVIOUR: Final = (
     Metric(
         "tracked_fraction", "1", "higher", "share of the frames that have a pose in the final map", ("median", "min"),
@@ -75,6 +85,11 @@ COMPARED: Final = (
     Metric(
         "starts_in_time", "1", "higher", "1 where the first map comes little later than with the raw codec, else 0",
         role="success", headline=True, label="the map starts in time", brief="starts",
+    ),
+    Metric(
+        "raw_path_error_percent", "%", "lower", "distance from raw's paths in percent of their length, without truth",
+        _SPREAD, role="task", headline=True, label="distance from raw's path", brief="off raw %", scale="log",
+        caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
     ),
     Metric(
         "ate_to_raw_m", "m", "lower", "RMS distance from the raw codec's trajectory of the same repeat", _MIDDLE,

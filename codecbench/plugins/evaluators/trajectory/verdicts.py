@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome
+from codecbench.plugins.evaluators.trajectory import stand_in
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
-THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "delay_frames")
+THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_percent", "delay_frames")
 """Parameters that only verdicts read, so that no run depends on them."""
 
 
@@ -31,14 +32,27 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
         return _missing("success", "measured before frames since the first map were counted; measure it again")
     if tracked < params.tracked_to_raw * raw_tracked:
         return Measurement("success", 0.0)
+    if not stand_in.has_truth(outcome):
+        return _success_beside_raw(outcome, baseline, params)
     limit_m = params.ate_limit_m or params.ate_to_raw * _median(baseline, "ate_rmse_m")
     if math.isnan(limit_m):
         reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
         return _missing("success", reason)
-    error_m = outcome.value("ate_rmse_m")
-    if math.isnan(error_m) and math.isnan(outcome.value("held_ate_m")):
-        return _missing("success", "the sequence has no ground truth")
-    return Measurement("success", float(error_m <= limit_m))
+    return Measurement("success", float(outcome.value("ate_rmse_m") <= limit_m))
+
+
+def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> Measurement:
+    """Without ground truth: whether the path is about as near to raw's paths as these are to each other."""
+    apart = stand_in.raw_disagreement_percent(baseline)
+    if math.isnan(apart):
+        return _missing("success", "no ground truth, and not two runs of raw to stand in for it; give start_offsets")
+    if apart > params.raw_agrees_percent:
+        reason = f"no ground truth, and raw's own runs are {apart:.3g} % of their length apart: too much to judge by"
+        return _missing("success", reason)
+    error = stand_in.raw_path_error(outcome, baseline)
+    if math.isnan(error.value):
+        return _missing("success", str(error.reason))
+    return Measurement("success", float(error.value <= params.ate_to_raw * apart))
 
 
 def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) -> Measurement:

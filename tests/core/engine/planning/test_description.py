@@ -114,6 +114,23 @@ def test_a_sequence_is_told_by_what_it_is(registry: Registry) -> None:
     assert json.loads(json.dumps(told)) == told
 
 
+def test_what_a_sequence_notes_is_told_as_plain_text(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sequence_described(registry, "ramp", {"frames": 9})["notes"] == []
+    monkeypatch.setattr(plain_plugins.RampSequence, "notes", ("cut\x1b[2J short", *["again"] * 30))
+    told = sequence_described(registry, "ramp", {"frames": 9})["notes"]
+    assert told[0] == "cut\\x1b[2J short"
+    assert len(told) == 20
+
+
+@pytest.mark.parametrize("notes", ["text", ["a list"], (1,)])
+def test_notes_that_are_no_sentences_are_refused(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch, notes: object
+) -> None:
+    monkeypatch.setattr(plain_plugins.RampSequence, "notes", notes)
+    with pytest.raises(PluginError, match=r"RampSequence\.notes is \w+; it is a tuple of strings"):
+        sequence_described(registry, "ramp", {"frames": 9})
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("top", "construct", "said"),

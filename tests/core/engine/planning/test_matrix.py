@@ -8,6 +8,7 @@ import pytest
 
 from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.engine.planning.matrix import Matrix, read_matrix
+from codecbench.core.engine.planning.plan import make_plan
 
 GOOD = """
 version: 1
@@ -51,6 +52,31 @@ def test_axes_span_a_grid_and_labels_say_the_difference(tmp_path: Path) -> None:
     ]
     assert (matrix.run.workers, matrix.run.timeout_s, matrix.run.seed) == (2, 60.0, 7)
     assert matrix.run.executor.name == "local"
+
+
+def test_a_matrix_says_who_bd_rates_are_against(tmp_path: Path) -> None:
+    def references(text: str) -> dict[str, str]:
+        declared = make_plan(read(tmp_path, text)).declared["codecs"]
+        return {name: meant["reference"] for name, meant in declared.items()}
+
+    usual = {"raw": "baseline", "jpeg": "anchor", "multilevel": ""}
+    assert references(GOOD) == usual
+    assert references(GOOD + "anchors: [multilevel]\n") == {"raw": "baseline", "jpeg": "", "multilevel": "anchor"}
+    assert references(GOOD + "anchors: [multilevel, jpeg]\n") == usual | {"multilevel": "anchor"}
+
+
+@pytest.mark.parametrize(
+    ("anchors", "words"),
+    [
+        ("jpeg", "anchors: must be a list of codecs; got 'jpeg'"),
+        ("[]", "anchors: must be a list of codecs; got []"),
+        ("[jepg]", "anchors[0]: 'jepg' is no codec of this matrix; did you mean 'jpeg'?"),
+        ("[jpeg, raw]", "anchors[1]: raw is the baseline, which has no curve to compare with"),
+    ],
+)
+def test_who_cannot_be_an_anchor(anchors: str, words: str, tmp_path: Path) -> None:
+    (problem,) = errors(tmp_path, GOOD + f"anchors: {anchors}\n")
+    assert words in problem
 
 
 def test_the_only_setting_of_a_codec_is_labelled_by_what_is_not_default(tmp_path: Path) -> None:
@@ -108,7 +134,18 @@ def test_an_unset_variable_is_named(tmp_path: Path) -> None:
         ("quality", "qualty", "10:14: codecs[1].params.qualty: unknown; did you mean 'quality'?"),
         ("[5, 15, 5]", "[5, 15, 0]", "must be [first, last, step > 0]"),
         ("grid: [1, 2]", "grid: []", "14:22: codecs[2].params.levels.grid: must be a list"),
-        ("grid: [1, 2]", "gird: [1, 2]", "codecs[2].params.levels"),
+        (
+            "{grid: [1, 2]}",
+            "{gird: [1, 2]}",
+            "codecs[2].params.levels: Input should be a valid integer; did you mean `levels: {grid: [1, 2]}`?",
+        ),
+        ("{range: [5, 15, 5]}", "{Ranges: [5, 15, 5]}", "did you mean `qf: {range: [5, 15, 5]}`?"),
+        (
+            "{grid: [10, 50]}",
+            "[10, 50]",
+            "10:23: codecs[1].params.quality: Input should be a valid integer; got [10, 50]; "
+            "for a setting of each of these write `quality: {grid: [10, 50]}`",
+        ),
         ("evaluators: [quality]", "evaluators: []", "15:13: evaluators: must be a list with at least one evaluator"),
         ("evaluators: [quality]", "evaluators: quality", "evaluators: must be a list"),
         ("workers: 2", "workers: 0", "16:16: run.workers: Input should be greater than or equal to 1; got 0"),

@@ -46,6 +46,7 @@ DECODE_FAULTS = {
     "dtype": ("failed", "decode, frame 2: decode returned dtype float64; a decoded frame is uint8"),
     "nan": ("failed", "decode, frame 2: decode returned dtype float32; a decoded frame is uint8"),
     "nothing": ("failed", "decode, frame 2: decode returned NoneType; a decoded frame is a numpy array"),
+    "remark": ("failed", "remark: remark returned 7; it returns text"),
     "memory": ("failed", "decode, frame 2: AttributeError: 'Faulty' object has no attribute 'last_shape'"),
 }
 EVALUATOR_FAULTS = {

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,22 @@ def test_records_say_what_where_and_when(bench: Bench) -> None:
     size = FRAMES * (3 + 16 * 24)
     assert bench.store().read_file(whole, "total.txt") == f"{size}\n".encode()
     assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
+
+
+def test_what_a_sequence_notes_is_said_before_anything_is_computed(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: 1}}", "wandering"))
+    told = replace(plan, sequences=tuple(replace(entry, notes=("is cut short",)) for entry in plan.sequences))
+    seen: list[Progress] = []
+    bench.run(told, listener=seen.append)
+    assert seen[0].notice == f"{plan.sequences[0].name}: is cut short"
+    assert [progress.notice for progress in seen[1:] if progress.notice] == []
+
+
+def test_what_a_codec_remarks_of_a_setting_is_noted(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [1, 6]}}}", "wandering"))
+    bench.run(plan)
+    noted = {cell.codec.label: record.notes for cell, record in bench.records(plan).values()}
+    assert noted == {"step=1": (), "step=6": ("keeps little",)}
 
 
 def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:

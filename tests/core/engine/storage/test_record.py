@@ -93,7 +93,7 @@ def test_a_record_that_says_least_says_nothing() -> None:
     least = Record("id", "ok")
     found = {field.name: getattr(least, field.name) for field in fields(least)[2:]}
     empty: dict[str, Any] = dict.fromkeys(("reason", "traceback", "started_utc"), "")
-    empty |= dict.fromkeys(("measurements", "metrics"), ())
+    empty |= dict.fromkeys(("measurements", "metrics", "notes"), ())
     assert found == {**{name: {} for name in found}, **empty, "environment": None, "duration_s": 0.0}
     assert "contents" not in repr(RECORD)
     assert "environment_description" not in repr(RECORD)
@@ -212,3 +212,12 @@ def test_settings_are_the_parameters_of_all_plugins_of_a_cell() -> None:
     assert settings_digest(RECORD.cell) == digest([{"q": 1}, {}, {"b": 2}])
     assert settings_digest({}) == digest([None, None])
     assert settings_digest({"codec": None, "evaluator": {"params": {"e": 1}}}) == digest([None, {"e": 1}])
+
+
+def test_notes_stand_in_a_record_only_where_there_are_some() -> None:
+    assert "notes" not in body()
+    noted = replace(RECORD, notes=("holds back 3 frames", "two\nlines"))
+    assert record_from_bytes(bytes_from_record(noted)).notes == ("holds back 3 frames", "two lines")
+    assert record_from_bytes(sealed(body())).notes == ()
+    with pytest.raises(RecordDamage, match="notes"):
+        record_from_bytes(sealed({**body(), "notes": "holds"}))

@@ -169,3 +169,11 @@ def test_a_baseline_of_an_earlier_version_takes_its_meaning_from_the_run_beside_
     (tmp_path / "old.json").write_text("\n".join([head, *stripped]) + "\n")
     after = timed(rng, 1.0, 0.0)
     assert compare(read_snapshot(tmp_path / "old.json"), after) == compare(before, after)
+
+
+def test_a_run_beside_itself_is_the_same_times_too() -> None:
+    """However few repeats there are: two runs never take the same time to the last bit."""
+    times = series("t", (1.25, 1.5), better="lower", repeatable=False, unit="ms")
+    assert only(compare(snapshot(times), snapshot(times))).verdict == "same"
+    other = replace(times, values=(1.25, 1.5000001))
+    assert only(compare(snapshot(times), snapshot(other))).verdict == "cannot tell"

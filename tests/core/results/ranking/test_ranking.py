@@ -74,11 +74,9 @@ def test_codecs_that_differ_are_in_order(rng: np.random.Generator) -> None:
     assert [ranked.curve for ranked in found.ranked] == ["good", "plain", "bad"]
     assert [ranked.group for ranked in found.ranked] == ["a", "b", "c"]
     assert row(found, "good").ahead_of == ("plain", "bad")
-    assert (found.anchor, found.units, found.of) == ("plain", STARTS, ("repeats",))
-    assert row(found, "plain").bd_rate is None
-    bd_rate = row(found, "good").bd_rate
-    assert bd_rate is not None
-    assert bd_rate.percent == pytest.approx(-50.0, abs=8.0)
+    assert (found.anchors, found.units, found.of) == (("plain",), STARTS, ("repeats",))
+    assert row(found, "plain").bd_rates == {}
+    assert row(found, "good").bd_rates["plain"].percent == pytest.approx(-50.0, abs=8.0)
 
 
 def test_codecs_in_between_share_a_letter_with_both(rng: np.random.Generator) -> None:
@@ -202,10 +200,8 @@ def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Ge
     assert places(together) == {"mine": (1, 1), "plain": (2, 2)}
     assert together.units == 12
     assert all(set(places(ranking).values()) == {(1, 2)} for ranking in each)
-    bd_rate = row(together, "mine").bd_rate
-    singles = [row(ranking, "mine").bd_rate for ranking in each]
-    factors = [1 + single.percent / 100 for single in singles if single is not None]
-    assert bd_rate is not None
+    bd_rate = row(together, "mine").bd_rates["plain"]
+    factors = [1 + row(ranking, "mine").bd_rates["plain"].percent / 100 for ranking in each]
     assert 1 + bd_rate.percent / 100 == pytest.approx(np.prod(factors) ** (1 / 3))
     assert rankings(run_of(*cells), brief=True) == [together]
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
+import pytest
 from measured_runs import cell_result, run_of
 
+from codecbench.cli.rank import show_found
 from codecbench.core.results.ranking.words import verdicts, verdicts_at
 from codecbench.core.results.table import CellResult
 
@@ -45,6 +49,17 @@ def test_a_run_is_decided_in_a_table_and_a_sentence_for_each_codec() -> None:
         "q=0.25 fails (0/5 runs, at most 43 % at 95 %).",
         "raw itself: 5/5 runs, at least 57 % at 95 %.",
     )
+
+
+def test_programs_read_the_same_and_which_column_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:
+    run = run_of(*example())
+    found = verdicts(run)
+    show_found(run, found, "json")
+    ranking, held = json.loads(capsys.readouterr().out)
+    assert [ranking["title"], held["title"]] == [verdict.title for verdict in found]
+    assert [tuple(row) for row in ranking["rows"]] == list(found[0].rows)
+    assert ranking["about"] in run.wide
+    assert held["about"] is None or held["about"] in run.wide
 
 
 def test_what_is_missing_is_said() -> None:

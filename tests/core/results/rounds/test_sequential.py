@@ -21,7 +21,7 @@ def test_the_fewest_runs_that_stand_are_eight_alike() -> None:
 
 
 def test_the_interval_says_the_same_wherever_the_verdict_stands() -> None:
-    for runs in range(1, 301):
+    for runs in (*range(1, 50), 100, 300):
         for successes in range(runs + 1):
             if stands(successes, runs):
                 assert Standing("", 0.0, successes, runs).verdict == verdict(successes, runs, 1000)

@@ -78,7 +78,7 @@ def test_bad_checksum(stream: bytes) -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 2, "version 2 is not supported"),
+        (4, "B", 3, "version 3 is not supported"),
         (5, "B", 1, "profile 1"),
         (6, "B", 8, "flags 8"),
         (7, "B", 4, "colour 4"),

@@ -28,6 +28,19 @@ GOLDEN: dict[str, tuple[int, dict[str, object]]] = {
     "groups_of_four_by_frequency": (3, {"group": 4, "scan": "coefficient", "color": "ycbcr420", "qf": 15}),
     "custom_table": (3, {"table": tuple(range(2, 66)), "color": "ycbcr444", "qf": 0.75}),
     "standard_table_as_gray": (3, {"table": "standard", "color": "gray", "qf": 1}),
+    "context_gray": (1, {"profile": "context", "qf": 1.5}),
+    "context_fast_with_restart_points": (3, {"profile": "context", "qf": 1, "effort": "fast", "restart": 1}),
+    "context_standard_table_lapped": (
+        3,
+        {
+            "profile": "context",
+            "qf": 0.5,
+            "effort": "normal",
+            "table": "standard",
+            "lapped": True,
+            "color": "ycbcr444",
+        },
+    ),
 }
 
 

@@ -42,5 +42,9 @@ class Npy(Dataset[NpyParams]):
     version = "1"
     params_type = NpyParams
 
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, str] | None:
+        return {"path": str(path)} if path.suffix == ".npy" and path.is_file() else None
+
     def open(self) -> Sequence:
         return NpySequence(self.params.path, self.params.frame_rate_hz)

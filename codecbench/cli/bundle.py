@@ -1,0 +1,65 @@
+"""`codecbench bundle` and `codecbench open`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--bitstreams", is_flag=True, help="Also what the codecs wrote; that may be large.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The file; default RUN.bundle.zip.")
+def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
+    """Put the RUN folder into one file that can be kept, cited, and opened by others.
+
+    It holds the matrix, the plan, every record with its trajectories, and the environments, each file with its
+    SHA-256. The same run gives the same bytes.
+    """
+    from codecbench.core.engine.bundling.packing import write_bundle
+
+    made = write_bundle(run, out, bitstreams=bitstreams)
+    manifest = made.manifest
+    statuses = ", ".join(f"{count} {status}" for status, count in manifest.statuses.items())
+    click.echo(f"{made.path}: {manifest.cells} cells ({statuses}), {len(manifest.files)} files")
+    click.echo(f"{made.size_bytes:,} bytes")
+    click.echo(f"SHA-256 {made.sha256}")
+
+
+@click.command("open")
+@click.argument("bundle", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder; default: beside BUNDLE.")
+@click.option(
+    "--sequences-from",
+    metavar="FOLDER|same",
+    help="Show frames, of a bundle with bitstreams: from sequences in FOLDER, or where its plan names them.",
+)
+def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> None:
+    """Unpack a BUNDLE into a run folder and report on it.
+
+    A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
+    names is opened. What results mean is read from the plan where a plugin is not installed.
+    """
+    from codecbench.cli.rank import show_verdicts
+    from codecbench.cli.show import show_reasons, show_summary
+    from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.bundles import absent_plugins
+    from codecbench.core.results.ranking.words import verdicts
+    from codecbench.core.results.report.write import write_report
+
+    folder = out or folder_beside(bundle)
+    manifest = unpack_bundle(bundle, folder)
+    run = begun_run(folder)
+    show_verdicts(verdicts(run, brief=True))
+    show_summary(run)
+    show_reasons(run)
+    click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are as they were bundled")
+    if absent := absent_plugins(run.plan, installed()):
+        click.echo(f"not installed, and shown by what the plan keeps of them: {', '.join(absent)}")
+    path = folder / "report" / "report.html"
+    write_report(run, path, sequences_from=sequences_from)
+    click.echo(f"run folder: {folder}")
+    click.echo(f"report: {path}")

@@ -1,0 +1,30 @@
+"""What a shell offers where a name of a plugin is wanted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import click
+
+if TYPE_CHECKING:
+    from codecbench.core.contracts.hooks import Kind
+
+VARIABLE: Final = "_CODECBENCH_COMPLETE"
+"""The environment variable by which a shell asks, as click calls it."""
+
+
+def codec_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Codecs that are installed and begin so."""
+    return _names(("codec",), incomplete)
+
+
+def plugin_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Codecs, evaluators and other plugins that are installed and begin so."""
+    return _names(("codec", "evaluator", "dataset", "slam_backend", "executor", "link"), incomplete)
+
+
+def _names(kinds: tuple[Kind, ...], incomplete: str) -> list[str]:
+    from codecbench.core.engine.registry import installed
+
+    names = [plugin.spec.name for kind in kinds for plugin in installed().plugins(kind)]
+    return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]

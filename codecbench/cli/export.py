@@ -1,0 +1,127 @@
+"""`codecbench export`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from codecbench.cli.completion import codec_names
+
+if TYPE_CHECKING:
+    from codecbench.core.contracts.hooks import Kind
+    from codecbench.core.engine.planning.model import CodingJob
+    from codecbench.core.engine.registry import Registry
+    from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+
+_ENDINGS: Final = {
+    b"\xff\xd8\xff": ".jpg",
+    b"\x89PNG": ".png",
+    b"\x00\x00\x00\x0cjP": ".jp2",
+    b"\xff\x4f\xff\x51": ".j2k",
+}
+"""Of files of single pictures, by how they begin; any other bitstream is written as `.bin`."""
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--codec", required=True, shell_complete=codec_names, help="Whose bitstreams.")
+@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Which setting, where there are several.")
+@click.option("--sequence", help="Which sequence, where there are several.")
+@click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
+              help="That of the video; the default is that of the sequence, which is opened for it.")  # fmt: skip
+@click.option("--out", required=True, type=click.Path(path_type=Path),
+              help="A video file (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others.")  # fmt: skip
+def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate_hz: float | None, out: Path) -> None:
+    """Write what a codec sent in RUN into files that other programs read.
+
+    Packets of a video codec go into one file as they are. Bitstreams of a codec of single pictures go into a new
+    folder, a file each: JPEG, JPEG 2000 and PNG as such, others as codecbench keeps them.
+    """
+    from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+    from codecbench.core.engine.storage.store import Store
+
+    store = Store(run)
+    job = _job(store.read_plan().jobs, codec, setting, sequence)
+    bitstreams = BitstreamFile(store.coded_path(job.id), job.id)
+    if bitstreams.is_stream:
+        rate_hz = _frame_rate_hz(run, job) if frame_rate_hz is None else frame_rate_hz
+        _write_video(bitstreams, job, rate_hz, out)
+    else:
+        _write_pictures(bitstreams, job, out)
+
+
+def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | None) -> CodingJob:
+    """The one job that is meant. Raises UsageError where it is none or several."""
+    from codecbench.core.conformance.settings import setting_from_text
+
+    wanted = setting_from_text(setting)
+    found = [
+        job for job in jobs
+        if job.codec.name == codec and sequence in (None, job.sequence.name)
+        and all(name in job.codec.params and job.codec.params[name] == value for name, value in wanted.items())
+    ]  # fmt: skip
+    if len(found) == 1:
+        return found[0]
+    said = "; ".join(f"{job.codec.name} {job.codec.label} on {job.sequence.name}" for job in found or jobs)
+    if found:
+        raise click.UsageError(f"several are meant; say which by --setting and --sequence: {said}")
+    raise click.UsageError(f"the run has no {codec} {setting} on {sequence or 'any sequence'}; it has: {said}")
+
+
+def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:
+    from codecbench.core.engine.storage.atomic import write_folder
+
+    if out.suffix:
+        message = f"{job.codec.name} codes pictures on their own, which are no video"
+        raise click.UsageError(f"--out {out}: {message}; name a new folder, for a file each")
+    if out.exists():
+        raise click.UsageError(f"--out {out} is there already; name a new folder")
+    contents = {}
+    for frame in range(len(bitstreams)):
+        data = bitstreams.read(frame)
+        ending = next((ending for magic, ending in _ENDINGS.items() if data.startswith(magic)), ".bin")
+        contents[f"{frame:06}{ending}"] = data
+    write_folder(out, contents)
+    click.echo(f"{out}: {len(contents)} files")
+
+
+def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
+    from codecbench.core.contracts.stream import Packet
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.storage.atomic import write_file
+    from codecbench.plugins.codecs.video.codecs import VideoCodec
+    from codecbench.plugins.codecs.video.muxing import file_from_packets
+
+    registry = installed()
+    codec = (
+        None
+        if registry.find("codec", job.codec.name).hosted
+        else registry.create("codec", job.codec.name, job.codec.params)
+    )
+    if not isinstance(codec, VideoCodec):
+        raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
+    packets = [Packet(bitstreams.read(sent.frame), sent.frame, sent.starts) for sent in bitstreams.packets]
+    content = file_from_packets(codec, packets, frame_rate_hz, out.name)
+    write_file(out, content)
+    click.echo(f"{out}: {len(packets)} frames, {len(content)} bytes")
+
+
+def _frame_rate_hz(run: Path, job: CodingJob) -> float:
+    """That of the sequence; only a run that was made here says what may be opened."""
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.storage.plan_file import PlanFile
+
+    elsewhere = PlanFile(run).origin_elsewhere()
+    if elsewhere is not None:
+        raise click.UsageError(f"the run was made in {elsewhere}, so its sequence is not opened; give --frame-rate")
+    dataset = job.sequence.dataset
+    asked: list[tuple[Kind, str]] = [("dataset", dataset.name)]
+    return float(installed().ask(sequence_rate_hz, dataset.name, dataset.params, of=asked))
+
+
+def sequence_rate_hz(registry: Registry, dataset: str, params: dict[str, Any]) -> float:
+    """The frame rate of a sequence, asked where its plugin may be loaded."""
+    return float(registry.create("dataset", dataset, params).open().frame_rate_hz)

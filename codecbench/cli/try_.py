@@ -1,0 +1,118 @@
+"""`codecbench try` and `codecbench init`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from codecbench.cli.completion import codec_names
+
+if TYPE_CHECKING:
+    from codecbench.trial.trial_matrix import TrialMatrix
+
+_AIMS = ("tracking", "quality", "speed")
+
+
+def _choices(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options by which a matrix is chosen."""
+    for option in reversed((
+        click.option("--codec", "codecs", multiple=True, metavar="CODEC", shell_complete=codec_names,
+                     help="Such as jpeg:5..90 or h264:crf=18..40; may be given more than once."),
+        click.option("--for", "aim", type=click.Choice(_AIMS), help="What pictures are for; by default what suits."),
+        click.option("--minutes", type=click.FloatRange(min=0, min_open=True), show_default="5 for tracking, else 2.5",
+                     help="About how long it may take; a long recording is cut to that."),
+        click.option("--fov", type=click.FloatRange(0, 180, min_open=True, max_open=True), metavar="DEGREES",
+                     help="The camera's horizontal field of view, where there is no calibration."),
+        click.option("--set", "set_", multiple=True, metavar="NAME=VALUE",
+                     help="A parameter of the dataset, such as topic=/camera/image_raw."),
+    )):  # fmt: skip
+        command = option(command)
+    return command
+
+
+@click.command("try")
+@click.argument("path", type=click.Path(path_type=Path))
+@_choices
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/try-NAME.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a core.")
+@click.option("--open/--no-open", "show", default=None, help="Open the report in a browser; by default on a desktop.")
+def try_(
+    path: Path,
+    codecs: tuple[str, ...],
+    aim: str | None,
+    minutes: float | None,
+    fov: float | None,
+    set_: tuple[str, ...],
+    out: Path | None,
+    workers: int | None,
+    show: bool | None,
+) -> None:
+    """Try codecs on the recording at PATH, and write a report.
+
+    PATH is a folder of pictures, a video, a TUM, KITTI or EuRoC folder, or a ROS bag. The matrix that is chosen stays
+    in the run folder, to edit and run again.
+    """
+    click.echo(f"looking at {path} ...", err=True)
+    made = _made(path, codecs, aim, minutes, fov, set_)
+    about = max(1, round(made.estimated_s / 60))
+    click.echo(f"{made.settings} settings on {made.frames:,} frames: about {about} min, some of it to compile at first")
+    from codecbench.cli.run import run_and_report
+    from codecbench.core.engine.planning.matrix import matrix_from
+
+    run_and_report(matrix_from(made.text), out, workers=workers, show=_on_desktop() if show is None else show)
+
+
+@click.command()
+@click.option("--from", "path", type=click.Path(path_type=Path), help="A recording that the matrix is to suit.")
+@_choices
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("matrix.yaml"), show_default=True,
+              help="The file to write; - for the terminal.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Write over a file that is there.")
+def init(
+    path: Path | None,
+    codecs: tuple[str, ...],
+    aim: str | None,
+    minutes: float | None,
+    fov: float | None,
+    set_: tuple[str, ...],
+    out: Path,
+    force: bool,
+) -> None:
+    """Write a matrix with comments, to edit: one that suits a recording, or a small one to begin with."""
+    from codecbench.core.engine.storage.atomic import write_file
+    from codecbench.trial.example_files import example
+
+    text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_).text
+    if str(out) == "-":
+        click.echo(text, nl=False)
+        return
+    if out.exists() and not force:
+        raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
+    write_file(out, text.encode())
+    click.echo(f"{out}; now: codecbench run {out}")
+
+
+def _made(
+    path: Path, codecs: tuple[str, ...], aim: Any, minutes: float | None, fov: float | None, set_: tuple[str, ...]
+) -> TrialMatrix:
+    """The matrix for the recording at `path`; what it holds and what is chosen is told as soon as it is known."""
+    from codecbench.core.engine.registry import installed
+    from codecbench.trial.trial import added_params, looked_at
+
+    recording = looked_at(path, fov, added_params(set_))
+    click.echo(str(recording), err=True)
+    from codecbench.trial.trial_matrix import trial_matrix
+
+    made = trial_matrix(installed(), recording, codecs, aim, minutes)
+    for line in (*recording.assumed, *made.choices):
+        click.echo(line, err=True)
+    return made
+
+
+def _on_desktop() -> bool:
+    return sys.stdout.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

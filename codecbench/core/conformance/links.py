@@ -1,0 +1,98 @@
+"""What the contract asks of links, as checks on any of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from codecbench.core.conformance.failure import ConformanceFailure
+from codecbench.core.contracts.link import Link, Passage
+
+_PACKETS: Final = 2000
+_SEEDS: Final = (0, 1)
+_ROUNDING_S: Final = 1e-9
+
+Sent = tuple[int, float]
+"""The size of a packet in bytes, and when its turn was."""
+
+
+def check_link(link: Link[Any]) -> None:
+    """Run every check on a link. Raises ConformanceFailure for the first that it does not pass."""
+    for seed in _SEEDS:
+        journeys = [carried(link, seed, pattern) for pattern in (_steady, _bursts)]
+        for sent, passages in journeys:
+            for check in CHECKS:
+                check(link, sent, passages)
+        again = carried(link, seed, _steady)
+        if again != journeys[0]:
+            raise ConformanceFailure(f"{link.name}: the same packets twice from seed {seed}", "two answers", "one")
+
+
+def carried(
+    link: Link[Any], seed: int, gap_s: Callable[[np.random.Generator], float]
+) -> tuple[list[Sent], list[Passage]]:
+    """Packets of all sizes sent over a link that was opened anew, each `gap_s` after the one before could be."""
+    channel, rng = link.open(np.random.default_rng(seed)), np.random.default_rng(1000 + seed)
+    sent: list[Sent] = []
+    passages: list[Passage] = []
+    free_s = wanted_s = 0.0
+    for _ in range(_PACKETS):
+        wanted_s += gap_s(rng)
+        size_bytes, start_s = int(rng.integers(1, 1501)), max(free_s, wanted_s)
+        passage = channel.carry(size_bytes, start_s)
+        sent.append((size_bytes, start_s))
+        passages.append(passage)
+        free_s = max(start_s, passage.sent_s)
+    return sent, passages
+
+
+def one_fate(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
+    """Every packet arrives at a time, or is lost, and frees the link at a time."""
+    for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
+        times = [passage.sent_s] if passage.arrives_s is None else [passage.sent_s, passage.arrives_s]
+        if not all(isinstance(time_s, float | int) and math.isfinite(time_s) for time_s in times):
+            raise ConformanceFailure(f"{link.name}: {size_bytes} bytes at {start_s:g} s", passage, "finite times")
+
+
+def causal(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
+    """Nothing leaves before its turn, or arrives before it has left and travelled."""
+    for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
+        where = f"{link.name}: {size_bytes} bytes at {start_s:g} s"
+        if passage.sent_s < start_s:
+            raise ConformanceFailure(where, f"sent at {passage.sent_s:g} s", "not before its turn")
+        earliest_s = passage.sent_s + link.delay_s - _ROUNDING_S
+        if passage.arrives_s is not None and passage.arrives_s < earliest_s:
+            raise ConformanceFailure(
+                where, f"arrival at {passage.arrives_s:g} s", f"{earliest_s:g} s or later: sent, and the delay"
+            )
+
+
+def in_order(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
+    """Where the link says that it keeps the order, packets arrive in it."""
+    if not link.keeps_order:
+        return
+    latest_s = -math.inf
+    for (_, start_s), passage in zip(sent, passages, strict=True):
+        if passage.arrives_s is None:
+            continue
+        if passage.arrives_s < latest_s:
+            raise ConformanceFailure(
+                f"{link.name}: the packet of {start_s:g} s",
+                f"arrival at {passage.arrives_s:g} s",
+                f"{latest_s:g} s or later",
+            )
+        latest_s = passage.arrives_s
+
+
+CHECKS: Final = (one_fate, causal, in_order)
+
+
+def _steady(rng: np.random.Generator) -> float:
+    return float(rng.exponential(0.01))
+
+
+def _bursts(rng: np.random.Generator) -> float:
+    return float(rng.exponential(0.5)) if rng.random() < 0.05 else 0.0

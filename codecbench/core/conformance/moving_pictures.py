@@ -1,0 +1,45 @@
+"""Short sequences of small moving pictures, for what codecs with memory are asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from codecbench.core.contracts.image import Image
+
+FRAME_RATE_HZ: Final = 30.0
+_FRAMES: Final = 14
+_SIZES: Final = ((48, 64), (33, 17))
+
+
+@dataclass(frozen=True)
+class MovingPictures:
+    """A sequence with a name to call it by in a report; the pictures are views of one array."""
+
+    name: str
+    pictures: list[Image] = field(repr=False)
+
+
+def moving_pictures(channels: int, seed: int = 1) -> list[MovingPictures]:
+    """Sequences of 1 or 3 channels, of even and of odd sides: a texture that glides, a disc before it, some noise.
+
+    The same seed gives the same pictures everywhere; another one gives another motion, too.
+    """
+    rng = np.random.default_rng(seed)
+    return [MovingPictures(f"{width}x{height}", _sequence(height, width, channels, rng)) for height, width in _SIZES]
+
+
+def _sequence(height: int, width: int, channels: int, rng: np.random.Generator) -> list[Image]:
+    speed = rng.uniform(0.5, 3, 2)
+    rows, columns = np.mgrid[0:height, 0:width]
+    film = np.zeros((_FRAMES, height, width, channels))
+    for index in range(_FRAMES):
+        down, across = speed * index
+        texture = 100 + 50 * np.sin((columns + across) / 5) + 40 * np.cos((rows + down) / 4)
+        disc = (rows - height / 2) ** 2 + (columns - width / 4 - 2 * index) ** 2 < (min(height, width) / 4) ** 2
+        shown = texture + 60 * disc + rng.normal(0, 2, (height, width))
+        film[index] = np.stack([np.roll(shown, 3 * channel, axis=1) for channel in range(channels)], axis=2)
+    samples = np.clip(np.round(film), 0, 255).astype(np.uint8)
+    return list(samples[..., 0].copy() if channels == 1 else samples)

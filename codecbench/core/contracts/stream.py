@@ -1,0 +1,165 @@
+"""The contract of codecs with memory: an encoder that knows what it sent, a decoder that knows what it got.
+
+One session codes one sequence, in order, and all state is in it. Packets leave in the order in which they are decoded;
+pictures are counted from 0 in the order in which they were pushed, which is the order in which they are shown.
+A codec of single pictures is the special case in which every packet stands alone: `encoder_of` and `decoder_of` make
+sessions of both.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Final, Literal
+
+from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.params import P
+from codecbench.core.counting.trace import NULL_TRACE, Trace
+
+PictureState = Literal["whole", "concealed", "missing"]
+"""`whole`: what the encoder meant. `concealed`: made up in part from others. `missing`: there is no picture."""
+
+
+class Loss(Enum):
+    """The one value that stands for a packet which never came."""
+
+    LOST = "lost"
+
+
+LOST: Final = Loss.LOST
+
+
+@dataclass(frozen=True)
+class Packet:
+    """What is sent of one picture.
+
+    data: every byte that the decoder needs of it, headers included. frame: which picture of the session it is; a link
+    carries it as it carries time stamps, so it is not counted. starts: whether decoding can start here, with nothing
+    from before.
+    """
+
+    data: bytes = field(repr=False)
+    frame: int
+    starts: bool
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a decoder makes of one picture of the session; `image` is None where it is `missing`."""
+
+    frame: int
+    state: PictureState
+    image: Image | None = field(repr=False)
+
+
+class StreamEncoder(ABC):
+    """One sequence being encoded."""
+
+    @abstractmethod
+    def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+        """The packets that are ready after this picture, which is left untouched; none while pictures are held back.
+
+        Raises ImageError for an image outside the codec's capabilities, or of another shape than the first.
+        """
+
+    @abstractmethod
+    def flush(self) -> list[Packet]:
+        """The packets of pictures still held back; the session is over then."""
+
+
+class StreamDecoder(ABC):
+    """One stream being decoded, from a packet that `starts` on; pictures before it are missing."""
+
+    @abstractmethod
+    def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+        """The pictures that are ready after this packet, or after knowing that the next one is LOST.
+
+        Never claims `whole` for a picture that depends on what was lost. Raises BitstreamError for damaged or foreign
+        bytes that it can tell; the session goes on with the next packet that `starts`.
+        """
+
+    @abstractmethod
+    def flush(self) -> list[Picture]:
+        """The pictures still held back; the session is over then."""
+
+
+class StreamCodec(AnyCodec[P]):
+    """Base class of codecs with memory. Equal pictures, pushed in the same order, give equal packets."""
+
+    @abstractmethod
+    def encoder(self, frame_rate_hz: float) -> StreamEncoder:
+        """A session for one sequence, which knows nothing of any other."""
+
+    @abstractmethod
+    def decoder(self) -> StreamDecoder:
+        """A session for one stream that any instance of this class encoded, from its packets alone."""
+
+    def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
+        """Raises Unsupported, which tells an evaluator that was written for codecs of single pictures what to call."""
+        raise _has_memory(self)
+
+    def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
+        """Raises Unsupported, as `encode` does."""
+        raise _has_memory(self)
+
+    def is_low_delay(self) -> bool:
+        """Whether each pushed picture gives its packet at once, and each packet its picture at once."""
+        return True
+
+
+def _has_memory(codec: AnyCodec[Any]) -> Unsupported:
+    return Unsupported(
+        f"{codec.name} has memory between frames, so no picture is coded on its own; an evaluator pushes frames into a "
+        f"session: encoder_of(codec, sequence.frame_rate_hz) and decoder_of(codec), of any codec"
+    )
+
+
+def encoder_of(codec: AnyCodec[Any], frame_rate_hz: float) -> StreamEncoder:
+    """A session of any codec. Raises TypeError for what is neither a Codec nor a StreamCodec."""
+    if isinstance(codec, StreamCodec):
+        return codec.encoder(frame_rate_hz)
+    return _StandaloneEncoder(_still(codec))
+
+
+def decoder_of(codec: AnyCodec[Any]) -> StreamDecoder:
+    """A session of any codec. Raises TypeError for what is neither a Codec nor a StreamCodec."""
+    return codec.decoder() if isinstance(codec, StreamCodec) else _StandaloneDecoder(_still(codec))
+
+
+def _still(codec: object) -> Codec[Any]:
+    if not isinstance(codec, Codec):
+        raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec; subclass one of them")
+    return codec
+
+
+class _StandaloneEncoder(StreamEncoder):
+    def __init__(self, codec: Codec[Any]) -> None:
+        self._codec, self._pushed = codec, 0
+
+    def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+        packet = Packet(self._codec.encode(image, trace=trace), self._pushed, starts=True)
+        self._pushed += 1
+        return [packet]
+
+    def flush(self) -> list[Packet]:
+        return []
+
+
+class _StandaloneDecoder(StreamDecoder):
+    """Each packet gives its picture; a lost one is missing, numbered after the one before it."""
+
+    def __init__(self, codec: Codec[Any]) -> None:
+        self._codec, self._next = codec, 0
+
+    def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+        if isinstance(packet, Loss):
+            self._next += 1
+            return [Picture(self._next - 1, "missing", None)]
+        self._next = packet.frame + 1
+        return [Picture(packet.frame, "whole", self._codec.decode(packet.data, trace=trace))]
+
+    def flush(self) -> list[Picture]:
+        return []

@@ -1,0 +1,1 @@
+"""A run in one file, to be kept, cited and opened by strangers."""

@@ -1,0 +1,156 @@
+"""Reading the container of a bundle, which a stranger may have made: everything is checked before a file is written.
+
+A zip file, of those that the standard library knows, because it says at its end what is in it: names, sizes and kinds
+of all files can be refused before a byte is unpacked, which a tar file tells only on the way.
+"""
+
+from __future__ import annotations
+
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO, Final
+
+from pydantic import TypeAdapter, ValidationError
+
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.engine.bundling.manifest import (
+    LARGEST_FILE,
+    MANIFEST,
+    MOST_FILES,
+    FileName,
+    Manifest,
+    largest_bytes,
+)
+from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.identity import json_from_bytes
+
+_NAME: Final = TypeAdapter(FileName)
+_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED: Final = 0x1
+
+_MOST_RATIO: Final = 100
+"""Unpacked bytes for each byte of the file; ours stay below 10."""
+_SLACK: Final = 64_000_000
+"""Bytes that may be unpacked whatever the ratio: a small run compresses well."""
+
+_END: Final = struct.Struct("<4s4H2LH")
+_LOCATOR: Final = struct.Struct("<4sLQL")
+_END64: Final = struct.Struct("<4sQ2H2L4Q")
+_LARGEST_DIRECTORY: Final = 120_000_000
+_ENTRY_MAGIC: Final = b"PK\x01\x02"
+_DAMAGE: Final = (
+    zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError, RuntimeError, struct.error, OverflowError,
+)  # fmt: skip
+"""What reading a zip file raises where it is not sound; RuntimeError also for a method of packing that it lacks."""
+
+
+@dataclass(frozen=True)
+class OpenBundle:
+    """A bundle whose every name, size and kind of file is in order; the files' content is yet to be checked."""
+
+    manifest: Manifest
+    archive: zipfile.ZipFile
+
+    def read(self, name: str) -> IO[bytes]:
+        """A file of the manifest, to be read."""
+        return self.archive.open(name)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[OpenBundle]:
+    """The bundle in a file. Raises StoreError where it is none, or is refused, or its content proves to be damaged."""
+    if not path.is_file():
+        raise StoreError(f"{path} is not a bundle: there is no such file")
+    with open(path, "rb") as stream, refusing(path):
+        _require_small_directory(stream, path.stat().st_size)
+        with zipfile.ZipFile(stream) as archive:
+            members = _checked_members(archive.infolist(), path.stat().st_size)
+            yield OpenBundle(_manifest(archive, members), archive)
+
+
+@contextmanager
+def refusing(path: Path) -> Iterator[None]:
+    """What is wrong with a bundle meanwhile becomes a StoreError that names it."""
+    try:
+        yield
+    except _DAMAGE as error:
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error) or type(error).__name__
+        message = f"{path} is refused: {clean_line(reason.removeprefix('Value error, '))}"
+        raise StoreError(f"{message}; nothing of it was unpacked") from error
+
+
+def _require_small_directory(stream: BinaryIO, size: int) -> None:
+    """Raise ValueError where the list of members at the end of the file would be large to read."""
+    stream.seek(max(0, size - _END.size))
+    end = stream.read(_END.size)
+    if len(end) < _END.size or not end.startswith(b"PK\x05\x06") or _END.unpack(end)[-1]:
+        raise ValueError("it does not end as a bundle does: truncated, or no bundle at all")
+    length, start = _END.unpack(end)[5:7]
+    locator_at = size - _END.size - _LOCATOR.size
+    if locator_at >= 0:
+        stream.seek(locator_at)
+        magic, _, end64_at, _ = _LOCATOR.unpack(stream.read(_LOCATOR.size))
+        if magic == b"PK\x06\x07":
+            stream.seek(min(end64_at, size))
+            length, start = _END64.unpack(stream.read(_END64.size))[8:10]
+    if length > min(size, _LARGEST_DIRECTORY):
+        raise ValueError(f"its list of files takes {length:,} bytes")
+    stream.seek(start)
+    count = stream.read(length).count(_ENTRY_MAGIC)
+    if count > MOST_FILES:
+        raise ValueError(f"it holds {count:,} files; at most {MOST_FILES:,} are taken")
+    stream.seek(0)
+
+
+def _checked_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
+    """The members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in infos:
+        name = info.orig_filename
+        if name != MANIFEST:
+            _NAME.validate_python(name)
+        if name in members:
+            raise ValueError(f"it holds two files {name!r}")
+        if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG) or info.is_dir():
+            raise ValueError(f"{name!r} is a link, a folder or a device")
+        if info.flag_bits & _ENCRYPTED or info.compress_type not in _METHODS:
+            raise ValueError(f"{name!r} is encrypted or packed by another method than deflate")
+        if info.file_size > largest_bytes(name):
+            raise ValueError(f"{name!r} has {info.file_size:,} bytes; at most {largest_bytes(name):,} are taken")
+        members[name] = info
+    _require_apart(infos)
+    unpacked, most = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
+    if unpacked > most:
+        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {most:,} are taken")
+    return members
+
+
+def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
+    """Raise ValueError where two members share bytes: that is how a small file unpacks to a very large one."""
+    end = 0
+    for info in sorted(infos, key=lambda info: info.header_offset):
+        if info.header_offset < end:
+            raise ValueError(f"{info.filename!r} lies over another file")
+        end = info.header_offset + info.compress_size
+
+
+def _manifest(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> Manifest:
+    if MANIFEST not in members:
+        raise ValueError(f"it has no {MANIFEST}")
+    with archive.open(MANIFEST) as stream:
+        manifest = Manifest.model_validate(json_from_bytes(stream.read(LARGEST_FILE)))
+    named = {name: facts.size for name, facts in manifest.files.items()}
+    found = {name: info.file_size for name, info in members.items() if name != MANIFEST}
+    if named != found:
+        wrong = sorted(name for name in named.keys() | found.keys() if named.get(name) != found.get(name))
+        raise ValueError(f"{wrong[0]!r} is not as {MANIFEST} says, and {len(wrong) - 1} more")
+    for name in ("plan.json", "matrix.yaml"):
+        if name not in named:
+            raise ValueError(f"it has no {name}")
+    return manifest

@@ -1,0 +1,25 @@
+"""A codec by its name, for scripts and notebooks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.planning.description import InvalidParams, describe
+from codecbench.core.engine.registry import installed
+
+
+def codec(name: str, **params: Any) -> AnyCodec[Any]:
+    """One setting of an installed codec, by its name in a matrix and its parameters.
+
+    Raises PluginError, with the nearest name, for an unknown one, ParamsError for parameters that it does not take, and
+    Unsupported, with the command that mends it, where a library is missing.
+    """
+    registry = installed()
+    try:
+        describe(registry, "codec", name, params)
+    except InvalidParams as invalid:
+        raise ParamsError(f"codec {name}: {invalid.sentence}") from None
+    found: AnyCodec[Any] = registry.create("codec", name, params)
+    return found

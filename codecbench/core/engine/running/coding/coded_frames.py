@@ -1,0 +1,100 @@
+"""A coded sequence as evaluators see it: frames beside what became of them, read and decoded as they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.stream import StreamCodec
+from codecbench.core.engine.running.coding.decoding import SharedPictures, StreamPictures, checked_decoding
+from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
+from codecbench.core.engine.running.coding.sending import LiveSender, StoredSender
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+
+
+class CodedFrames:
+    """A CodedSequence over a file of bitstreams; frames are read and decoded when they are asked for.
+
+    `codec` must be an instance that has encoded nothing, so that whatever it knows came from the bitstream. shared:
+    pictures of this very stream that were decoded before, if it is one. Raises
+    CodingError for a file of another number of frames, and BitstreamDamage for one of another kind of codec.
+    """
+
+    def __init__(
+        self,
+        sequence: Sequence,
+        codec: AnyCodec[Any],
+        bitstreams: BitstreamFile,
+        position: WorkPosition,
+        shared: SharedPictures | None = None,
+    ) -> None:
+        if len(bitstreams) != len(sequence):
+            raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
+        if bitstreams.is_stream != isinstance(codec, StreamCodec):
+            kind = "a stream" if bitstreams.is_stream else "single pictures"
+            raise BitstreamDamage(f"the file holds {kind}; {codec.name} codes something else by now")
+        self.sequence = sequence
+        self.codec = codec
+        self._bitstreams = bitstreams
+        self._position = position
+        self._stream = (
+            StreamPictures(codec, bitstreams.packets, bitstreams.read, position, shared=shared)
+            if isinstance(codec, StreamCodec)
+            else None
+        )
+
+    @property
+    def packets(self) -> tuple[SentPacket, ...]:
+        return self._bitstreams.packets
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the setting beside all numbers: that its encoder holds frames back."""
+        held = max(packet.after - packet.frame - 1 for packet in self.packets)
+        if not held:
+            return ()
+        delay_ms = 1e3 * held / self.sequence.frame_rate_hz
+        return (f"holds back {held} frame{'s' if held > 1 else ''} ({delay_ms:.0f} ms)",)
+
+    def __len__(self) -> int:
+        return len(self._bitstreams)
+
+    def __iter__(self) -> Iterator[CodedFrame]:
+        return (self.frame(index) for index in range(len(self)))
+
+    def frame(self, index: int) -> CodedFrame:
+        """Frame `index` beside its bitstream and what the codec makes of it.
+
+        Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
+        the frame's shape, and whatever the codec raises.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
+        outer = self._position.stage
+        self._position.at("read", index)
+        original = self.sequence.read(index)
+        bitstream = self._bitstreams.read(index)
+        self._position.at("decode", index)
+        decoded = self._decoded(index, bitstream, original.image)
+        self._position.at(outer, index)
+        return CodedFrame(original, bitstream, decoded)
+
+    def size_bytes(self, index: int) -> int:
+        return self._bitstreams.size_bytes(index)
+
+    def sender(self) -> FrameSender:
+        if isinstance(self.codec, StreamCodec):
+            return LiveSender(self.codec, self.sequence, self._position)
+        return StoredSender(self)
+
+    def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
+        if self._stream is not None:
+            return self._stream.picture(index, original)
+        assert isinstance(self.codec, Codec)
+        decoded = checked_decoding(self.codec.decode(bitstream), original)
+        self._position.came_back()
+        return decoded

@@ -1,0 +1,186 @@
+"""Decoding a stream: packets are pushed into a session in order, and pictures are found again by frame."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Container, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from codecbench.core.contracts.evaluator import SentPacket
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
+from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
+
+KEPT_BYTES: Final = 64 << 20
+"""Of decoded pictures that are kept for who looks back a little: 72 colour frames of 640x480."""
+
+
+class StreamPictures:
+    """The pictures of a stream by frame, in any order.
+
+    Who asks in order has each packet decoded once, because the session stays open. For who jumps, decoding starts again
+    at the last packet at which it can. The pictures that were decoded last are kept, up to `kept_bytes`.
+    packets: in the order in which they were sent. read: the bytes of a frame's packet. shared: pictures of this stream
+    that were decoded before, by frame; it gets those that are decoded now.
+    """
+
+    def __init__(
+        self,
+        codec: StreamCodec[Any],
+        packets: Sequence[SentPacket],
+        read: Callable[[int], bytes],
+        position: WorkPosition,
+        kept_bytes: int = KEPT_BYTES,
+        shared: SharedPictures | None = None,
+    ) -> None:
+        self._codec, self._packets, self._read, self._position = codec, packets, read, position
+        self._places = {packet.frame: place for place, packet in enumerate(packets)}
+        self._starts = [place for place, packet in enumerate(packets) if packet.starts]
+        self._kept: dict[int, Image] = {}
+        self._room_bytes = kept_bytes
+        self._shared = SharedPictures(0) if shared is None else shared
+        self._decoder: CheckedDecoder | None = None
+        self._opened = self._next = 0
+
+    def picture(self, frame: int, original: Image) -> Image:
+        """The picture of a frame, which the caller may change.
+
+        Raises CodingError where the codec gives none, or one that is not whole or not of the original's shape.
+        """
+        kept = self._kept.get(frame)
+        if kept is None:
+            kept = self._shared.get(frame)
+        return (self._decoded(frame, original) if kept is None else kept).copy()
+
+    def _decoded(self, frame: int, original: Image) -> Image:
+        decoder = self._ready_for(frame)
+        self._decoder = None  # one that raises is not used again
+        while self._next < len(self._packets):
+            sent = self._packets[self._next]
+            self._next += 1
+            self._position.at("decode", sent.frame)
+            pictures = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts), original)
+            self._keep(pictures)
+            if frame in pictures:
+                self._decoder = decoder
+                return pictures[frame]
+        self._position.at("decode", frame)
+        pictures = decoder.flush(original)
+        self._keep(pictures)
+        if frame not in pictures:
+            raise CodingError("all packets and flush gave no picture of this frame")
+        return pictures[frame]
+
+    def _ready_for(self, frame: int) -> CheckedDecoder:
+        """The open session where it comes to this frame, or else a new one."""
+        start = self._start_of(frame)
+        decoder = self._decoder
+        if decoder is not None and frame not in decoder.given and self._opened <= start <= self._next:
+            return decoder
+        self._opened = self._next = start
+        owed = {packet.frame for packet in self._packets[start:] if self._start_of(packet.frame) >= start}
+        return CheckedDecoder(self._codec, owed, self._position)
+
+    def _start_of(self, frame: int) -> int:
+        """The place of the last packet at which decoding can start to have this frame.
+
+        Where encoders reorder, frames before the one that starts may follow it, and need what was sent earlier.
+        """
+        at = bisect_right(self._starts, self._places[frame]) - 1
+        while at > 0 and self._packets[self._starts[at]].frame > frame:
+            at -= 1
+        return self._starts[at]
+
+    def _keep(self, pictures: Mapping[int, Image]) -> None:
+        for frame, image in pictures.items():
+            self._kept[frame] = image
+            self._shared.keep(frame, image)
+            self._room_bytes -= image.nbytes
+        while self._room_bytes < 0:
+            self._room_bytes += self._kept.pop(next(iter(self._kept))).nbytes
+
+
+class SharedPictures:
+    """Pictures of the stream that this process decoded last, so that its next evaluator need not decode them again.
+
+    A stream is read front to back again and again, so what does not fit into `limit_bytes` is not kept.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit_bytes = limit_bytes
+        self._used_bytes = 0
+        self._stream = b""
+        self._pictures: dict[int, Image] = {}
+
+    def of(self, stream: bytes, limit_bytes: int) -> SharedPictures:
+        """This, emptied where it held pictures of a stream of another digest."""
+        if stream != self._stream:
+            self._stream, self._used_bytes = stream, 0
+            self._pictures.clear()
+        self._limit_bytes = limit_bytes
+        return self
+
+    def get(self, frame: int) -> Image | None:
+        return self._pictures.get(frame)
+
+    def keep(self, frame: int, image: Image) -> None:
+        if frame not in self._pictures and self._used_bytes + image.nbytes <= self._limit_bytes:
+            self._pictures[frame] = image
+            self._used_bytes += image.nbytes
+
+
+class CheckedDecoder:
+    """A session of a codec that gives each frame of `owed` one picture, whole, or raises CodingError.
+
+    given: the frames whose picture has come. Pictures of other frames, from before decoding started, are left out.
+    """
+
+    def __init__(self, codec: StreamCodec[Any], owed: Container[int], position: WorkPosition) -> None:
+        self._decoder = codec.decoder()
+        position.came_back()
+        self._owed, self._position = owed, position
+        self.given: set[int] = set()
+
+    def push(self, packet: Packet, original: Image) -> dict[int, Image]:
+        """The pictures that are ready after a packet, by frame. original: an image of their shape."""
+        pictures = self._decoder.push(packet)
+        self._position.came_back()
+        return self._checked(pictures, original)
+
+    def flush(self, original: Image) -> dict[int, Image]:
+        """The pictures that were held back."""
+        pictures = self._decoder.flush()
+        self._position.came_back()
+        return self._checked(pictures, original)
+
+    def _checked(self, pictures: object, original: Image) -> dict[int, Image]:
+        if not isinstance(pictures, list):
+            raise CodingError(f"the decoder returned {type(pictures).__name__}; it returns a list of Pictures")
+        found: dict[int, Image] = {}
+        for picture in pictures:
+            if not isinstance(picture, Picture) or type(picture.frame) is not int:
+                raise CodingError(f"the decoder returned a list with {type(picture).__name__}; it holds Pictures")
+            frame = picture.frame
+            if frame not in self._owed:
+                continue
+            if frame in self.given:
+                raise CodingError(f"the decoder returned frame {frame} a second time")
+            if picture.state != "whole":
+                raise CodingError(f"the decoder says that frame {frame} is {picture.state}, though nothing was lost")
+            self.given.add(frame)
+            found[frame] = checked_decoding(picture.image, original).copy()  # decoders go on writing into theirs
+        return found
+
+
+def checked_decoding(decoded: object, original: Image) -> Image:
+    """`decoded` as a contiguous image that can be written, after checking type, dtype and shape against the frame's."""
+    if not isinstance(decoded, np.ndarray):
+        raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")
+    image = np.ascontiguousarray(decoded)  # first, because what only claims to be an array may become another
+    if image.dtype != np.uint8:
+        raise CodingError(f"decode returned dtype {image.dtype}; a decoded frame is uint8")
+    if image.shape != original.shape:
+        raise CodingError(f"decode returned shape {image.shape}; the frame has {original.shape}")
+    return image if image.flags.writeable else image.copy()  # kernels are compiled anew for arrays of another kind

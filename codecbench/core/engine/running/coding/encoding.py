@@ -1,0 +1,86 @@
+"""Encoding a sequence: frames are pushed into a session in order, and what comes out is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.stream import Packet, StreamCodec, encoder_of
+from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
+from codecbench.core.engine.storage.bitstream_file import CodedPacket
+
+
+def encode_sequence(codec: AnyCodec[Any], sequence: Sequence, position: WorkPosition) -> Iterator[CodedPacket]:
+    """The packets of all frames in the order in which they are sent.
+
+    Raises CodingError for what is not a packet, and where a frame has none or two.
+    """
+    position.at("encode")
+    encoder = CheckedEncoder(codec, sequence.frame_rate_hz, position)
+    for index in range(len(sequence)):
+        position.at("read", index)
+        image = sequence.read(index).image
+        position.at("encode", index)
+        yield from encoder.push(image)
+    position.at("encode")
+    yield from encoder.flush()
+
+
+class CheckedEncoder:
+    """A session of a codec that gives each frame exactly one packet, or raises CodingError."""
+
+    def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float, position: WorkPosition) -> None:
+        self._encoder = encoder_of(codec, frame_rate_hz)
+        position.came_back()
+        self._has_memory = isinstance(codec, StreamCodec)
+        self._position = position
+        self._pushed = 0
+        self._sent: set[int] = set()
+
+    def push(self, image: Image) -> list[CodedPacket]:
+        packets = self._encoder.push(image)
+        self._position.came_back()
+        self._pushed += 1
+        return self._checked(packets, "push")
+
+    def flush(self) -> list[CodedPacket]:
+        packets = self._encoder.flush()
+        self._position.came_back()
+        found = self._checked(packets, "flush")
+        if left := sorted(set(range(self._pushed)) - self._sent):
+            shown = ", ".join(map(str, left[:5])) + (", ..." if len(left) > 5 else "")
+            raise CodingError(f"{len(left)} of {self._pushed} frames have no packet after flush: {shown}")
+        return found
+
+    def _checked(self, packets: object, call: str) -> list[CodedPacket]:
+        if not isinstance(packets, list):
+            raise CodingError(f"{call} returned {type(packets).__name__}; it returns a list of Packets")
+        return [self._checked_packet(packet, call) for packet in packets]
+
+    def _checked_packet(self, packet: object, call: str) -> CodedPacket:
+        if not isinstance(packet, Packet):
+            raise CodingError(f"{call} returned a list with {type(packet).__name__}; it holds Packets")
+        frame, starts = packet.frame, packet.starts
+        if type(frame) is not int or type(starts) is not bool:
+            kinds = f"{type(frame).__name__} and {type(starts).__name__}"
+            raise CodingError(f"{call} returned a packet whose frame and starts are {kinds}; they are int and bool")
+        if not 0 <= frame < self._pushed:
+            raise CodingError(f"{call} returned a packet of frame {frame}; 0 to {self._pushed - 1} were pushed")
+        if frame in self._sent:
+            raise CodingError(f"{call} returned a packet of frame {frame} a second time")
+        if not self._sent and not starts:
+            raise CodingError(f"the first packet, of frame {frame}, does not start: decoding could never begin")
+        self._sent.add(frame)
+        return CodedPacket(self._content(packet), frame, starts, self._pushed)
+
+    def _content(self, packet: Packet) -> bytes:
+        returned = f"the packet of frame {packet.frame} holds" if self._has_memory else "encode returned"
+        if not isinstance(packet.data, bytes):
+            raise CodingError(f"{returned} {type(packet.data).__name__}; a bitstream is bytes")
+        content = memoryview(packet.data).tobytes()  # whatever a subclass of bytes says of itself
+        if not content:
+            raise CodingError(f"{returned} no bytes")
+        return content

@@ -1,0 +1,38 @@
+"""How far the work on a sequence has got, and the error of a codec that does not do what its contract says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from codecbench.core.contracts.errors import CodecbenchError
+
+
+class CodingError(CodecbenchError):
+    """A codec returned something that is not a bitstream, not the stream's packet, or not the picture's shape."""
+
+
+@dataclass
+class WorkPosition:
+    """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`.
+
+    titles: of the plugins of other distributions, by the stage at which their code runs.
+    """
+
+    stage: str = ""
+    frame: int | None = None
+    titles: Mapping[str, str] = field(default_factory=dict)
+    process: int = field(default_factory=os.getpid)
+
+    def at(self, stage: str, frame: int | None = None) -> None:
+        self.stage, self.frame = stage, frame
+
+    def came_back(self) -> None:
+        """End this process where a codec forked and came back in it too: it would write what the first one writes."""
+        if os.getpid() != self.process:
+            os._exit(0)
+
+    def __str__(self) -> str:
+        place = self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
+        return f"{self.titles[self.stage]}: {place}" if self.stage in self.titles else place

@@ -1,0 +1,1 @@
+"""Which settings are good enough over a link."""

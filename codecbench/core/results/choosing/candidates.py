@@ -1,0 +1,218 @@
+"""Settings over a link, judged by what is asked of them: pictures in time, and a reader of them that errs little."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.results.limits import POOLED, Holding, Standing, pooled_rates
+from codecbench.core.results.run_result import Key, RunResult
+from codecbench.core.results.table import CellResult
+from codecbench.core.simulation.settings import LinkSettings
+
+TOO_OLD: Final = "older than the deadline"
+
+
+class NotMeasured(CodecbenchError):
+    """A run lacks what is asked of it: a link, or the times of encoding."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What is asked: over which link, in how many of the pictures at least (share) no older than deadline_ms, with an
+    error of at most error_m. What is None is not asked. device_factor: how many times slower the device is than the
+    machine that timed encoding, which makes each picture as much older; None where encoding takes no time."""
+
+    link: str
+    deadline_ms: float | None = None
+    error_m: float | None = None
+    share: float = 0.95
+    device_factor: float | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A codec setting over a link, on a sequence or on all (POOLED).
+
+    way: what tells its transport and so on from others of the run. rate: of the table; NaN where not known. timely,
+    exact: how many runs had enough pictures in time, and how many erred little enough; None where not measured or
+    asked. share: of pictures in time. error_m: median over runs. causes: shares of the pictures that were not in time,
+    by label, largest first.
+    """
+
+    sequence: str
+    curve: str
+    point: str
+    way: str
+    rate: float
+    timely: Standing | None
+    share: float
+    causes: dict[str, float]
+    exact: Standing | None
+    error_m: float
+    unmeasured: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return " ".join(filter(None, (self.curve, self.point, f"({self.way})" if self.way else "")))
+
+    @property
+    def standings(self) -> list[Standing]:
+        return [standing for standing in (self.timely, self.exact) if standing is not None]
+
+    @property
+    def verdict(self) -> Holding:
+        """`fails` where one demand does, `holds` where all do."""
+        verdicts = {standing.verdict for standing in self.standings}
+        if "fails" in verdicts:
+            return "fails"
+        return "holds" if verdicts == {"holds"} and not self.unmeasured else "cannot tell"
+
+    @property
+    def more_runs(self) -> int:
+        """How many more would tell, if all ended as most have."""
+        return max((standing.more_runs for standing in self.standings), default=0)
+
+
+@dataclass
+class _Runs:
+    """What the runs of a setting gave, one value a run."""
+
+    shares: list[float] = field(default_factory=list)
+    causes: list[dict[str, float]] = field(default_factory=list)
+    errors_m: list[float] = field(default_factory=list)
+
+    def add(self, other: _Runs) -> None:
+        self.shares += other.shares
+        self.causes += other.causes
+        self.errors_m += other.errors_m
+
+
+_Way = tuple[tuple[str, str], ...]
+_Setting = tuple[str, str, str, _Way]
+"""Sequence, codec, label, and way."""
+
+
+def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
+    """Every setting that was measured over the link, in order of rate; with several sequences those of all come first.
+
+    Raises NotMeasured where none was, and where times of encoding are asked that the run does not have.
+    """
+    encode_ms = _encode_ms(run, demand)
+    found: dict[_Setting, _Runs] = defaultdict(_Runs)
+    for result in run.results:
+        if result.status != "unsupported" and demand.link in _links(result.cell.evaluator):
+            row = result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
+            _collect(found[*row, _way(result.cell.evaluator)], result, demand, encode_ms.get(row, 0.0))
+    if not found:
+        links = sorted({link for result in run.results for link in _links(result.cell.evaluator)})
+        there = f"it has {', '.join(links)}" if links else "no evaluator of it has a link"
+        raise NotMeasured(f"{run.folder}: nothing was measured over link {demand.link!r}; {there}")
+    rates = dict(run.rates)
+    if len({setting[0] for setting in found}) > 1:
+        for (_, *rest), runs in list(found.items()):
+            found[POOLED, rest[0], rest[1], rest[2]].add(runs)  # type: ignore[index]
+        rates |= pooled_rates(run)
+    words = _words_of_ways({setting[3] for setting in found})
+    judged = [
+        _judged(run, setting, runs, rates.get(setting[:3], math.nan), words[setting[3]], demand)
+        for setting, runs in found.items()
+    ]
+    return sorted(judged, key=_place)
+
+
+def _place(candidate: Candidate) -> tuple[bool, str, bool, float]:
+    """All sequences together first; a rate that is not known comes last."""
+    return candidate.sequence != POOLED, candidate.sequence, math.isnan(candidate.rate), candidate.rate
+
+
+def _links(evaluator: PluginSetting) -> list[str]:
+    return [used.name for used in evaluator.uses if used.kind == "link"]
+
+
+def _way(evaluator: PluginSetting) -> _Way:
+    """All about the link but its name: equal for evaluators that look at the same journey."""
+    names = [name for name in LinkSettings.model_fields if name in evaluator.params and name != "link"]
+    return tuple((name, json.dumps(evaluator.params[name], sort_keys=True)) for name in names)
+
+
+def _words_of_ways(ways: Iterable[_Way]) -> dict[_Way, str]:
+    """What tells each way from the others."""
+    values: dict[str, set[str]] = defaultdict(set)
+    ways = list(ways)
+    for way in ways:
+        for name, value in way:
+            values[name].add(value)
+    return {
+        way: " ".join(f"{name}={json.loads(value)}" for name, value in way if len(values[name]) > 1) for way in ways
+    }
+
+
+def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
+    """What encoding a picture takes on the device, by row."""
+    if demand.device_factor is None:
+        return {}
+    found: dict[Key, list[float]] = defaultdict(list)
+    for result in run.results:
+        timed = _with_need(result, "encoding")
+        median = None if timed is None else result.summaries.get((timed.name, "", timed.aggregates[0]))
+        if median is not None:
+            found[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(median)
+    if not found:
+        raise NotMeasured(f"{run.folder}: no encoding was timed; add an evaluator that does, or leave the factor away")
+    return {row: demand.device_factor * float(np.median(values)) for row, values in found.items()}
+
+
+def _collect(runs: _Runs, result: CellResult, demand: Demand, encode_ms: float) -> None:
+    """Add what a cell says. One that failed had no picture in time, and an error beyond all."""
+    delay, error = (_with_need(result, need) for need in ("delay", "error"))
+    if delay is not None and demand.deadline_ms is not None:
+        frames = result.frames()
+        in_time = frames.loc[frames["metric"] == delay.name, "value"] + encode_ms <= demand.deadline_ms
+        share = float(in_time.sum()) / result.cell.sequence.frames
+        runs.shares.append(share)
+        causes = {
+            result.metrics[found.metric].label: found.value
+            for found in result.measurements
+            if found.metric in result.metrics and result.metrics[found.metric].need == "cause"
+        }
+        runs.causes.append({**causes, TOO_OLD: max(0.0, 1.0 - share - sum(causes.values()))})
+    if error is not None and demand.error_m is not None:
+        values = [found.value for found in result.measurements if found.metric == error.name]
+        runs.errors_m.append(values[0] if values else math.nan)
+
+
+def _with_need(result: CellResult, need: Need) -> Metric | None:
+    return next((metric for metric in result.metrics.values() if metric.need == need), None)
+
+
+def _judged(run: RunResult, setting: _Setting, runs: _Runs, rate: float, way: str, demand: Demand) -> Candidate:
+    sequence, codec, label, _ = setting
+    point = run.curves[codec, label]
+    enough = [share >= demand.share - 1e-9 for share in runs.shares]
+    near = [demand.error_m is not None and error <= demand.error_m for error in runs.errors_m]
+    asked = (("pictures in time", demand.deadline_ms, enough), ("the error", demand.error_m, near))
+    labels = dict.fromkeys(label for causes in runs.causes for label in causes)
+    means = {label: float(np.mean([causes.get(label, 0.0) for causes in runs.causes])) for label in labels}
+    return Candidate(
+        sequence,
+        point.curve,
+        point.point,
+        way,
+        rate,
+        Standing(point.point, rate, sum(enough), len(enough)) if enough else None,
+        float(np.mean(runs.shares)) if runs.shares else math.nan,
+        dict(sorted(means.items(), key=lambda pair: -pair[1])),
+        Standing(point.point, rate, sum(near), len(near)) if near else None,
+        float(np.median(runs.errors_m)) if runs.errors_m else math.nan,
+        tuple(what for what, limit, measured in asked if limit is not None and not measured),
+    )

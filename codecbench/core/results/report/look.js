@@ -1,0 +1,167 @@
+"use strict";
+/* One setting looked at: its stored frames, and its path with the error over time. */
+function looking() {
+  const frames = new Map(), drawings = new Map();
+  for (const frame of DATA.frames) frames.set(keyOf(frame), [...(frames.get(keyOf(frame)) || []), frame]);
+  for (const view of DATA.map_views) for (const drawing of view.drawings) {
+    if (drawing.course) drawings.set(keyOf(drawing), [...(drawings.get(keyOf(drawing)) || []), { drawing, view }]);
+  }
+  const rows = DATA.rows.filter((row) => frames.has(keyOf(row)) || drawings.has(keyOf(row)));
+  if (!rows.length) { if ($("look")) $("look").remove(); return; }
+  const sequences = [...new Set(rows.map((row) => row.sequence))];
+  const choose = (key) => {
+    const row = rows.find((found) => keyOf(found) === key);
+    $("nothing").hidden = Boolean(row);
+    if (!row) { $("nothing").textContent = "Of this setting the page keeps neither frames nor a path."; viewer.show([]); path.show([]); return; }
+    fill($("look-sequence"), sequences, row.sequence);
+    fill($("look-setting"), rows.filter((found) => found.sequence === row.sequence).map(keyOf), key, (value) => title(JSON.parse(value), frames.get(value)));
+    viewer.show(frames.get(key) || []); path.show(drawings.get(key) || []);
+  };
+  const title = ([, codec, setting], found) => found ? found[0].title : `${codec} ${setting}`.trim();
+  const nearest = (frame, from) => { if (from !== "path") path.at(frame); if (from !== "viewer") viewer.at(frame); };
+  const viewer = frameViewer(nearest), path = pathViewer(nearest);
+  $("look-sequence").addEventListener("change", () => look(keyOf(rows.find((row) => row.sequence === $("look-sequence").value))));
+  $("look-setting").addEventListener("change", () => look($("look-setting").value));
+  watchers.push(choose);
+  /* Frames stand in order of rate: what is lost shows at the least. */
+  const first = rows.find((row) => DATA.frames.length && keyOf(row) === keyOf(DATA.frames[0])) || rows.find((row) => !baseline(row.codec)) || rows[0];
+  choose(rows.some((row) => keyOf(row) === STATE.at) ? STATE.at : keyOf(first));
+}
+
+function frameViewer(tell) {
+  const part = (name) => $(`frame-${name}`);
+  let stored = [], place = 0;
+  if (!DATA.frames.length) { $("frames").remove(); return { show() {}, at() {} }; }
+  const show = () => {
+    const frame = stored[place], mode = part("mode").value;
+    part("stage").dataset.mode = mode;
+    $("frames").hidden = !frame;
+    if (!frame) return;
+    const { picture, width, height } = DATA.originals[frame.original];
+    part("original").src = picture; part("decoded").src = frame.decoded; part("difference").src = frame.difference;
+    const zoom = part("zoom").value;
+    part("sheet").style.width = zoom === "fit" ? "100%" : `${width * Number(zoom)}px`;
+    part("sheet").style.aspectRatio = `${width} / ${height}`;
+    part("decoded").style.clipPath = mode === "slider" ? `inset(0 0 0 ${part("split").value}%)` : "none";
+    part("line").style.left = `${part("split").value}%`;
+    const flipped = part("flip").getAttribute("aria-pressed") === "true";
+    part("decoded").hidden = mode === "difference" || (mode === "flip" && flipped);
+    part("difference").hidden = mode !== "difference";
+    part("split").parentElement.hidden = part("line").hidden = mode !== "slider";
+    part("flip").hidden = mode !== "flip";
+    part("marks").replaceChildren();
+    part("marks").setAttribute("viewBox", `0 0 ${width} ${height}`);
+    part("marked").parentElement.hidden = !frame.note;
+    if (part("marked").checked && frame.note) for (const [kind, list] of [["kept", frame.kept], ["lost", frame.lost]]) {
+      for (let i = 0; i < list.length; i += 2) shape("circle", { cx: list[i], cy: list[i + 1], r: kind === "lost" ? 4 : 2.5, class: kind }, part("marks"));
+    }
+    const said = { slider: "original left of the line, decoded right of it", flip: flipped ? "original" : "decoded", difference: "difference of gray, 4 times, around middle gray" }[mode];
+    part("caption").textContent = [`frame ${frame.frame}`, said, frame.note && `${frame.note} over the whole frame${part("marked").checked ? "; lost are red" : ""}`].filter(Boolean).join("; ");
+    remember({ frame: frame.frame, mode, zoom });
+  };
+  part("mode").addEventListener("change", () => { part("marked").checked = part("mode").value === "difference"; show(); });
+  for (const name of ["zoom", "marked"]) part(name).addEventListener("change", show);
+  part("split").addEventListener("input", show);
+  part("flip").addEventListener("click", () => { part("flip").setAttribute("aria-pressed", String(part("flip").getAttribute("aria-pressed") !== "true")); show(); });
+  part("index").addEventListener("change", () => { place = Number(part("index").value); show(); tell(stored[place].frame, "viewer"); });
+  if (["slider", "flip", "difference"].includes(STATE.mode)) part("mode").value = STATE.mode;
+  if (["fit", "1", "2", "4"].includes(STATE.zoom)) part("zoom").value = STATE.zoom;
+  const closest = (frame) => stored.reduce((best, each, i) => Math.abs(each.frame - frame) < Math.abs(stored[best].frame - frame) ? i : best, 0);
+  return {
+    show: (found) => {
+      const before = stored.length ? stored[place].frame : Number(STATE.frame ?? NaN);
+      stored = found;
+      place = !found.length ? 0 : Number.isFinite(before) ? closest(before) : Math.floor((found.length - 1) / 2);
+      fill(part("index"), found.map((_, i) => i), place, (i) => `frame ${found[i].frame}`);
+      show();
+    },
+    at: (frame) => { if (stored.length) { place = closest(frame); part("index").value = place; show(); } },
+  };
+}
+
+function pathViewer(tell) {
+  const host = $("path");
+  if (!host) return { show() {}, at() {} };
+  let found = [], place = 0, map = null, error = null;
+  const courseOf = () => found[Number($("path-way").value) || 0].drawing.course;
+  const draw = () => {
+    const { drawing, view } = found[Number($("path-way").value) || 0], course = drawing.course;
+    const lost = course.frames.map((_, i) => course.x[i] === null);
+    const lines = drawing.lines.map((line) => {
+      const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
+      return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
+    });
+    /* A loss is marked where the camera was last known to be. */
+    const before = course.frames.map((_, i) => i).filter((i) => !lost[i] && lost[i + 1]);
+    const losses = { name: "lost", x: before.map((i) => course.x[i]), y: before.map((i) => course.y[i]), colour: "var(--bad)", symbol: "x", line: false,
+      text: before.map((i) => `lost after frame ${course.frames[i]}`) };
+    map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: {}, y: {}, label: `Path: ${drawing.caption}` });
+    const errors = course.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
+    const missing = { name: "lost", x: course.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
+    const known = errors.some(Number.isFinite);
+    $("path-error").hidden = !known && !lost.some(Boolean);
+    error = chart($("path-error"), [{ name: "error", x: course.frames, y: errors, colour: "var(--accent)" }, missing], [{ low: 0, high: 0, value: 0, colour: "var(--line)" }],
+      { height: 170, x: { label: "frame" }, y: { label: `error [${course.unit}]` }, label: `Error over time, at most ${shown(most)} ${course.unit}; frames without a pose are marked` });
+    $("path-scrub").max = course.frames.length - 1;
+    move();
+  };
+  const move = () => {
+    const course = courseOf(), x = course.x[place] ?? NaN, y = course.y[place] ?? NaN;
+    $("path-scrub").value = place;
+    map.cursor(x, y); error.cursor(course.frames[place]);
+    const far = course.errors[place];
+    $("path-caption").textContent = [`${found[Number($("path-way").value) || 0].drawing.caption}. Frame ${course.frames[place]}`,
+      course.x[place] === null ? "no pose (lost)" : far === null ? "no true position known" : `${shown(far)} ${course.unit} off`].join(": ");
+  };
+  $("path-scrub").addEventListener("input", () => { place = Number($("path-scrub").value); move(); tell(courseOf().frames[place], "path"); });
+  $("path-way").addEventListener("change", () => { place = 0; draw(); });
+  whenResized($("path-map"), () => { if (found.length) draw(); });
+  const closest = (frame) => courseOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);
+  return {
+    show: (drawings) => {
+      const before = found.length ? courseOf().frames[place] : Number(STATE.frame ?? 0);
+      found = drawings; host.hidden = !found.length;
+      if (!found.length) return;
+      fill($("path-way"), found.map((_, i) => i), 0, (i) => found[i].drawing.way || found[i].view.title);
+      $("path-way").parentElement.hidden = found.length < 2;
+      place = closest(before); draw();
+    },
+    at: (frame) => { if (found.length) { place = closest(frame); move(); } },
+  };
+}
+
+/* Small multiples of what an evaluator drew; a click looks closer. */
+function multiples(view, id) {
+  const part = (name) => $(`${id}-${name}`);
+  const sequences = [...new Set(view.drawings.map((drawing) => drawing.sequence))], all = "all codecs";
+  fill(part("sequence"), sequences, sequences[0]);
+  const names = [...new Set(view.drawings.map((drawing) => drawing.codec))];
+  const few = view.drawings.filter((drawing) => drawing.sequence === sequences[0]).length <= 12;
+  fill(part("codec"), [all, ...names], few ? all : names.find((name) => !baseline(name)) || all);
+  const plot = () => {
+    const codec = part("codec").value;
+    const chosen = view.drawings.filter((drawing) => drawing.sequence === part("sequence").value
+      && (codec === all || drawing.codec === codec || baseline(drawing.codec)));
+    const boxes = chosen.map((drawing) => {
+      const box = element("figure", "multiple"), host = element("div"), caption = element("figcaption", drawing.holds === false ? "bad" : "");
+      const words = `${named(drawing)} ${drawing.way}`.trim() + `: ${drawing.caption}`;
+      if (drawing.course) {
+        const open = element("button", "link", words); open.type = "button";
+        open.addEventListener("click", () => look(keyOf(drawing), true));
+        caption.append(open);
+      } else caption.textContent = words;
+      box.append(host, caption);
+      return [box, host, drawing];
+    });
+    part("multiples").replaceChildren(...boxes.map(([box]) => box));
+    for (const [, host, drawing] of boxes) {
+      const [across, up] = drawing.axes;
+      chart(host, drawing.lines.map((line) => {
+        const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
+        return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
+      }), [], { height: 190, equal: !up, x: { label: across }, y: { label: up }, label: `${named(drawing)}: ${drawing.caption}` });
+    }
+  };
+  for (const name of ["sequence", "codec"]) part(name).addEventListener("change", plot);
+  plot();
+}

@@ -1,0 +1,1 @@
+"""Whether a run comes out the same here: some of its cells are computed again and compared."""

@@ -1,0 +1,87 @@
+"""What two records of the same cell have in common: to the bit, within a tolerance, or not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from codecbench.core.engine.planning.model import Cell
+from codecbench.core.engine.storage.record import Record
+from codecbench.core.engine.storage.samples import table_from_parquet
+from codecbench.core.engine.storage.store import Store
+
+Verdict = Literal["to the bit", "within tolerance", "differs", "not recomputed"]
+VERDICTS: Final[tuple[Verdict, ...]] = ("to the bit", "within tolerance", "differs", "not recomputed")
+
+TOLERANCE: Final = 1e-6
+"""Relative difference of two values up to which they agree: more than sums of floats in another order make, less than
+any table shows."""
+
+Values = dict[tuple[str, str, int | None, int], float]
+"""Values by metric, stage, frame, and how many of the same came before."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What became of a cell. values: how many were compared. note: the worst of them, or why there are none."""
+
+    cell: Cell
+    verdict: Verdict
+    values: int = 0
+    note: str = ""
+
+
+def values_of(store: Store, record: Record, metrics: Collection[str] | None) -> Values:
+    """What a record measured of these metrics, all where it is None. Raises StoreError, ValueError or OSError."""
+    rows = [(each.metric, each.stage or "", None, each.value) for each in record.measurements]
+    content = store.samples(record)
+    if content is not None:
+        columns = table_from_parquet(content).to_pydict()
+        names = ("metric", "stage", "frame", "value")
+        found = zip(*(columns[name] for name in names), strict=True)
+        rows += [
+            (metric, stage or "", frame, math.nan if value is None else value) for metric, stage, frame, value in found
+        ]
+    values: Values = {}
+    for metric, stage, frame, value in rows:
+        if metrics is not None and metric not in metrics:
+            continue
+        place = 0
+        while (metric, stage, frame, place) in values:
+            place += 1
+        values[metric, stage, frame, place] = value
+    return values
+
+
+def compared(cell: Cell, there: Values, here: Values, tolerance: float) -> Agreement:
+    """What the values of a cell have in common with those that were computed here."""
+    if there.keys() != here.keys():
+        key = min(there.keys() ^ here.keys(), key=str)
+        side = "not measured here" if key in there else "measured here alone"
+        return Agreement(cell, "differs", len(there), f"{_named(key)}: {side}")
+    apart = {key: _distance(value, here[key]) for key, value in there.items()}
+    worst = max(apart, key=apart.__getitem__, default=None)
+    if worst is None:
+        return Agreement(cell, "not recomputed", 0, "it measured nothing that comes out the same twice")
+    if apart[worst] == 0.0:
+        return Agreement(cell, "to the bit", len(there))
+    verdict: Verdict = "within tolerance" if apart[worst] <= tolerance else "differs"
+    unequal = sum(distance > 0.0 for distance in apart.values())
+    note = f"{_named(worst)}: {there[worst]!r} there, {here[worst]!r} here; {unequal} of {len(there)} values differ"
+    return Agreement(cell, verdict, len(there), note)
+
+
+def _distance(first: float, second: float) -> float:
+    """The relative difference; 0 of values that are the same, missing and infinite ones too."""
+    if first == second or (math.isnan(first) and math.isnan(second)):
+        return 0.0
+    distance = abs(first - second) / max(abs(first), abs(second))
+    return distance if math.isfinite(distance) else math.inf
+
+
+def _named(key: tuple[str, str, int | None, int]) -> str:
+    metric, stage, frame, _ = key
+    name = f"{metric}/{stage}" if stage else metric
+    return name if frame is None else f"{name} of frame {frame}"

@@ -1,0 +1,117 @@
+"""A coded sequence over a link: what arrives, when, and what becomes of the rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
+from codecbench.core.contracts.link import Link
+from codecbench.core.simulation.adaptation import AdaptiveEncoder, Encode
+from codecbench.core.simulation.receiver import Fate, fates_of
+from codecbench.core.simulation.sender import Sender
+from codecbench.core.simulation.settings import LinkSettings
+from codecbench.core.simulation.transport import PacketCounts
+from codecbench.core.simulation.world import World
+
+Times = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What became of N frames. Times are in seconds from the first picture on.
+
+    captured_s: (N,). handed_s: (N,) when each was there, decoded, for whoever reads it; infinite where it never was or
+    was too old. fates: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
+    again. came: (N,) whether all of a frame came, however late. packets: counts of those sent. waiting: (N,) packets
+    in the link's queue when each frame came to the encoder. bitstreams: of the frames that were coded anew, as the link
+    asked.
+    """
+
+    captured_s: Times
+    handed_s: Times
+    fates: tuple[Fate, ...]
+    sizes_bytes: NDArray[np.int64]
+    sent_bytes: NDArray[np.int64]
+    came: NDArray[np.bool_]
+    packets: PacketCounts
+    waiting: NDArray[np.int64]
+    bitstreams: Mapping[int, bytes] = field(default_factory=dict)
+
+    @property
+    def handed(self) -> list[int]:
+        """The frames that were handed on, in order."""
+        return np.flatnonzero(np.isfinite(self.handed_s)).tolist()
+
+    def read_at(self, pace_s: float) -> dict[int, float]:
+        """By frame, when a reader has done with it that takes `pace_s` for each, and then takes the newest there is."""
+        if pace_s == 0.0:
+            return {frame: float(self.handed_s[frame]) for frame in self.handed}
+        done_s: dict[int, float] = {}
+        frames, place, free_s = self.handed, 0, 0.0
+        while place < len(frames):
+            begun_s = max(free_s, float(self.handed_s[frames[place]]))
+            while place + 1 < len(frames) and self.handed_s[frames[place + 1]] <= begun_s:
+                place += 1
+            free_s = done_s[frames[place]] = begun_s + pace_s
+            place += 1
+        return done_s
+
+    def ages_s(self) -> Times:
+        """(N,) how old the newest picture was at the moment of each; before there is one, since the first was taken."""
+        frames = np.array(self.handed, dtype=np.int64)
+        known = np.searchsorted(self.handed_s[frames], self.captured_s, side="right") - 1
+        newest_s = np.where(known >= 0, self.captured_s[frames[known]] if len(frames) else 0.0, self.captured_s[0])
+        return np.asarray(self.captured_s - newest_s)
+
+    def gaps_s(self) -> Times:
+        """Times without a new picture, from the first frame to the last, or to the last picture where that is later."""
+        handed_s = self.handed_s[self.handed]
+        return np.diff(np.concatenate([[0.0], handed_s, [max(self.captured_s[-1], *handed_s, 0.0)]]))
+
+
+def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
+    """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
+    link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
+    encoder = None if settings.adapt is None else AdaptiveEncoder(coded, settings.adapt)
+    encode = None if encoder is None else encoder.encode
+    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encode)
+    return found if encoder is None else replace(found, bitstreams=encoder.bitstreams)
+
+
+def deliver(
+    units: Sequence[SentPacket],
+    timestamps_s: Times,
+    link: Link[Any],
+    settings: LinkSettings,
+    rng: np.random.Generator,
+    encode: Encode | None = None,
+) -> Delivery:
+    """Send what an encoder gave over a link.
+
+    units: in the order in which they came out. timestamps_s: (N,) of the frames. encode: codes them anew, as the link
+    asks. Equal arguments give an equal answer.
+    """
+    captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
+    of_frames = captured_s.tolist()
+    world = World()
+    sender = Sender(world, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encode)
+    for number, unit in enumerate(units):
+        ready_s = of_frames[min(unit.after, len(of_frames)) - 1]
+        world.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
+    world.run()
+    complete_s = {number: shipment.complete_s for number, shipment in sender.shipments.items()}
+    fates, handed_s = fates_of(units, captured_s, complete_s, settings)
+    sizes, sent, waiting = np.zeros((3, len(captured_s)), dtype=np.int64)
+    came = np.zeros(len(captured_s), dtype=bool)
+    for number, unit in enumerate(units):
+        sizes[unit.frame] = sender.sizes_bytes[number]
+        sent[unit.frame] = sender.shipments[number].sent_bytes if number in sender.shipments else 0
+        waiting[unit.frame] = sender.waiting[number]
+        came[unit.frame] = math.isfinite(complete_s.get(number, math.inf))
+    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting)

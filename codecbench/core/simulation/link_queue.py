@@ -1,0 +1,203 @@
+"""Packets in a queue before a link: they wait, go one after the other, and are dropped by the queue's discipline."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.link import Channel, Passage, Queue
+from codecbench.core.simulation.world import World
+
+TARGET_S: Final = 0.005
+INTERVAL_S: Final = 0.1
+"""RFC 8289, section 4.2 and 4.3."""
+_DROPPING_AGAIN: Final = 16
+"""Intervals within which a return to dropping goes on at the rate of the last time; RFC 8289, section 5.5."""
+
+
+@dataclass(slots=True, eq=False)
+class Packet:
+    """A packet of a unit; `tries` counts how often it has been sent."""
+
+    unit: int
+    size_bytes: int
+    tries: int = 0
+
+
+OnFate = Callable[[Packet, Passage | None], None]
+"""Told once of each packet that was pushed: its passage, or None where it was dropped."""
+
+
+class LinkQueue(ABC):
+    """The way into a link. on_idle is called whenever the last packet has left."""
+
+    def __init__(self, world: World, channel: Channel, on_fate: OnFate, on_idle: Callable[[], None]) -> None:
+        self._world, self._channel, self._on_fate, self._on_idle = world, channel, on_fate, on_idle
+        self._free_s = 0.0
+
+    @abstractmethod
+    def push(self, packet: Packet) -> None:
+        """A packet comes to the link now."""
+
+    @abstractmethod
+    def waiting(self) -> int:
+        """How many packets wait for their turn now."""
+
+    @property
+    @abstractmethod
+    def is_idle(self) -> bool:
+        """Whether nothing is being sent or waits."""
+
+    def _carry(self, packet: Packet, start_s: float) -> Passage:
+        passage = self._channel.carry(packet.size_bytes, start_s)
+        if not start_s <= passage.sent_s < math.inf or not (
+            passage.arrives_s is None or passage.sent_s <= passage.arrives_s < math.inf
+        ):
+            raise PluginError(f"{type(self._channel).__name__}: a packet whose turn is at {start_s} s has {passage}")
+        self._free_s = passage.sent_s
+        return passage
+
+
+class DropTailQueue(LinkQueue):
+    """What comes is dropped where as many wait as may. What later packets do changes nothing for those that wait, so
+    that all about a packet is known when it comes."""
+
+    def __init__(
+        self, world: World, channel: Channel, most: int | None, on_fate: OnFate, on_idle: Callable[[], None]
+    ) -> None:
+        super().__init__(world, channel, on_fate, on_idle)
+        self._most = math.inf if most is None else most
+        self._starts_s: deque[float] = deque()
+        self._idle_is_planned = False
+
+    def push(self, packet: Packet) -> None:
+        now_s = self._world.now_s
+        if self._free_s > now_s:
+            if self.waiting() >= self._most:
+                self._on_fate(packet, None)
+                return
+            start_s = self._free_s
+            self._starts_s.append(start_s)
+        else:
+            start_s = now_s
+        passage = self._carry(packet, start_s)
+        if not self._idle_is_planned:
+            self._idle_is_planned = True
+            self._world.at(self._free_s, self._idle)
+        self._on_fate(packet, passage)
+
+    def waiting(self) -> int:
+        now_s, starts_s = self._world.now_s, self._starts_s
+        while starts_s and starts_s[0] <= now_s:
+            starts_s.popleft()
+        return len(starts_s)
+
+    @property
+    def is_idle(self) -> bool:
+        return self._free_s <= self._world.now_s
+
+    def _idle(self) -> None:
+        if self._free_s > self._world.now_s:
+            self._world.at(self._free_s, self._idle)
+        else:
+            self._idle_is_planned = False
+            self._on_idle()
+
+
+class CoDelQueue(LinkQueue):
+    """Drops from the head, ever more often, while packets wait for longer than a target: RFC 8289, section 5."""
+
+    def __init__(
+        self, world: World, channel: Channel, most: int | None, on_fate: OnFate, on_idle: Callable[[], None]
+    ) -> None:
+        super().__init__(world, channel, on_fate, on_idle)
+        self._most = math.inf if most is None else most
+        self._packets: deque[tuple[Packet, float]] = deque()
+        self._bytes = self._largest = 0
+        self._is_sending = self._is_dropping = False
+        self._above_until_s: float | None = None
+        self._next_drop_s = 0.0
+        self._drops = self._drops_before = 0
+
+    def push(self, packet: Packet) -> None:
+        if len(self._packets) >= self._most:
+            self._on_fate(packet, None)
+            return
+        self._packets.append((packet, self._world.now_s))
+        self._bytes += packet.size_bytes
+        self._largest = max(self._largest, packet.size_bytes)
+        if not self._is_sending:
+            self._serve()
+
+    def waiting(self) -> int:
+        return len(self._packets)
+
+    @property
+    def is_idle(self) -> bool:
+        return not self._is_sending
+
+    def _serve(self) -> None:
+        """Send the next packet that is not dropped, and come back when it has left."""
+        packet = self._next()
+        self._is_sending = packet is not None
+        if packet is None:
+            self._on_idle()
+            return
+        passage = self._carry(packet, self._world.now_s)
+        self._world.at(self._free_s, self._serve)
+        self._on_fate(packet, passage)
+
+    def _next(self) -> Packet | None:
+        now_s = self._world.now_s
+        packet, is_old = self._head()
+        if self._is_dropping:
+            self._is_dropping = is_old
+            while self._is_dropping and now_s >= self._next_drop_s:
+                self._drop(packet)
+                self._drops += 1
+                packet, is_old = self._head()
+                self._is_dropping = is_old
+                if is_old:
+                    self._next_drop_s = self._control_law(self._next_drop_s)
+        elif is_old:
+            self._drop(packet)
+            packet, _ = self._head()
+            self._is_dropping = True
+            more = self._drops - self._drops_before
+            again = more > 1 and now_s - self._next_drop_s < _DROPPING_AGAIN * INTERVAL_S
+            self._drops = self._drops_before = more if again else 1
+            self._next_drop_s = self._control_law(now_s)
+        return packet
+
+    def _head(self) -> tuple[Packet | None, bool]:
+        """The packet at the head, taken out, and whether packets have waited for too long for an interval."""
+        if not self._packets:
+            self._above_until_s = None
+            return None, False
+        packet, entered_s = self._packets.popleft()
+        self._bytes -= packet.size_bytes
+        now_s = self._world.now_s
+        if now_s - entered_s < TARGET_S or self._bytes <= self._largest:
+            self._above_until_s = None
+            return packet, False
+        if self._above_until_s is None:
+            self._above_until_s = now_s + INTERVAL_S
+        return packet, now_s >= self._above_until_s
+
+    def _drop(self, packet: Packet | None) -> None:
+        assert packet is not None
+        self._on_fate(packet, None)
+
+    def _control_law(self, time_s: float) -> float:
+        return time_s + INTERVAL_S / math.sqrt(self._drops)
+
+
+def link_queue(world: World, channel: Channel, queue: Queue, on_fate: OnFate, on_idle: Callable[[], None]) -> LinkQueue:
+    """The queue that a link says it has."""
+    kind = CoDelQueue if queue.discipline == "codel" else DropTailQueue
+    return kind(world, channel, queue.packets, on_fate, on_idle)

@@ -1,0 +1,92 @@
+"""The receiver: decodes what is whole, in order, and hands on what is not too old."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.evaluator import SentPacket
+from codecbench.core.simulation.settings import LinkSettings
+
+Fate = Literal["on time", "concealed", "late", "lost", "broken", "skipped"]
+"""`skipped`: not sent. `lost`: parts of it never came. `broken`: it came whole, and depends on one that did not.
+`concealed`: the same, handed on as the decoder makes it up. `late`: too old to be of use, or after a newer one."""
+
+
+def fates_of(
+    units: Sequence[SentPacket],
+    captured_s: NDArray[np.float64],
+    complete_s: Mapping[int, float],
+    settings: LinkSettings,
+) -> tuple[list[Fate], NDArray[np.float64]]:
+    """What became of each frame, and (N,) when it was handed on; infinite where it was not.
+
+    captured_s: (N,) of frames. complete_s: of the units that were sent, by number; infinite for those that never were.
+    A frame that the encoder gave nothing for was skipped.
+    """
+    if settings.transport == "reliable":
+        complete_s = _in_order(complete_s)
+    fates: list[Fate] = ["skipped"] * len(captured_s)
+    decodable_s = np.full(len(captured_s), math.inf)
+    whole = np.zeros(len(captured_s), dtype=bool)
+    is_broken, begun_s = True, math.inf
+    for number, unit in enumerate(units):
+        own_s = complete_s.get(number, math.inf)
+        is_broken = math.isinf(own_s) or (is_broken and not unit.starts)
+        if unit.starts and not is_broken:
+            begun_s = own_s
+        elif not math.isinf(own_s):
+            begun_s = max(begun_s, own_s)
+        if math.isinf(own_s):
+            fates[unit.frame] = "lost" if number in complete_s else "skipped"
+            continue
+        fates[unit.frame] = "broken" if is_broken else "late"
+        if not is_broken or settings.concealed:
+            decodable_s[unit.frame] = begun_s
+            whole[unit.frame] = not is_broken
+    decoded_s = _decoded(units, captured_s, decodable_s, settings)
+    handed_s = np.full(len(captured_s), math.inf)
+    newest = -1
+    for frame in sorted(np.flatnonzero(np.isfinite(decoded_s)).tolist(), key=lambda frame: (decoded_s[frame], frame)):
+        if frame > newest and decoded_s[frame] - captured_s[frame] <= settings.deadline_s:
+            newest, handed_s[frame] = frame, decoded_s[frame]
+            fates[frame] = "on time" if whole[frame] else "concealed"
+        else:
+            fates[frame] = "late"
+    return fates, handed_s
+
+
+def _in_order(complete_s: Mapping[int, float]) -> dict[int, float]:
+    """Nothing of a reliable transport is there before all that was sent before it is."""
+    numbers = sorted(complete_s)
+    return dict(zip(numbers, accumulate((complete_s[number] for number in numbers), max), strict=True))
+
+
+def _decoded(
+    units: Sequence[SentPacket],
+    captured_s: NDArray[np.float64],
+    decodable_s: NDArray[np.float64],
+    settings: LinkSettings,
+) -> NDArray[np.float64]:
+    """(N,) when the decoder gives each frame. It decodes one after the other.
+
+    Of pictures that stand alone it leaves out those that are too old already. Where pictures of a stream are sent in
+    another order than shown, each waits for those before it.
+    """
+    stands_alone = all(unit.starts for unit in units)
+    given_s, free_s = np.full(len(captured_s), math.inf), 0.0
+    for frame in np.lexsort((np.arange(len(decodable_s)), decodable_s)).tolist():
+        begun_s = max(free_s, decodable_s[frame])
+        if math.isinf(begun_s) or (stands_alone and begun_s - captured_s[frame] > settings.deadline_s):
+            continue
+        free_s = given_s[frame] = begun_s + 1e-3 * settings.decode_ms
+    frames = [unit.frame for unit in units]
+    if frames != sorted(frames):
+        present = np.flatnonzero(np.isfinite(given_s))
+        given_s[present] = np.maximum.accumulate(given_s[present])
+    return given_s

@@ -1,0 +1,71 @@
+"""Contexts of the decisions of a block: where each kind begins, and the classes that they are made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.counting.kernel import kernel
+from codecbench.plugins.codecs.dct.tables import ZIGZAG
+from codecbench.plugins.codecs.multilevel.context.predictors import PREDICTION_BITS
+
+INNER = np.array([place for place in ZIGZAG.tolist() if place % 8 and place // 8], np.int32)
+"""The 49 places of the inner part, in zigzag order."""
+ZONES = np.array([0] * 3 + [1] * 7 + [2] * 15 + [3] * 24, np.int32)
+"""Of the inner part's places, by their rank."""
+MAX_INDEX = (1 << 17) - 1
+DC_RESIDUAL = 3
+"""What is kept of each coded block: numbers of nonzero indices inside, in the first row and column; |DC residual|."""
+
+
+def _classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
+    return np.searchsorted(np.array(limits), np.arange(size), side="right").astype(np.int32)
+
+
+_LAST_MAGNITUDE = 63
+_MAGNITUDES = _classes((1, 2, 3, 5, 7, 10, 15, 23, 41), 1 + _LAST_MAGNITUDE)
+_LAST_PREDICTION = 319
+_PREDICTIONS = _classes((3, 6, 10, 16, 24, 40, 70, 140, 280), 1 + _LAST_PREDICTION)
+"""Of a twentieth of an index."""
+
+SHARES = np.array([[min(12 * missing // (49 - rank), 11) for rank in range(49)] for missing in range(50)], np.int32)
+"""How many twelfths of the places from a rank on are not zero, where so many are missing."""
+
+# Contexts: where those of each decision begin.
+LENGTH = 0
+LENGTH_BITS = LENGTH + 800 + 240 + 240
+INNER_FLAGS = LENGTH_BITS + 64
+INNER_SIZES = INNER_FLAGS + 49 * 12 + 49 * 100 + 600
+EDGE_COUNTS = INNER_SIZES + 15 * 670
+EDGE_FLAGS = EDGE_COUNTS + 2400 + 1920 + 1280
+EDGE_SIGNS = EDGE_FLAGS + 1280 + 1280 + 800
+EDGE_SIZES = EDGE_SIGNS + 160
+DC_FLAGS = EDGE_SIZES + 15 * 340
+DC_SIZES = DC_FLAGS + 250
+DC_SIGNS = DC_SIZES + 15 * 220
+CONTEXTS = DC_SIGNS + 5
+
+# Sets of weights.
+LENGTH_SET, FLAG_SET, SIZE_SET, EDGE_COUNT_SET = 0, 6, 55, 111
+EDGE_FLAG_SET, EDGE_SIZE_SET, DC_SET = 125, 139, 167
+WEIGHT_SETS = DC_SET + 15
+
+
+@kernel(_nrt=False, forceinline=True)
+def class_of(magnitude: Any) -> Any:
+    return np.int64(_MAGNITUDES[min(magnitude, _LAST_MAGNITUDE)])
+
+
+@kernel(_nrt=False, forceinline=True)
+def hint_of(expected: Any) -> Any:
+    """The class of an index that is expected, in 1/2^12."""
+    return np.int64(_PREDICTIONS[min((abs(expected) * 20) >> PREDICTION_BITS, _LAST_PREDICTION)])
+
+
+@kernel(_nrt=False, forceinline=True)
+def magnitudes_around(indices: Any, left: Any, top: Any, corner: Any, right: Any, place: Any) -> Any:
+    """Magnitudes at a place of the blocks around: those beside twice, those across once."""
+    beside = abs(indices[left, place]) + abs(indices[top, place])
+    return 2 * beside + abs(indices[corner, place]) + abs(indices[right, place])

@@ -1,0 +1,126 @@
+"""The video codecs: what they are called, and the sessions that they open."""
+
+from __future__ import annotations
+
+from typing import ClassVar, TypeVar
+
+from codecbench.core.contracts.codec import Capabilities
+from codecbench.core.contracts.stream import StreamCodec
+from codecbench.plugins.codecs.video.decoding import VideoDecoder
+from codecbench.plugins.codecs.video.encoding import VideoEncoder
+from codecbench.plugins.codecs.video.library import open_encoder, require, versions
+from codecbench.plugins.codecs.video.params import (
+    Av1Params,
+    Ffv1Params,
+    H264Params,
+    HevcParams,
+    MjpegParams,
+    VideoParams,
+    Vp9Params,
+)
+
+V = TypeVar("V", bound=VideoParams)
+_TRIAL_SIZE = (640, 480)
+_REMARKS = {
+    "gray": "colour is not coded (gray)",
+    "yuv420p": "colour is coded at half size (yuv420p)",
+    "yuv444p": "colour is coded at full size (yuv444p)",
+    "rgb": "",
+}
+
+
+class VideoCodec(StreamCodec[V]):
+    """What they share. Raises Unsupported where PyAV, the encoder or its hardware is missing.
+
+    magic: what starts of its streams begin with. sends_extradata: whether the decoder needs a header that the encoder
+    does not write into its packets.
+    """
+
+    version = "1"
+    capabilities = Capabilities()
+    magic: ClassVar[bytes]
+    sends_extradata: ClassVar[bool] = False
+
+    def __init__(self, params: V) -> None:
+        super().__init__(params)
+        require(params.traits)
+        if params.traits.hardware:
+            open_encoder(params, *_TRIAL_SIZE, frame_rate_hz=30)
+
+    def encoder(self, frame_rate_hz: float) -> VideoEncoder:
+        return VideoEncoder(self.params, self.magic, frame_rate_hz, sends_extradata=self.sends_extradata)
+
+    def decoder(self) -> VideoDecoder:
+        return VideoDecoder(self.params.traits, self.magic)
+
+    def is_low_delay(self) -> bool:
+        return self.params.latency == "low"
+
+    def remark(self) -> str:
+        return _REMARKS[self.params.pixel_format]
+
+    def libraries(self) -> dict[str, str]:
+        return versions()
+
+
+class H264(VideoCodec[H264Params]):
+    """H.264 (ITU-T H.264, ISO/IEC 14496-10) by x264, or by an encoder in hardware."""
+
+    name = "h264"
+    params_type = H264Params
+    examples = (
+        {},
+        {"qp": 30, "pixel_format": "yuv444p", "gop": 5},
+        {"latency": "any", "gop": 8},
+        {"intra_refresh": True, "gop": 4, "bitrate_kbps": 200},
+    )
+    magic = b"V264"
+
+
+class Hevc(VideoCodec[HevcParams]):
+    """HEVC (ITU-T H.265, ISO/IEC 23008-2) by x265."""
+
+    name = "hevc"
+    params_type = HevcParams
+    examples = ({}, {"qp": 30, "pixel_format": "yuv444p", "gop": 5}, {"latency": "any", "gop": 8})
+    magic = b"V265"
+
+
+class Av1(VideoCodec[Av1Params]):
+    """AV1 by SVT-AV1, decoded by dav1d."""
+
+    name = "av1"
+    params_type = Av1Params
+    examples = ({}, {"crf": 20, "gop": 5}, {"latency": "any", "gop": 8})
+    magic = b"VAV1"
+
+
+class Vp9(VideoCodec[Vp9Params]):
+    """VP9 by libvpx."""
+
+    name = "vp9"
+    params_type = Vp9Params
+    examples = ({}, {"qp": 20, "pixel_format": "yuv444p", "gop": 5}, {"latency": "any", "gop": 8})
+    magic = b"VVP9"
+
+
+class Mjpeg(VideoCodec[MjpegParams]):
+    """Motion JPEG: a picture's packet is a JPEG. What memory is worth shows in the difference from it."""
+
+    name = "mjpeg"
+    params_type = MjpegParams
+    examples = ({}, {"qp": 2, "pixel_format": "yuv444p"})
+    magic = b"VJPG"
+
+
+class Ffv1(VideoCodec[Ffv1Params]):
+    """FFV1, version 3 (RFC 9043): lossless; its statistics go on from picture to picture within a gop."""
+
+    name = "ffv1"
+    params_type = Ffv1Params
+    examples = ({}, {"pixel_format": "gray", "gop": 5})
+    magic = b"VFF1"
+    sends_extradata = True
+
+    def is_lossless(self) -> bool:
+        return self.params.pixel_format == "rgb"

@@ -1,0 +1,220 @@
+"""What each of FFmpeg's encoders can do, and how the settings of `VideoParams` are told to it: one table.
+
+Low latency is one packet for each picture at once: no look-ahead, no B-frames, no threads over frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+if TYPE_CHECKING:
+    from codecbench.plugins.codecs.video.params import VideoParams
+
+PixelFormat = Literal["gray", "yuv420p", "yuv444p", "rgb"]
+RATES: Final = ("crf", "qp", "bitrate_kbps")
+_ANY_BITRATE: Final = (1.0, 1e6)
+_X26X_PRESETS: Final = (
+    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
+)  # fmt: skip
+_FFMPEG_FORMATS: Final = {"rgb": "bgr0"}
+_ALL_YUV: Final[tuple[PixelFormat, ...]] = ("gray", "yuv420p", "yuv444p")
+
+Options = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """One of FFmpeg's encoders.
+
+    name, decoder: as FFmpeg calls them. options: what it is told beyond rate, size and gop. rates: which of RATES it
+    codes by, with least and greatest value. usual: the rate and the preset where none is given. presets: none where
+    it has no such thing. integral: whether `crf` has to be a whole number. intra_only: no picture refers to another.
+    recovers: marks where intra refresh has made pictures whole. looks_ahead: whether it can hold pictures back to
+    code them better. least_side: smaller pictures are padded; with one block in a row x265 writes other bytes each
+    time, and below one it writes past its memory. hardware: whether only opening it tells that it is there.
+    """
+
+    name: str
+    decoder: str
+    options: Callable[[VideoParams], Options]
+    rates: dict[str, tuple[float, float]]
+    usual: dict[str, float | int | str]
+    presets: tuple[str | int, ...] = ()
+    pixel_formats: tuple[PixelFormat, ...] = _ALL_YUV
+    integral: bool = False
+    intra_only: bool = False
+    intra_refresh: bool = False
+    recovers: bool = False
+    looks_ahead: bool = True
+    least_side: int = 2
+    hardware: bool = False
+
+    def faults(self, params: VideoParams) -> Iterator[str]:
+        """What of a setting this encoder cannot do, each with what it can."""
+        given = [name for name in RATES if getattr(params, name) is not None]
+        if len(given) > 1:
+            yield f"{' and '.join(given)} are given; a stream is coded by one of {', '.join(self.rates)}"
+        yield from (fault for name in given for fault in self._rate_faults(name, getattr(params, name)))
+        if params.preset not in (self.presets or (None,)):
+            yield f"{self.name} has no preset {params.preset!r}; it has {_listed(self.presets)}"
+        if params.pixel_format not in self.pixel_formats:
+            allowed = _listed(self.pixel_formats)
+            yield (
+                f"{self.name} does not code pixel_format {params.pixel_format!r}; it codes {allowed}"
+                " (gray pictures with neutral chroma, and they come back gray)"
+            )
+        if params.intra_refresh and not self.intra_refresh:
+            yield f"{self.name} has no intra_refresh; libx264 and libx265 have"
+        if params.intra_refresh and params.latency != "low":
+            yield "intra_refresh is for pictures that are sent in order; latency is low with it"
+        if self.intra_only and params.gop != 1:
+            yield f"{self.name} codes each picture on its own; gop is 1 or intra_only, not {params.gop}"
+        if params.intra_refresh and params.gop < 2:
+            yield "intra_refresh refreshes pictures over `gop` frames; gop has to be 2 or more"
+        if params.latency == "any" and not self.looks_ahead:
+            yield f"{self.name} never holds a picture back; latency is low"
+        if params.bitrate_kbps is None and params.vbv_ms != type(params).model_fields["vbv_ms"].default:
+            yield "vbv_ms bounds a bitrate; give bitrate_kbps with it"
+
+    def _rate_faults(self, name: str, value: float) -> Iterator[str]:
+        if name not in self.rates:
+            yield f"{self.name} does not code by {name}; it codes by {_listed(tuple(self.rates)) or 'no rate at all'}"
+            return
+        least, most = self.rates[name]
+        if not least <= value <= most:
+            yield f"{name} of {self.name} is within {least:g}..{most:g}, got {value:g}"
+        if name == "crf" and self.integral and value != int(value):
+            yield f"crf of {self.name} is a whole number, got {value:g}"
+
+    def settings(self, params: VideoParams) -> Options:
+        """Everything that FFmpeg is told, by the names of its options."""
+        options = {"g": str(params.gop), "threads": "1", **self.options(params)}
+        if params.bitrate_kbps is not None:
+            bits = round(params.bitrate_kbps * 1000)
+            options |= {"b": str(bits), "bufsize": str(round(bits * params.vbv_ms / 1000))}
+            options |= {} if self is _SVT_AV1 and params.latency == "any" else {"maxrate": str(bits)}
+        return options
+
+    def coded_size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height with padding: even, for chroma of half size, and what the encoder takes at least."""
+        wide, high = (max(side + side % 2, self.least_side) for side in (width, height))
+        return wide, high
+
+    def ffmpeg_format(self, params: VideoParams) -> str:
+        """The pixel format by FFmpeg's name."""
+        return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
+
+
+def _listed(values: tuple[str | int, ...]) -> str:
+    return ", ".join(map(str, values)) if values else "none"
+
+
+def _quality(params: VideoParams) -> Options:
+    return {name: f"{value:g}" for name in ("crf", "qp") if (value := getattr(params, name)) is not None}
+
+
+def _x264_options(params: VideoParams) -> Options:
+    """With look-ahead, without its macroblock tree, by which x264 writes other bytes from one session to the next."""
+    options = {"preset": str(params.preset), "sc_threshold": "0", "chroma_sample_location": "center"}
+    options |= {"tune": "zerolatency"} if params.latency == "low" else {"mbtree": "0"}
+    if params.intra_refresh:
+        options["intra-refresh"] = "1"
+    return options | _quality(params)
+
+
+def _x265_options(params: VideoParams) -> Options:
+    """Without the note about its settings, with which x265 lengthens every start by 2 kB."""
+    own = {"frame-threads": 1, "pools": "none", "log-level": "none", "info": 0, "open-gop": 0, "scenecut": 0}
+    own |= {"min-keyint": params.gop} | ({"intra-refresh": 1} if params.intra_refresh else {})
+    options = {"preset": str(params.preset), "chroma_sample_location": "center"}
+    options["x265-params"] = ":".join(f"{name}={value}" for name, value in own.items())
+    if params.latency == "low":
+        options["tune"] = "zerolatency"
+    return options | _quality(params)
+
+
+def _svt_av1_options(params: VideoParams) -> Options:
+    own = "lp=1:scd=0" + (":pred-struct=1:lookahead=0" if params.latency == "low" else "")
+    return {"preset": str(params.preset), "svtav1-params": own} | _quality(params)
+
+
+def _vp9_options(params: VideoParams) -> Options:
+    is_low = params.latency == "low"
+    options = {"cpu-used": str(params.preset), "keyint_min": str(params.gop), "row-mt": "0"}
+    options |= {"deadline": "realtime" if is_low else "good", "lag-in-frames": "0" if is_low else "16"}
+    if params.crf is not None:
+        options |= {"crf": f"{params.crf:g}", "b": "0"}
+    elif params.qp is not None:
+        options |= {"crf": str(params.qp), "b": "0", "qmin": str(params.qp), "qmax": str(params.qp)}
+    elif is_low:
+        options["minrate"] = str(round((params.bitrate_kbps or 0) * 1000))
+    return options
+
+
+def _mjpeg_options(params: VideoParams) -> Options:
+    return {"qmin": str(params.qp), "qmax": str(params.qp)}
+
+
+def _ffv1_options(params: VideoParams) -> Options:
+    return {"level": "3", "slices": "4", "slicecrc": "1"}
+
+
+def _nvenc_options(params: VideoParams) -> Options:
+    options = {"preset": str(params.preset), "forced-idr": "1", "no-scenecut": "1"}
+    options |= {"tune": "ull", "zerolatency": "1", "delay": "0", "bf": "0"} if params.latency == "low" else {}
+    if params.crf is not None:
+        options |= {"rc": "vbr", "cq": f"{params.crf:g}", "b": "0"}
+    elif params.qp is not None:
+        options |= {"rc": "constqp", "qp": str(params.qp)}
+    return options
+
+
+def _bitrate_only(params: VideoParams) -> Options:
+    return {"bf": "0"}
+
+
+_SVT_AV1: Final = Encoder(
+    "libsvtav1", "libdav1d", _svt_av1_options, {"crf": (1, 63), "qp": (1, 63), "bitrate_kbps": _ANY_BITRATE},
+    {"crf": 35, "preset": 8}, tuple(range(14)), ("yuv420p",), integral=True, least_side=64,
+)  # fmt: skip
+
+ENCODERS: Final = {
+    encoder.name: encoder
+    for encoder in (
+        Encoder(
+            "libx264", "h264", _x264_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
+            {"crf": 23, "preset": "veryfast"}, _X26X_PRESETS, intra_refresh=True, recovers=True,
+        ),
+        Encoder(
+            "libx265", "hevc", _x265_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
+            {"crf": 28, "preset": "veryfast"}, _X26X_PRESETS, intra_refresh=True, least_side=72,
+        ),
+        _SVT_AV1,
+        Encoder(
+            "libvpx-vp9", "vp9", _vp9_options, {"crf": (0, 63), "qp": (0, 63), "bitrate_kbps": _ANY_BITRATE},
+            {"crf": 32, "preset": 7}, tuple(range(10)), ("yuv420p", "yuv444p"), integral=True,
+        ),
+        Encoder(
+            "mjpeg", "mjpeg", _mjpeg_options, {"qp": (1, 31)}, {"qp": 5}, (), ("yuv420p", "yuv444p"), intra_only=True,
+            looks_ahead=False,
+        ),
+        Encoder(
+            "ffv1", "ffv1", _ffv1_options, {}, {}, (), ("gray", "yuv420p", "yuv444p", "rgb"), looks_ahead=False,
+        ),
+        Encoder(
+            "h264_nvenc", "h264", _nvenc_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
+            {"crf": 23, "preset": "p4"}, tuple(f"p{effort}" for effort in range(1, 8)), ("yuv420p", "yuv444p"),
+            least_side=146, hardware=True,
+        ),
+        Encoder(
+            "h264_v4l2m2m", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
+            ("yuv420p",), looks_ahead=False, least_side=64, hardware=True,
+        ),
+        Encoder(
+            "h264_vaapi", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
+            ("yuv420p",), looks_ahead=False, least_side=64, hardware=True,
+        ),
+    )
+}  # fmt: skip

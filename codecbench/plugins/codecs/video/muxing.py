@@ -1,0 +1,94 @@
+"""Packets as a file that any player reads, without coding anything anew."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.contracts.stream import Packet
+from codecbench.plugins.codecs.video.codecs import VideoCodec
+from codecbench.plugins.codecs.video.encoders import Encoder
+from codecbench.plugins.codecs.video.header import Header
+from codecbench.plugins.codecs.video.library import frame_rate, load_av, open_encoder, packet_for
+
+_CONTAINERS: Final = {
+    ".mp4": "mp4", ".mkv": "matroska", ".h264": "h264", ".hevc": "hevc", ".h265": "hevc", ".ivf": "ivf", ".obu": "obu",
+    ".mjpeg": "mjpeg",
+}  # fmt: skip
+_ELEMENTARY: Final = {"h264": "h264", "hevc": "hevc", "libdav1d": "obu", "vp9": "ivf", "mjpeg": "mjpeg"}
+_IVF_FILE: Final = struct.Struct("<4sHH4sHHIIII")
+_IVF_FRAME: Final = struct.Struct("<IQ")
+
+
+def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_rate_hz: float, name: str) -> bytes:
+    """The content of a file of that name, whose ending says which container it is.
+
+    The encoder's bytes go in as they are, without the header of ours. packets: in the order in which they were sent,
+    the first a start. Raises ParamsError for an ending that is unknown or takes no such codec.
+    """
+    suffix = Path(name).suffix.lower()
+    if suffix not in _CONTAINERS:
+        raise ParamsError(f"{name}: {suffix or 'no ending'} is not one of {', '.join(_CONTAINERS)}")
+    header, _ = Header.taken_from(packets[0].data, codec.magic)
+    payloads = [_payload(packet, codec.magic) for packet in packets]
+    buffer = io.BytesIO()
+    av = load_av()
+    with av.open(buffer, "w", format=_CONTAINERS[suffix]) as container:
+        try:
+            stream = _stream_of(container, codec, header, payloads[0], frame_rate_hz)
+            _mux(container, stream, packets, payloads, frame_rate_hz)
+        except (av.FFmpegError, ValueError) as error:
+            raise ParamsError(f"{name}: {suffix} does not take {codec.name}: {error}") from error
+    return buffer.getvalue()
+
+
+def _payload(packet: Packet, magic: bytes) -> bytes:
+    return Header.taken_from(packet.data, magic)[1] if packet.data.startswith(magic) else packet.data
+
+
+def _stream_of(container: Any, codec: VideoCodec[Any], header: Header, first: bytes, frame_rate_hz: float) -> Any:
+    """A stream of the container with what a player has to know, found by FFmpeg in the first packet.
+
+    FFV1's packets do not have it in them; there it is that of an encoder of the same setting.
+    """
+    traits: Encoder = codec.params.traits
+    size = traits.coded_size(header.width, header.height)
+    if header.extradata:
+        opened = open_encoder(codec.params, *size, frame_rate_hz)
+        stream = container.add_stream(traits.name, rate=frame_rate(frame_rate_hz), options=opened.options)
+        stream.width, stream.height = size
+        stream.pix_fmt = opened.pix_fmt
+        container.start_encoding()
+        return stream
+    elementary = _ELEMENTARY[traits.decoder]
+    content = _ivf(first, size) if elementary == "ivf" else first
+    with load_av().open(io.BytesIO(content), format=elementary) as source:
+        return container.add_stream_from_template(source.streams.video[0], opaque=True)
+
+
+def _ivf(packet: bytes, size: tuple[int, int]) -> bytes:
+    """A file of one VP9 packet."""
+    return (
+        _IVF_FILE.pack(b"DKIF", 0, _IVF_FILE.size, b"VP90", *size, 30, 1, 1, 0)
+        + _IVF_FRAME.pack(len(packet), 0)
+        + packet
+    )
+
+
+def _mux(
+    container: Any, stream: Any, packets: Sequence[Packet], payloads: Sequence[bytes], frame_rate_hz: float
+) -> None:
+    """Packets are decoded in the order in which they come, and shown in that of their frames."""
+    held_back = max(place - packet.frame for place, packet in enumerate(packets))
+    interval_s: Fraction = 1 / frame_rate(frame_rate_hz)
+    for place, (packet, payload) in enumerate(zip(packets, payloads, strict=True)):
+        muxed = packet_for(payload, packet.frame + held_back)
+        muxed.dts, muxed.duration = place, 1
+        muxed.time_base, muxed.stream = interval_s, stream
+        muxed.is_keyframe = packet.starts
+        container.mux(muxed)

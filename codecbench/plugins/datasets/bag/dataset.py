@@ -1,0 +1,226 @@
+"""The dataset `bag`: a topic of pictures in a ROS 1 bag, a ROS 2 bag or an MCAP file."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import Image, channel_count
+from codecbench.core.contracts.params import PathParam
+from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence
+from codecbench.plugins.datasets.bag.bag_file import Integers
+from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
+from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
+from codecbench.plugins.datasets.bag.pictures import (
+    picture_from_compressed,
+    picture_from_image,
+    said_of_compressed,
+    said_of_image,
+)
+from codecbench.plugins.datasets.bag.recording import Recording, Topic, is_called_a_bag, recording
+from codecbench.plugins.datasets.bag.transforms import frame_name
+from codecbench.plugins.datasets.bag.truth import Wanted, true_path
+from codecbench.plugins.datasets.calibration import camera_from_file
+from codecbench.plugins.datasets.files import digest_of, known_facts
+from codecbench.plugins.datasets.selection import Selection, converted
+from codecbench.plugins.datasets.tables import rate_hz
+
+_USUAL_RATE_HZ: Final = 30.0
+_MOST_LISTED: Final = 40
+
+
+class BagParams(Selection):
+    """Parameters of `bag`."""
+
+    path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
+    topic: Annotated[str | None, Field(description="topic of pictures; default: the only one")] = None
+    time: Annotated[
+        Literal["header", "bag"], Field(description="a frame's time: its header's, or when it was recorded")
+    ] = "header"
+    bits: Annotated[int, Field(ge=8, le=16, description="how many of 16 bits the samples fill; the upper 8 stay")] = 16
+    camera: Annotated[
+        str,
+        Field(description="topic of sensor_msgs/CameraInfo; auto: the one beside the pictures or the only one; none"),
+    ] = "auto"
+    calibration: Annotated[PathParam | None, Field(description="calibration file to use instead")] = None
+    ground_truth: Annotated[
+        str, Field(description="topic of poses or transforms; auto: the only topic of poses; none")
+    ] = "auto"
+    parent_frame: Annotated[str | None, Field(description="of /tf: the frame that stands still; default: the top")] = (
+        None
+    )
+    child_frame: Annotated[
+        str | None, Field(description="the frame whose poses these are; default: what they say, of /tf the pictures'")
+    ] = None
+
+    @model_validator(mode="after")
+    def _one_camera(self) -> Self:
+        if self.calibration is not None and self.camera != "auto":
+            raise ValueError("give `camera` or `calibration`, not both")
+        return self
+
+
+class Bag(Dataset[BagParams]):
+    """Frames of one topic in the order of their times, with the camera and the poses that the recording has."""
+
+    name: ClassVar[str] = "bag"
+    version: ClassVar[str] = "1"
+    params_type = BagParams
+
+    @classmethod
+    def recognise(cls, path: Path) -> dict[str, Any] | None:
+        """A file whose name says that it is a bag, or a folder that holds such files of ROS 2."""
+        return {"path": str(path)} if is_called_a_bag(path) else None
+
+    def open(self) -> Sequence:
+        return BagSequence(self.params)
+
+
+class BagSequence(Sequence):
+    """Reads a message a frame. Opening reads the headers of the pictures, and the camera's and the poses' messages."""
+
+    def __init__(self, params: BagParams) -> None:
+        self._params = params
+        self._recording = recording(params.path)
+        self._topic = image_topic(self._recording, params.topic)
+        times_ns, numbers, said = _ordered(self._recording, self._topic, params.time)
+        chosen = np.array(params.indices(len(numbers), f"{params.path} {self._topic.name}"))
+        self._numbers = numbers[chosen]
+        self.name = params.path.resolve().stem
+        self.timestamps_s = times_ns[chosen] / 1e9
+        self.frame_rate_hz = rate_hz((times_ns - times_ns[0]) / 1e9, _USUAL_RATE_HZ * params.stride) / params.stride
+        first = self._recording.message(self._topic, int(self._numbers[0]))
+        image = self._picture(int(self._numbers[0]), first)
+        self.channels = channel_count(image)
+        self._size = image.shape[1::-1]
+        self.camera, of_camera = self._find_camera()
+        frame = frame_name(first.header.frame_id)
+        wanted = Wanted(params.ground_truth, params.parent_frame, params.child_frame, frame)
+        self.ground_truth, of_truth = true_path(self._recording, wanted)
+        compressed = self._topic.type == COMPRESSED
+        of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits)
+        self.notes = (*self._recording.damage, described(self._recording, self._topic), *of_picture, *said)
+        self.notes += (*of_camera, *of_truth)
+        self._check(image, int(self._numbers[0]))
+
+    @cached_property
+    def fingerprint(self) -> str:  # type: ignore[override]
+        """Digest over the messages of all frames, times, camera and ground truth; the first use reads every frame."""
+        messages = (self._recording.raw(self._topic, number) for number in self._numbers.tolist())
+        return digest_of(
+            {
+                "messages": [hashlib.sha256(message).hexdigest() for message in messages],
+                "bits": self._params.bits,
+                "channels": self.channels,
+                **known_facts(self),
+            }
+        )
+
+    def read(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise DatasetError(f"{self._params.path}: frame {index} is not in 0..{len(self) - 1}")
+        number = int(self._numbers[index])
+        image = self._picture(number, self._recording.message(self._topic, number))
+        self._check(image, number)
+        return Frame(index, float(self.timestamps_s[index]), image)
+
+    def _picture(self, number: int, message: Any) -> Image:
+        picture = picture_from_compressed if self._topic.type == COMPRESSED else picture_from_image
+        image = picture(message, self._params.bits, self._recording.where(self._topic, number))
+        return converted(image, self._params.color)
+
+    def _find_camera(self) -> tuple[Camera | None, list[str]]:
+        params = self._params
+        if params.calibration is not None:
+            return camera_from_file(params.calibration)[0], []
+        if params.camera == "none":
+            return None, []
+        if params.camera == "auto":
+            topic = camera_topic(self._recording, self._topic)
+        else:
+            topic = _camera_named(self._recording, params.camera)
+        if topic is None:
+            return None, ["no camera: there is no camera_info beside the pictures; `calibration: FILE` gives one"]
+        camera = camera_from_topic(self._recording, topic, self._topic)
+        if camera is None:
+            return None, [f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)"]
+        distorted = f"distortion {camera.model}" if any(camera.distortion) else "no distortion"
+        return camera, [f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {distorted}"]
+
+    def _check(self, image: Image, number: int) -> None:
+        where = self._recording.where(self._topic, number)
+        (width, height), camera = image.shape[1::-1], self.camera
+        if (width, height) != self._size or channel_count(image) != self.channels:
+            first = f"{self._size[0]}x{self._size[1]} with {self.channels} channel(s)"
+            raise DatasetError(f"{where}: is {width}x{height} with {channel_count(image)}, the first frame {first}")
+        if camera is not None and (width, height) != (camera.width, camera.height):
+            raise DatasetError(
+                f"{where}: is {width}x{height}, but the calibration is for {camera.width}x{camera.height}; "
+                "give `calibration: FILE`, or `camera: none`"
+            )
+
+
+def image_topic(found: Recording, name: str | None) -> Topic:
+    """The topic of that name, else the only topic of pictures. Raises DatasetError, which lists what there is."""
+    images = {topic.name: topic for topic in found.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)}
+    if name is not None and name in images:
+        return images[name]
+    if name is None and len(images) == 1:
+        return next(iter(images.values()))
+    damage = "".join(f"; {text}" for text in found.damage)
+    if not images:
+        topics = list(found.topics.values())[:_MOST_LISTED]
+        listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
+        raise DatasetError(f"{found.path}: holds no pictures; topics: {listed or 'none'}{damage}")
+    listed = "".join(f"\n  {described(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
+    what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
+    raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}{damage}")
+
+
+def described(found: Recording, topic: Topic) -> str:
+    """A topic of pictures in words: its name, type, size and count."""
+    try:
+        message = found.message(topic, 0)
+        if topic.type == COMPRESSED:
+            height, width = picture_from_compressed(message, 16, found.where(topic, 0)).shape[:2]
+            kind = message.format.strip()[:40]
+        else:
+            width, height, kind = message.width, message.height, message.encoding[:40]
+        size = f"{width}x{height} {kind}"
+    except DatasetError as error:
+        size = f"unreadable ({error})"
+    return f"{topic.name}: {len(topic)} of {topic.type}, {size}"
+
+
+def _camera_named(found: Recording, name: str) -> Topic:
+    topic = found.topics.get(name)
+    if topic is None or topic.type != CAMERA_INFO or not len(topic):
+        known = [topic.name for topic in found.topics.values() if topic.type == CAMERA_INFO]
+        raise DatasetError(f"{found.path}: camera {name!r} is no topic of {CAMERA_INFO}; these are: {known}")
+    return topic
+
+
+def _ordered(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
+    """Times in ns, strictly increasing, the numbers of their messages, and what has to be said of both."""
+    times_ns, said = topic.places[:, 0], []
+    if time == "header":
+        headers_ns, damage = found.header_times_ns(topic)
+        if damage is not None:
+            said.append(f"only {len(headers_ns)} of {len(times_ns)} frames are read, up to the damage: {damage}")
+        times_ns = times_ns[: len(headers_ns)]
+        if headers_ns.min() <= 0:
+            said.append("times are those of the recording, because headers have none")
+        else:
+            times_ns = headers_ns
+    kept_ns, numbers = np.unique(times_ns, return_index=True)
+    if (repeated := len(times_ns) - len(kept_ns)) > 0:
+        said.append(f"{repeated} frames are left out because they repeat the time of another")
+    if (np.diff(times_ns) < 0).any():
+        said.append("frames are in the order of their times, which is not that of the recording")
+    return kept_ns, numbers.astype(np.int64), said

@@ -1,0 +1,176 @@
+"""Pictures from messages: sensor_msgs/Image of the usual encodings, and sensor_msgs/CompressedImage."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.image import MAX_PIXELS, Image
+
+_COMPRESSED_FORMATS: Final = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Samples of `bits`, `channels` a pixel, that OpenCV's `conversion` turns into RGB, or None: as they are."""
+
+    bits: int
+    channels: int
+    conversion: int | None = None
+
+
+def _layouts() -> dict[str, _Layout]:
+    layouts = {
+        "mono": _Layout(8, 1),
+        "rgb": _Layout(8, 3),
+        "bgr": _Layout(8, 3, cv2.COLOR_BGR2RGB),
+        "rgba": _Layout(8, 4, cv2.COLOR_RGBA2RGB),
+        "bgra": _Layout(8, 4, cv2.COLOR_BGRA2RGB),
+        "bayer_rggb": _Layout(8, 1, cv2.COLOR_BayerRGGB2RGB),
+        "bayer_bggr": _Layout(8, 1, cv2.COLOR_BayerBGGR2RGB),
+        "bayer_gbrg": _Layout(8, 1, cv2.COLOR_BayerGBRG2RGB),
+        "bayer_grbg": _Layout(8, 1, cv2.COLOR_BayerGRBG2RGB),
+    }
+    found = {
+        f"{name}{bits}": _Layout(bits, x.channels, x.conversion) for name, x in layouts.items() for bits in (8, 16)
+    }
+    for bits in (8, 16):
+        found |= {
+            f"{bits}UC1": found[f"mono{bits}"],
+            f"{bits}UC3": found[f"bgr{bits}"],
+            f"{bits}UC4": found[f"bgra{bits}"],
+        }
+    uyvy, yuyv = (_Layout(8, 2, code) for code in (cv2.COLOR_YUV2RGB_UYVY, cv2.COLOR_YUV2RGB_YUY2))
+    return found | {"yuv422": uyvy, "uyvy": uyvy, "yuv422_yuy2": yuyv, "yuyv": yuyv}
+
+
+_LAYOUTS: Final = _layouts()
+
+
+def picture_from_image(message: Any, bits: int, where: str) -> Image:
+    """The gray (H, W) or RGB (H, W, 3) picture of a sensor_msgs/Image.
+
+    bits: how many of 16 the samples fill; the upper 8 of these are kept. Bayer pictures are interpolated bilinearly.
+    Raises DatasetError, naming `where`.
+    """
+    layout = _LAYOUTS.get(message.encoding)
+    if layout is None:
+        known = ", ".join(sorted(_LAYOUTS))
+        raise DatasetError(f"{where}: encoding {message.encoding[:40]!r} is not read; these are: {known}")
+    width, height, step = int(message.width), int(message.height), int(message.step)
+    row_bytes = width * layout.channels * layout.bits // 8
+    if not 0 < width * height <= MAX_PIXELS or step < row_bytes or len(message.data) < step * (height - 1) + row_bytes:
+        raise DatasetError(
+            f"{where}: {width}x{height} {message.encoding} in rows of {step} bytes does not fit {len(message.data)} "
+            f"bytes, or is more than {MAX_PIXELS} pixels"
+        )
+    step = row_bytes if height == 1 else step  # which nothing bounds
+    padded = np.zeros(step * height, np.uint8)
+    padded[: len(message.data)] = message.data[: len(padded)]
+    rows = np.ascontiguousarray(padded.reshape(height, step)[:, :row_bytes])
+    if layout.bits == 16:
+        rows = eight_bits(rows.view(">u2" if message.is_bigendian else "<u2"), bits)
+    samples = rows.reshape((height, width, layout.channels) if layout.channels > 1 else (height, width))
+    return _rgb(samples, layout, where)
+
+
+def _rgb(samples: Any, layout: _Layout, where: str) -> Image:
+    if layout.conversion is None:
+        return np.asarray(np.ascontiguousarray(samples), dtype=np.uint8)
+    try:
+        return np.asarray(cv2.cvtColor(samples, layout.conversion), dtype=np.uint8)
+    except cv2.error as error:
+        raise DatasetError(f"{where}: a picture of {samples.shape} cannot be converted: {error.err}") from error
+
+
+def eight_bits(samples: NDArray[Any], bits: int) -> Image:
+    """Samples of up to 16 bits, of which `bits` are used, by their upper 8 bits; larger ones become 255."""
+    return np.asarray(np.minimum(samples >> (bits - 8), 255), dtype=np.uint8)
+
+
+def largest_sample(message: Any) -> int | None:
+    """The largest sample of a sensor_msgs/Image of 16 bits, None for others."""
+    layout = _LAYOUTS.get(message.encoding)
+    if layout is None or layout.bits != 16:
+        return None
+    whole = message.data[: len(message.data) // 2 * 2]
+    return int(np.asarray(whole).view(">u2" if message.is_bigendian else "<u2").max(initial=0))
+
+
+def picture_from_compressed(message: Any, bits: int, where: str) -> Image:
+    """The picture of a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `picture_from_image`.
+
+    Raises DatasetError, naming `where`.
+    """
+    if "compressedDepth" in message.format:
+        raise DatasetError(f"{where}: format {message.format[:60]!r} holds depths, not a picture; choose another topic")
+    content = np.ascontiguousarray(message.data)
+    _check_header(content, where)
+    try:
+        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        stored = None
+    if stored is None or stored.dtype not in (np.uint8, np.uint16):
+        raise DatasetError(f"{where}: its {len(content)} bytes of {message.format[:60]!r} cannot be decoded")
+    samples = eight_bits(stored, bits) if stored.dtype == np.uint16 else stored
+    if samples.ndim == 2:
+        layout = _LAYOUTS.get(re.split(r"[;\s]", message.format.strip())[0], _LAYOUTS["mono8"])
+        return _rgb(samples, layout if layout.channels == 1 else _LAYOUTS["mono8"], where)
+    return _rgb(samples, _LAYOUTS["bgra8" if samples.shape[2] == 4 else "bgr8"], where)
+
+
+def _check_header(content: NDArray[np.uint8], where: str) -> None:
+    """Refuse what is no picture, cut short, or says that it is too large, before it is decoded."""
+    try:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            PillowImage.open(BytesIO(content.tobytes()), formats=_COMPRESSED_FORMATS) as opened,
+        ):
+            (width, height), kind = opened.size, opened.format
+    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError) as error:
+        raise DatasetError(f"{where}: holds no picture that can be decoded: {error}") from error
+    if not 0 < width * height <= MAX_PIXELS:
+        raise DatasetError(f"{where}: says that it is {width}x{height}; at most {MAX_PIXELS} pixels are read")
+    if kind == "JPEG" and b"\xff\xd9" not in content[-4096:].tobytes():
+        raise DatasetError(f"{where}: the JPEG picture is cut short")
+
+
+def said_of_image(message: Any, bits: int) -> list[str]:
+    """What was done to the samples of a sensor_msgs/Image, in sentences."""
+    notes = []
+    largest = largest_sample(message)
+    if largest is not None:
+        notes.append(
+            f"samples of 16 bits become 8 by their bits {bits - 8} to {bits - 1} (`bits: {bits}`); the largest of the "
+            f"first frame is {largest}, for which `bits: {max(largest.bit_length(), 8)}` would do"
+        )
+    if message.encoding.startswith("bayer"):
+        notes.append(f"{message.encoding} becomes RGB by bilinear interpolation (OpenCV)")
+    elif message.encoding in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"):
+        notes.append(f"{message.encoding} becomes RGB by BT.601 (OpenCV); the camera halved its chroma")
+    return notes
+
+
+def said_of_compressed(message: Any) -> list[str]:
+    """What the frames of a sensor_msgs/CompressedImage have lost already, in sentences."""
+    from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
+
+    content = np.ascontiguousarray(message.data).tobytes()
+    if content.startswith(b"\x89PNG"):
+        return ["the frames were recorded as PNG, which loses nothing"]
+    found = quality_from_jpeg(content)
+    measured = "" if found is None else f", {found}"
+    kind = message.format.strip()[:60] or "compressed"
+    return [
+        f"THE FRAMES ARE ALREADY CODED: the topic holds {kind} pictures{measured}; "
+        "`raw` is what that left, and every codec is compared with it, not with what the camera saw"
+    ]

@@ -1,0 +1,109 @@
+"""The sqlite3 files of ROS 2 bags. Source: rosbag2's schema, versions 1 to 4."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.plugins.datasets.bag.bag_file import BagFile, Channel, type_from_name
+from codecbench.plugins.datasets.bag.expansion import MOST_BYTES, ZSTD_MAGIC, expanded
+
+_MAGIC: Final = b"SQLite format 3\0"
+_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
+"""What reading a damaged file raises; Python cannot spell every message of SQLite's."""
+
+
+class SqliteFile(BagFile):
+    """A `.db3` file. Blocks are always 0, offsets are rows."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(file)
+        try:
+            with open(file, "rb") as stream:
+                head = stream.read(100)
+            self._wal_bytes = os.path.getsize(f"{file}-wal") if os.path.exists(f"{file}-wal") else 0
+            size = os.path.getsize(file)
+        except OSError as error:
+            raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+        if not head.startswith(_MAGIC):
+            raise DatasetError(f"{file}: is not an SQLite file; fetch or copy it again")
+        self._connection: tuple[int, sqlite3.Connection] | None = None
+        self._find_damage(head, size)
+        try:
+            self._read_index()
+        except _ERRORS as error:
+            raise DatasetError(f"{file}: is not a bag, or damaged where its topics are listed: {error}") from error
+
+    def message(self, block: int, offset: int, most_bytes: int = MOST_BYTES) -> bytes:
+        try:
+            with self._opened().blobopen("messages", "data", offset, readonly=True) as blob:
+                size = len(blob)
+                if size > MOST_BYTES:
+                    raise self.too_large(f"the message of row {offset}", size)
+                content = blob.read(min(size, most_bytes))
+                if content.startswith(ZSTD_MAGIC):
+                    return expanded(content + blob.read(), "zstd", most_bytes)
+                return content
+        except _ERRORS as error:
+            raise DatasetError(f"{self.file}: the message of row {offset} is damaged: {error}") from error
+
+    def _find_damage(self, head: bytes, size_bytes: int) -> None:
+        page_bytes = int.from_bytes(head[16:18], "big")
+        wanted = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
+        if size_bytes < wanted:
+            self.damage = f"{self.file}: is cut short: {size_bytes} of {wanted} bytes"
+        elif self._wal_bytes:
+            self.damage = f"{self.file}: was not closed; what is only in {self.file.name}-wal is not read"
+
+    def _opened(self) -> sqlite3.Connection:
+        """The connection of this process: a fork must not use its parent's."""
+        if self._connection is None or self._connection[0] != os.getpid():
+            where = f"{self.file.resolve().as_uri()}?mode=ro&immutable=1"
+            connection = sqlite3.connect(where, uri=True, check_same_thread=False)
+            connection.text_factory = lambda text: text.decode(errors="replace")
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+            connection.execute("PRAGMA trusted_schema = OFF")
+            connection.execute("PRAGMA cell_size_check = ON")
+            if self.damage is not None:  # else SQLite reads nothing of a file that is shorter than it says
+                connection.execute("PRAGMA writable_schema = ON")
+            self._connection = os.getpid(), connection
+        return self._connection[1]
+
+    def _read_index(self) -> None:
+        connection = self._opened()
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"topics", "messages"} <= tables:
+            raise DatasetError(f"{self.file}: holds no tables `topics` and `messages`, as a ROS 2 bag does")
+        by_id: dict[Any, Channel] = {}
+        for number, topic, type_, encoding in connection.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            by_id[number] = Channel(str(topic), type_from_name(str(type_)), str(encoding))
+        try:
+            for row, number, time_ns in connection.execute(
+                "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
+            ):
+                if number in by_id and isinstance(time_ns, int):
+                    by_id[number].add(time_ns, 0, row)
+        except _ERRORS as error:
+            self.damage = self.damage or f"{self.file}: is damaged: {error}"
+        self.channels = list(by_id.values())
+        if self.damage is not None:
+            for channel in self.channels:
+                self._drop_unreadable(channel)
+            # SQLite fills a page that is cut with zeros, and the last message that is left may lie on it.
+            last = max(self.channels, key=lambda channel: max(channel.offsets, default=0), default=None)
+            if last is not None and last.offsets:
+                last.drop_last()
+
+    def _drop_unreadable(self, channel: Channel) -> None:
+        """Forget messages at the end whose pages are gone."""
+        while channel.offsets:
+            with suppress(DatasetError):
+                self.message(0, channel.offsets[-1])
+                return
+            channel.drop_last()

@@ -1,0 +1,151 @@
+"""Frames of reference and the transforms between them, as /tf and /tf_static tell them."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.contracts.sequence import Trajectory
+from codecbench.plugins.datasets.bag.messages import TRANSFORMS
+from codecbench.plugins.datasets.bag.recording import Recording, Topic
+from codecbench.plugins.datasets.tables import transforms_from_quaternions
+
+Floats = NDArray[np.float64]
+_NUMBERS: Final = 7
+_DEEPEST: Final = 100
+_STATIC: Final = "tf_static"
+
+
+@dataclass
+class Edge:
+    """The transforms parent_from_child of one frame: times in ns, and positions with quaternions x, y, z, w."""
+
+    parent: str
+    is_static: bool
+    times_ns: array[int] = field(default_factory=lambda: array("q"))
+    numbers: array[float] = field(default_factory=lambda: array("d"))
+
+    def trajectory(self, where: str) -> Trajectory:
+        """The transforms in the order of their times, the first of those at one time. Raises DatasetError."""
+        times_ns, first = np.unique(np.frombuffer(self.times_ns, np.int64), return_index=True)
+        poses = np.frombuffer(self.numbers, np.float64).reshape(-1, _NUMBERS)[first]
+        return Trajectory(
+            times_ns / 1e9, transforms_from_quaternions(poses, lambda number: f"{where}[{first[number]}]")
+        )
+
+    def constant(self, where: str) -> Floats:
+        """The transform (4, 4) of a static edge: the last that was told."""
+        return np.asarray(self.trajectory(where).world_from_camera[-1])
+
+
+class FrameTree:
+    """Which frame hangs on which, by the transforms of a recording."""
+
+    def __init__(self, recording: Recording, moving: Topic | None) -> None:
+        """moving: the topic of transforms that change, if they are wanted. Raises DatasetError."""
+        self.edges: dict[str, Edge] = {}
+        self._where = str(recording.path)
+        for topic in recording.topics.values():
+            is_static = topic.name.rpartition("/")[2] == _STATIC
+            if topic.type in TRANSFORMS and (is_static or topic is moving):
+                for message in recording.messages(topic):
+                    for transform in message.transforms:
+                        self._add(transform, is_static)
+
+    def static_between(self, parent: str, child: str) -> Floats | None:
+        """parent_from_child (4, 4) by static transforms alone, or None where they do not connect the two."""
+        (root, root_from_parent), (other, root_from_child) = self._static_root(parent), self._static_root(child)
+        return np.linalg.inv(root_from_parent) @ root_from_child if root == other else None
+
+    def path(self, parent: str | None, child: str) -> tuple[str, Trajectory]:
+        """The name of the parent and parent_from_child over time; without a parent, from the top of the tree.
+
+        Times are those of the transform on the way that comes most often; between its own times a transform is
+        interpolated (linearly, rotations along the arc). Raises DatasetError where there is no way or nothing moves.
+        """
+        way = self._way(parent, child)
+        top = self.edges[way[-1]].parent if way else child
+        moving = {name: self.edges[name].trajectory(self._name(name)) for name in way if not self.edges[name].is_static}
+        if not moving:
+            raise DatasetError(f"{self._where}: nothing moves between {top!r} and {child!r}; {self._known()}")
+        start_s = max(path.timestamps_s[0] for path in moving.values())
+        end_s = min(path.timestamps_s[-1] for path in moving.values())
+        times_s = max((path.timestamps_s for path in moving.values()), key=len)
+        times_s = times_s[(start_s <= times_s) & (times_s <= end_s)]
+        if not len(times_s):
+            raise DatasetError(f"{self._where}: the transforms between {top!r} and {child!r} are of different times")
+        whole = np.tile(np.eye(4), (len(times_s), 1, 1))
+        for name in way:
+            edge = self.edges[name]
+            whole = (edge.constant(self._name(name)) if edge.is_static else interpolated(moving[name], times_s)) @ whole
+        return top, Trajectory(times_s, whole)
+
+    def _add(self, transform: Any, is_static: bool) -> None:
+        child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
+        edge = self.edges.setdefault(child, Edge(parent, is_static))
+        if edge.parent != parent:
+            raise DatasetError(f"{self._where}: the frame {child!r} hangs on {edge.parent!r} and on {parent!r}")
+        edge.times_ns.append(stamp_ns(transform.header))
+        edge.numbers.extend(pose_numbers(transform.transform.translation, transform.transform.rotation))
+
+    def _way(self, parent: str | None, child: str) -> list[str]:
+        """The frames from the child up to the one below the parent."""
+        way: list[str] = []
+        frame = child
+        while frame != parent and frame in self.edges and len(way) < _DEEPEST:
+            way.append(frame)
+            frame = self.edges[frame].parent
+        if len(way) == _DEEPEST or (parent is not None and frame != parent):
+            raise DatasetError(f"{self._where}: no transforms lead from {parent!r} to {child!r}; {self._known()}")
+        return way
+
+    def _static_root(self, frame: str) -> tuple[str, Floats]:
+        whole = np.eye(4)
+        for _ in range(_DEEPEST):
+            edge = self.edges.get(frame)
+            if edge is None or not edge.is_static:
+                break
+            whole, frame = edge.constant(self._name(frame)) @ whole, edge.parent
+        return frame, whole
+
+    def _name(self, child: str) -> str:
+        return f"{self._where}: transforms of {child!r}"
+
+    def _known(self) -> str:
+        pairs = ", ".join(f"{edge.parent} -> {child}" for child, edge in sorted(self.edges.items())[:30])
+        return f"give `parent_frame` and `child_frame`; transforms: {pairs or 'none'}"
+
+
+def interpolated(path: Trajectory, times_s: Floats) -> Floats:
+    """Poses (N, 4, 4) of a path at times within it."""
+    from scipy.spatial.transform import Rotation, Slerp  # takes most of a second, and few bags need it
+
+    poses = np.tile(np.eye(4), (len(times_s), 1, 1))
+    for axis in range(3):
+        poses[:, axis, 3] = np.interp(times_s, path.timestamps_s, path.world_from_camera[:, axis, 3])
+    rotations = Rotation.from_matrix(path.world_from_camera[:, :3, :3])
+    if len(path) == 1:
+        poses[:, :3, :3] = rotations.as_matrix()
+    else:
+        poses[:, :3, :3] = Slerp(path.timestamps_s, rotations)(times_s).as_matrix()
+    return poses
+
+
+def pose_numbers(position: Any, rotation: Any) -> tuple[float, ...]:
+    """Position and quaternion of a message: x, y, z, qx, qy, qz, qw."""
+    return (position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
+
+
+def stamp_ns(header: Any) -> int:
+    """The time of a message's header in ns."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def frame_name(text: str) -> str:
+    """The name of a frame without the slash that ROS 1 allowed before it."""
+    return text.strip("\0").lstrip("/")

@@ -1,0 +1,171 @@
+"""The `delivery` evaluator: what arrives of a coded sequence over a link, and when. docs/link.md explains the link."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.evaluator import (
+    CodedSequence,
+    Context,
+    Measurement,
+    Outcome,
+    PluginUse,
+    SequenceEvaluator,
+)
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing, Line, View
+from codecbench.core.simulation.delivery import Delivery, delivery_of
+from codecbench.core.simulation.receiver import Fate
+from codecbench.core.simulation.settings import LinkSettings
+
+_UNTIMELY: Final[dict[Fate, tuple[str, str]]] = {
+    "late": ("share of the pictures that came too late, or after a newer one", "too late"),
+    "lost": ("share of the pictures of which packets were lost or found no room", "lost on the way"),
+    "broken": ("share of the pictures that came, and depend on one that did not", "broken by an earlier loss"),
+    "skipped": ("share of the pictures that were never sent, for want of time or of rate", "never sent"),
+}
+
+
+_TIMELINE: Final = "timeline.csv"
+"""For each frame, when it was taken and when it was there: seconds, infinite where it never was in time."""
+_NOTE: Final = (
+    "The age of the newest picture falls when one comes, and rises until the next; beside it the delay of each."
+)
+
+
+class DeliveryParams(LinkSettings):
+    """`link` and all about it: see LinkSettings. `repeats`: cells for each setting, each with its own chance."""
+
+    link: str | None = "ideal"
+    repeats: Annotated[int, Field(ge=1)] = 5
+
+
+def _count(name: str, summary: str, label: str, aggregates: tuple[str, ...] = ("mean", "max")) -> Metric:
+    return Metric(name, "1", "lower", summary, aggregates, label=label)
+
+
+class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
+    """Sizes alone are looked at: nothing is decoded, and coded anew only where the sender adapts."""
+
+    name = "delivery"
+    version = "1"
+    params_type = DeliveryParams
+    typical_ms_per_frame = 0.2
+    views = (View("map", "What comes, and how old it is", note=_NOTE),)
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        Metric(
+            "on_time", "1", "higher", "1 where the picture was there in time, else 0",
+            role="task", headline=True, label="pictures on time", brief="on time",
+        ),
+        Metric(
+            "age_ms", "ms", "lower", "age of the newest picture at the moment of each", ("p95", "median", "max"),
+            role="task", headline=True, label="age of the newest picture", brief="age ms", scale="log",
+        ),
+        Metric(
+            "delay_ms", "ms", "lower", "from taking the picture until it is there", ("median", "p95", "max"),
+            label="delay of pictures", scale="log", need="delay",
+        ),
+        Metric("concealed_share", "1", "lower", "share of those on time that were made up in part", label="concealed"),
+        *(
+            Metric(f"{fate}_share", "1", "lower", summary, label=label, need="cause")
+            for fate, (summary, label) in _UNTIMELY.items()
+        ),
+        _count("stalls_half_s", "times without a new picture of more than half a second", "stalls over 0.5 s"),
+        _count("stalls_1_s", "times without a new picture of more than a second", "stalls over 1 s"),
+        Metric("longest_stall_s", "s", "lower", "longest time without a new picture", ("median", "max"), scale="log"),
+        _count("queue_packets", "packets in the link's queue when a picture comes", "packets waiting", ("p95", "max")),
+        Metric("goodput_kbps", "kbit/s", "higher", "bytes of pictures on time over the sequence", label="goodput"),
+        Metric(
+            "sent_kbps", "kbit/s", "lower", "all that was sent: headers, redundancy and what went again",
+            role="rate", label="sent over the link", scale="log",
+        ),
+        Metric("wasted_share", "1", "lower", "share of that for pictures that were not on time", label="sent in vain"),
+        Metric("packets_sent", "1", "neither", "packets handed to the link"),
+        Metric("packets_arrived", "1", "neither", "of these, packets that arrived"),
+        Metric("packets_late", "1", "lower", "of those that arrived, packets of a picture that was too old by then"),
+        Metric("packets_lost", "1", "lower", "packets lost on the link"),
+        Metric("packets_dropped", "1", "lower", "packets dropped by the link's queue"),
+    )  # fmt: skip
+
+    @property
+    def repeats(self) -> int:
+        return self.params.repeats
+
+    @property
+    def uses(self) -> tuple[PluginUse, ...]:
+        return self.params.link_uses
+
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        """All parameters but `repeats`: more of them recompute nothing."""
+        return {name: value for name, value in self.params.identity().items() if name != "repeats"}
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        found = delivery_of(coded, self.params, context)
+        yield from _of_frames(found)
+        for fate in _UNTIMELY:
+            yield Measurement(f"{fate}_share", found.fates.count(fate) / len(found.fates))
+        handed = found.handed
+        concealed = found.fates.count("concealed")
+        yield (
+            Measurement("concealed_share", concealed / len(handed))
+            if handed
+            else Measurement("concealed_share", math.nan, reason="no picture was on time")
+        )
+        gaps_s = found.gaps_s()
+        yield Measurement("stalls_half_s", float(np.count_nonzero(gaps_s > 0.5)))
+        yield Measurement("stalls_1_s", float(np.count_nonzero(gaps_s > 1.0)))
+        yield Measurement("longest_stall_s", float(gaps_s.max()))
+        yield from _rates(found, len(found.fates) / coded.sequence.frame_rate_hz)
+        for name in ("sent", "arrived", "late", "lost", "dropped"):
+            yield Measurement(f"packets_{name}", float(getattr(found.packets, name)))
+        np.savetxt(context.artifacts / _TIMELINE, np.column_stack([found.captured_s, found.handed_s]), "%.6f", ",")
+
+    def drawing(self, outcome: Outcome) -> Drawing:
+        captured_s, handed_s = np.loadtxt(outcome.artifacts / _TIMELINE, delimiter=",", ndmin=2).T
+        came = np.isfinite(handed_s)
+        shares = [(fate, outcome.value(f"{fate}_share")) for fate in _UNTIMELY]
+        words = [f"{100 * share:.0f} % {fate}" for fate, share in shares if share >= 0.005]
+        lines = (
+            Line("age of the newest picture", "after", _saw(captured_s[came], handed_s[came], captured_s[-1])),
+            Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[came]),
+        )
+        caption = ", ".join([f"{100 * came.mean():.0f} % on time", *words])
+        return Drawing(tuple(line for line in lines if len(line.points)), caption, axes=("time [s]", "age [s]"))
+
+
+def _saw(taken_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: float) -> NDArray[np.float64]:
+    """(P, 2) time and age of the newest picture, which falls when one comes and rises until the next; from time 0."""
+    newest_s = np.concatenate([[0.0], taken_s])
+    begins_s = np.concatenate([[0.0], handed_s])
+    ends_s = np.concatenate([handed_s, [max(end_s, begins_s[-1])]])
+    times_s = np.column_stack([begins_s, ends_s]).ravel()
+    return np.column_stack([times_s, times_s - np.repeat(newest_s, 2)])
+
+
+def _of_frames(found: Delivery) -> Iterator[Measurement]:
+    for frame, (fate, age_s, waiting) in enumerate(
+        zip(found.fates, found.ages_s().tolist(), found.waiting.tolist(), strict=True)
+    ):
+        is_on_time = math.isfinite(found.handed_s[frame])
+        delay_ms = 1e3 * float(found.handed_s[frame] - found.captured_s[frame]) if is_on_time else math.nan
+        yield Measurement("on_time", float(is_on_time), frame)
+        yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the picture was {fate}")
+        yield Measurement("age_ms", 1e3 * age_s, frame)
+        yield Measurement("queue_packets", float(waiting), frame)
+
+
+def _rates(found: Delivery, duration_s: float) -> Iterator[Measurement]:
+    handed = found.handed
+    sent_bytes = int(found.sent_bytes.sum())
+    yield Measurement("goodput_kbps", 8e-3 * float(found.sizes_bytes[handed].sum()) / duration_s)
+    yield Measurement("sent_kbps", 8e-3 * sent_bytes / duration_s)
+    if sent_bytes:
+        yield Measurement("wasted_share", 1.0 - float(found.sent_bytes[handed].sum()) / sent_bytes)
+    else:
+        yield Measurement("wasted_share", math.nan, reason="nothing was sent")

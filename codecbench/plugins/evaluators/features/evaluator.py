@@ -1,0 +1,176 @@
+"""The `features` evaluator: what a tracker that lives on ORB features would lose.
+
+Two finders of features are asked side by side, for a codec may please one and not the other.
+
+Sources: Rublee, Rabaud, Konolige, Bradski, "ORB", ICCV 2011, doi:10.1109/ICCV.2011.6126544; repeatability after
+Mikolajczyk et al., "A comparison of affine region detectors", IJCV 65, 2005, doi:10.1007/s11263-005-3848-x, with
+mutual nearest keypoints in place of region overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
+from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.view import Marks
+from codecbench.plugins.evaluators.features.detectors import (
+    SCALE_FACTOR,
+    Detector,
+    Keypoints,
+    OpencvDetector,
+    SlamDetector,
+)
+from codecbench.plugins.evaluators.features.partners import matches, nearest_places
+
+MIN_MATCHES: Final = 8
+"""Matches that a fundamental matrix needs at the least."""
+RANSAC_CONFIDENCE: Final = 0.999
+RANSAC_ITERATIONS: Final = 2000
+
+
+class FeaturesParams(Params):
+    """Settings of `features`.
+
+    keypoints: ORB keypoints that each finder keeps in a frame. tolerance_px: how far a keypoint may move, at its own
+    pyramid level, and still count as found. match_bits: Hamming distance up to which two descriptors match. inlier_px:
+    distance from the epipolar line up to which a match is an inlier.
+    """
+
+    keypoints: Annotated[int, Field(ge=100, le=10_000)] = 1000
+    tolerance_px: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
+    match_bits: Annotated[int, Field(ge=0, le=256)] = 50
+    inlier_px: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
+
+
+@dataclass(frozen=True)
+class FrameKeypoints:
+    """Keypoints of a frame before and after coding; `found_at` (N,) is each original's place in the decoded, or -1."""
+
+    original: Keypoints
+    decoded: Keypoints
+    found_at: NDArray[np.int64]
+
+
+def _metrics(prefix: str, finder: str, brief: str) -> tuple[Metric, ...]:
+    """What is measured with the features of one finder. brief: of the headline; none where it is empty."""
+    return (
+        Metric(
+            f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
+            role="task", headline=bool(brief), label=f"features kept, {finder}", brief=brief,
+        ),
+        Metric(
+            f"{prefix}descriptor_distance_bits", "bits", "lower", "mean Hamming distance at keypoints found again",
+            role="task", label=f"descriptor distance, {finder}",
+        ),
+        Metric(
+            f"{prefix}matches_kept", "1", "higher", "share of matches with the previous frame that survive coding",
+            role="task", label=f"matches kept, {finder}",
+        ),
+        Metric(
+            f"{prefix}inlier_ratio", "1", "higher", "share of decoded matches that obey one fundamental matrix",
+            role="task", label=f"inlier ratio, {finder}",
+        ),
+    )  # fmt: skip
+
+
+class Features(SequenceEvaluator[FeaturesParams]):
+    """Keypoints found again, matches kept, descriptors changed, matches that obey a geometry.
+
+    docs/metrics.md defines each metric. A lossless codec scores 1, 0 and 1 in the first three.
+    """
+
+    name = "features"
+    version = "2"
+    kernels = ("codecbench.plugins.evaluators.features", "codecbench.slam.features")
+    params_type = FeaturesParams
+    typical_ms_per_frame = 40.0
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        *_metrics("", "the SLAM's ORB", "features"),
+        *_metrics("opencv_", "OpenCV's ORB", ""),
+    )
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        count = self.params.keypoints
+        finders: dict[str, Detector] = {"": SlamDetector(count), "opencv_": OpencvDetector(count)}
+        previous: dict[str, FrameKeypoints] = {}
+        for position, frame in enumerate(coded):
+            for prefix, finder in finders.items():
+                current = self._keypoints(frame, prefix, finder)
+                found = _survival(current)
+                if prefix in previous:
+                    found |= self._continuity(previous[prefix], current)
+                previous[prefix] = current
+                for metric, value in found.items():
+                    reason = value if isinstance(value, str) else None
+                    number = float("nan") if isinstance(value, str) else value
+                    yield Measurement(prefix + metric, number, frame=position, reason=reason)
+
+    def marks(self, coded: CodedFrame) -> Marks:
+        """The keypoints of the original by the SLAM's finder, and which of them are found again."""
+        current = self._keypoints(coded, "", SlamDetector(self.params.keypoints))
+        kept = current.found_at >= 0
+        share = 100.0 * np.count_nonzero(kept) / max(1, len(kept))
+        note = f"{np.count_nonzero(kept)} of {len(kept)} keypoints kept ({share:.0f} %), as in “features kept”"
+        return Marks(current.original.places[:, :2], kept, note)
+
+    def _keypoints(self, frame: CodedFrame, prefix: str, finder: Detector) -> FrameKeypoints:
+        key = ("orb_keypoints", prefix, self.params.keypoints)
+        original = frame.original.cached(key, lambda image: finder.detect(gray_from_image(image)))
+        decoded = finder.detect(gray_from_image(frame.decoded))
+        found_at = nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
+        return FrameKeypoints(original, decoded, found_at)
+
+    def _continuity(self, previous: FrameKeypoints, current: FrameKeypoints) -> dict[str, float | str]:
+        """What of the matches between two frames survives coding, and how well the decoded ones fit a geometry."""
+        found: dict[str, float | str] = {}
+        bits = self.params.match_bits
+        before = matches(previous.original.descriptors, current.original.descriptors, bits)
+        after = matches(previous.decoded.descriptors, current.decoded.descriptors, bits)
+        first = np.flatnonzero(before >= 0)
+        if len(first) == 0:
+            found["matches_kept"] = "the original frame matches nothing in the previous one"
+        else:
+            starts, ends = previous.found_at[first], current.found_at[before[first]]
+            both = (starts >= 0) & (ends >= 0)
+            kept = np.count_nonzero(after[starts[both]] == ends[both])
+            found["matches_kept"] = float(kept / len(first))
+        matched = np.flatnonzero(after >= 0)
+        pixels = previous.decoded.places[matched, :2]
+        pixels_now = current.decoded.places[after[matched], :2]
+        return {**found, "inlier_ratio": _inlier_ratio(pixels, pixels_now, self.params.inlier_px)}
+
+
+def _survival(current: FrameKeypoints) -> dict[str, float | str]:
+    """How many keypoints of a frame are found again, and how much their descriptors changed; or why that is missing."""
+    found = np.flatnonzero(current.found_at >= 0)
+    if len(current.found_at) == 0:
+        reason = "the original frame has no ORB keypoint"
+        return {"keypoint_repeatability": reason, "descriptor_distance_bits": reason}
+    kept = {"keypoint_repeatability": len(found) / len(current.found_at)}
+    if len(found) == 0:
+        return {**kept, "descriptor_distance_bits": "no keypoint of the original frame was found again"}
+    originals = current.original.descriptors[found]
+    changed = originals ^ current.decoded.descriptors[current.found_at[found]]
+    bits = int(np.unpackbits(changed.view(np.uint8)).sum())
+    return {**kept, "descriptor_distance_bits": bits / len(found)}
+
+
+def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], inlier_px: float) -> float:
+    """Share of matches near their epipolar lines in both frames; 0 where there are too few for a geometry."""
+    if len(pixels) < MIN_MATCHES:
+        return 0.0
+    # The plain method draws from a fixed seed of its own; OpenCV's newer ones stop with an error for a camera at rest.
+    _, inliers = cv2.findFundamentalMat(
+        pixels, pixels_now, cv2.FM_RANSAC, inlier_px, RANSAC_CONFIDENCE, RANSAC_ITERATIONS
+    )
+    return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))

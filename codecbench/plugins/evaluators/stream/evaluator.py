@@ -1,0 +1,123 @@
+"""The `stream` evaluator: what a link carries and a viewer waits for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SentPacket, SequenceEvaluator
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.params import Params
+from codecbench.plugins.evaluators.stream.joining import frames_until_whole, joined_places
+
+
+class StreamParams(Params):
+    """`joins`: how often the stream is joined in the middle; 0 leaves that out. `whole_db`: the PSNR against the
+    uninterrupted decoding from which on a picture counts as whole.
+    """
+
+    joins: Annotated[int, Field(ge=0, le=1000)] = 5
+    whole_db: Annotated[float, Field(ge=20.0)] = 50.0
+
+
+class Stream(SequenceEvaluator[StreamParams]):
+    """Rate as users know it, delay, and joining in the middle; codecs without memory have all of it too."""
+
+    name = "stream"
+    version = "1"
+    params_type = StreamParams
+    typical_ms_per_frame = 15.0
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        Metric(
+            "bitrate_kbps", "kbit/s", "lower", "rate at the sequence's nominal frame rate; its mean is the bit rate",
+            role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
+        ),
+        Metric("mean_frame_bytes", "bytes", "lower", "mean size of a frame", role="rate", scale="log"),
+        Metric("largest_frame_bytes", "bytes", "lower", "size of the largest frame", role="rate", scale="log"),
+        Metric(
+            "peak_kbps", "kbit/s", "lower", "greatest rate over any 1 s, in the order of sending",
+            role="rate", label="peak rate", scale="log",
+        ),
+        Metric(
+            "intra_to_predicted", "1", "neither", "mean size of frames at which decoding can start over that of others",
+            label="intra to predicted", scale="log",
+        ),
+        Metric("delay_frames", "frames", "lower", "most frames that the encoder held back", label="frames held back"),
+        Metric(
+            "delay_ms", "ms", "lower", "how long these take to come, at the sequence's frame rate",
+            role="time", headline=True, label="coding delay", brief="delay ms",
+        ),
+        Metric(
+            "first_packet_frames", "frames", "lower", "frames after the first one that the first packet waits for",
+            label="frames before the first packet",
+        ),
+        Metric(
+            "first_packet_ms", "ms", "lower", "how long these take to come, at the sequence's frame rate",
+            label="wait for the first packet",
+        ),
+        Metric(
+            "joining_frames", "frames", "lower", "frames until pictures are whole after joining, median over joins",
+            headline=True, label="joining", brief="join",
+        ),
+        Metric(
+            "joining_worst_frames", "frames", "lower", "the same, of the worst join", label="joining, worst",
+        ),
+    )  # fmt: skip
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        packets, rate_hz = coded.packets, coded.sequence.frame_rate_hz
+        for packet in sorted(packets, key=lambda packet: packet.frame):
+            yield Measurement("bitrate_kbps", 8e-3 * packet.size_bytes * rate_hz, frame=packet.frame)
+        sizes = np.array([packet.size_bytes for packet in packets], np.float64)
+        yield Measurement("mean_frame_bytes", float(sizes.mean()))
+        yield Measurement("largest_frame_bytes", float(sizes.max()))
+        yield _peak(sizes, rate_hz)
+        yield _intra_to_predicted(packets)
+        yield from _waits("delay", max(packet.after - packet.frame - 1 for packet in packets), rate_hz)
+        yield from _waits("first_packet", packets[0].after - 1, rate_hz)
+        if self.params.joins:
+            yield from self._joining(coded)
+
+    def _joining(self, coded: CodedSequence) -> Iterator[Measurement]:
+        places = joined_places(len(coded.packets), self.params.joins)
+        if not places:
+            yield from (_missing(name, "a sequence of one frame has no middle") for name in _JOINING)
+            return
+        waited = frames_until_whole(coded, places, self.params.whole_db)
+        never = f"{sum(map(math.isinf, waited))} of {len(places)} joins were not whole when the sequence ended"
+        for name, frames in zip(_JOINING, (float(np.median(waited)), max(waited)), strict=True):
+            yield _missing(name, never) if math.isinf(frames) else Measurement(name, frames)
+
+
+_JOINING = ("joining_frames", "joining_worst_frames")
+
+
+def _missing(metric: str, reason: str) -> Measurement:
+    return Measurement(metric, math.nan, reason=reason)
+
+
+def _waits(name: str, frames: int, rate_hz: float) -> Iterator[Measurement]:
+    yield Measurement(f"{name}_frames", float(frames))
+    yield Measurement(f"{name}_ms", 1e3 * frames / rate_hz)
+
+
+def _peak(sizes: NDArray[np.float64], rate_hz: float) -> Measurement:
+    """Of as many packets as fit into 1 s, each taking its turn at the sequence's rate."""
+    window = math.ceil(rate_hz - 1e-9)
+    if len(sizes) < window:
+        return _missing("peak_kbps", f"the sequence lasts {len(sizes) / rate_hz:.2g} s")
+    sums = np.convolve(sizes, np.ones(window), "valid")
+    return Measurement("peak_kbps", 8e-3 * float(sums.max()))
+
+
+def _intra_to_predicted(packets: tuple[SentPacket, ...]) -> Measurement:
+    intra = [packet.size_bytes for packet in packets if packet.starts]
+    predicted = [packet.size_bytes for packet in packets if not packet.starts]
+    if not predicted:
+        return _missing("intra_to_predicted", "decoding can start at every frame")
+    return Measurement("intra_to_predicted", float(np.mean(intra) / np.mean(predicted)))

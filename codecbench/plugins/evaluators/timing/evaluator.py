@@ -1,0 +1,160 @@
+"""The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
+
+What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
+Reading frames, checks and garbage collection are outside what is timed. Every frame is coded a few times before the
+first measurement, so that compilation, caches and clocks have settled; a codec with memory is timed in order over the
+first frames instead, each call once. One repeat is one cell; the engine interleaves the repeats of all settings, so
+that a slow spell of the machine hits none of them alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import cv2
+from pydantic import Field
+
+from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.stream import StreamCodec
+from codecbench.plugins.evaluators.sampling import evenly_spread
+from codecbench.plugins.evaluators.timing.clock import Duration, duration, no_collection, yardstick
+from codecbench.plugins.evaluators.timing.in_order import times_in_order
+
+_AGGREGATES = ("median", "p95")
+_YARDSTICK_MS = "yardstick_ms"
+
+
+class TimingParams(Params):
+    """`frames`: how many, spread evenly over the sequence. `repeats`: cells for each setting. `warmup`: codings of
+    the first frame that are not timed. `min_ms`: calls that are faster are repeated until this much has passed,
+    and share it. With a codec that has memory, `frames` and `warmup` are the first frames of the sequence.
+    """
+
+    frames: Annotated[int, Field(ge=1)] = 10
+    repeats: Annotated[int, Field(ge=1)] = 5
+    warmup: Annotated[int, Field(ge=1)] = 3
+    min_ms: Annotated[float, Field(ge=0)] = 5.0
+
+
+@dataclass(frozen=True)
+class _Durations:
+    """What was timed of one frame; nothing was prepared where the codec has nothing to find."""
+
+    encoding: Duration
+    decoding: Duration
+    preparing: Duration | None
+    yardstick: Duration
+
+
+def _time(name: str, summary: str, label: str, brief: str = "", confirmed_by: str = "") -> Metric:
+    """A time of one frame; a headline where it has a brief name."""
+    return Metric(
+        name, "ms", "lower", summary, (*_AGGREGATES, "max"), False,
+        role="time", headline=bool(brief), label=label, brief=brief, scale="log",
+        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, need="encoding" if name == "encode_wall_ms" else "",
+    )  # fmt: skip
+
+
+def _pace(name: str, summary: str, label: str, confirmed_by: str) -> Metric:
+    """Megapixels a second."""
+    return Metric(
+        name, "Mpx/s", "higher", summary, _AGGREGATES, False,
+        role="time", label=label, scale="log", confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS,
+    )  # fmt: skip
+
+
+class Timing(CodecEvaluator[TimingParams]):
+    """Encode and decode time per frame."""
+
+    name = "timing"
+    version = "2"
+    params_type = TimingParams
+    exclusive = True
+    metrics: ClassVar[tuple[Metric, ...]] = (
+        _time("encode_cpu_ms", "processor time from image to bitstream", "encoding processor time", "enc CPU ms"),
+        _time("decode_cpu_ms", "processor time from bitstream to image", "decoding processor time", "dec CPU ms"),
+        _time("encode_wall_ms", "time from image to bitstream", "encoding time", "", "encode_cpu_ms"),
+        _time("decode_wall_ms", "time from bitstream to image", "decoding time", "", "decode_cpu_ms"),
+        _pace("encode_mpix_per_s", "megapixels encoded a second", "encoding pace", "encode_cpu_ms"),
+        _pace("decode_mpix_per_s", "megapixels decoded a second", "decoding pace", "decode_cpu_ms"),
+        _time("prepare_wall_ms", "time to find what depends on the frame", "preparation time", "", "prepare_cpu_ms"),
+        _time("prepare_cpu_ms", "processor time to find it", "preparation processor time"),
+        Metric(
+            _YARDSTICK_MS, "ms", "neither", "a fixed piece of work, timed beside each frame", ("median",), False,
+            label="yardstick",
+        ),
+    )  # fmt: skip
+
+    @property
+    def repeats(self) -> int:
+        return self.params.repeats
+
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        """All parameters but `repeats`: more of them recompute nothing."""
+        return self.params.model_dump(mode="json", exclude={"repeats"})
+
+    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        cv2.setNumThreads(1)
+        if isinstance(codec, StreamCodec):
+            yield from self._in_order(codec, sequence)
+            return
+        if not isinstance(codec, Codec):
+            raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec")
+        images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
+        for index in list(images)[:1]:
+            for _ in range(self.params.warmup):
+                codec.decode(codec.encode(images[index]))
+        with no_collection():
+            taken = {index: self._durations(codec, image) for index, image in images.items()}
+        for index, durations in taken.items():
+            yield from _measured(
+                durations, images[index], index, f"{codec.name} searches for nothing with this setting"
+            )
+
+    def _in_order(self, codec: StreamCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
+        images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
+        times_in_order(codec, sequence.frame_rate_hz, images[: self.params.warmup], lambda: None)
+        yardsticks: list[Duration] = []
+        with no_collection():
+            times = times_in_order(codec, sequence.frame_rate_hz, images, lambda: yardsticks.append(yardstick()))
+        for index, (encoding, decoding, beside) in enumerate(zip(*times, yardsticks, strict=True)):
+            durations = _Durations(encoding, decoding, None, beside)
+            yield from _measured(
+                durations, images[index], index, f"{codec.name} has memory and prepares no frame alone"
+            )
+
+    def _durations(self, codec: Codec[Any], image: Image) -> _Durations:
+        prepared = codec.prepared(image)
+        bitstream = prepared.encode(image)
+        encoding = duration(lambda: prepared.encode(image), self.params.min_ms)
+        codec.decode(bitstream)
+        decoding = duration(lambda: codec.decode(bitstream), self.params.min_ms)
+        searches = prepared is not codec
+        preparing = duration(lambda: codec.prepared(image), self.params.min_ms) if searches else None
+        return _Durations(encoding, decoding, preparing, yardstick())
+
+
+def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:
+    megapixels = image.shape[0] * image.shape[1] * 1e-6
+    yield Measurement(f"{direction}_wall_ms", taken.wall_ms, index)
+    yield Measurement(f"{direction}_cpu_ms", taken.cpu_ms, index)
+    yield Measurement(f"{direction}_mpix_per_s", megapixels / (max(taken.wall_ms, 1e-9) * 1e-3), index)
+
+
+def _measured(durations: _Durations, image: Image, index: int, unprepared: str) -> Iterator[Measurement]:
+    """All metrics of one frame. unprepared: the reason why nothing was prepared, where that is so."""
+    yield Measurement(_YARDSTICK_MS, durations.yardstick.wall_ms, index)
+    yield from _measurements("encode", durations.encoding, image, index)
+    yield from _measurements("decode", durations.decoding, image, index)
+    preparing = durations.preparing
+    reason = None if preparing else unprepared
+    yield Measurement("prepare_wall_ms", preparing.wall_ms if preparing else math.nan, index, reason=reason)
+    yield Measurement("prepare_cpu_ms", preparing.cpu_ms if preparing else math.nan, index, reason=reason)

@@ -1,0 +1,47 @@
+"""Timing a codec with memory: its calls have a past, so that each is made once, in order, and cannot be repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, TypeVar
+
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
+from codecbench.plugins.evaluators.timing.clock import Duration, timed
+
+_Made = TypeVar("_Made", Packet, Picture)
+
+
+def times_in_order(
+    codec: StreamCodec[Any], frame_rate_hz: float, images: list[Image], beside: Callable[[], object]
+) -> tuple[list[Duration], list[Duration]]:
+    """What each of these frames, the first of a sequence, takes to encode and to decode.
+
+    beside: is called after each frame was encoded, and not timed.
+    """
+    encoder, decoder = codec.encoder(frame_rate_hz), codec.decoder()
+    pushed = ((frame, partial(encoder.push, image)) for frame, image in enumerate(images))
+    packets, encoding = _timed_session(pushed, encoder.flush, beside)
+    fed = ((packet.frame, partial(decoder.push, packet)) for packet in packets)
+    _, decoding = _timed_session(fed, decoder.flush, lambda: None)
+    return [encoding[frame] for frame in range(len(images))], [decoding[frame] for frame in range(len(images))]
+
+
+def _timed_session(
+    calls: Iterable[tuple[int, Callable[[], list[_Made]]]],
+    flush: Callable[[], list[_Made]],
+    beside: Callable[[], object],
+) -> tuple[list[_Made], dict[int, Duration]]:
+    """What a session made, and the time of each call by its frame; that of flush is shared by the frames it gives."""
+    made: list[_Made] = []
+    taken: dict[int, Duration] = {}
+    for frame, call in calls:
+        taken[frame] = timed(lambda: made.extend(call()))  # noqa: B023 - called at once
+        beside()
+    held: list[_Made] = []
+    last = timed(lambda: held.extend(flush()))
+    for part in held:
+        before = taken[part.frame]
+        taken[part.frame] = Duration(before.wall_ms + last.wall_ms / len(held), before.cpu_ms + last.cpu_ms / len(held))
+    return made + held, taken

@@ -1,0 +1,57 @@
+"""What our links with a delay and a queue have in common."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field
+
+from codecbench.core.contracts.link import Discipline, Link, Queue
+from codecbench.core.contracts.params import Params
+
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+Time = Annotated[float, Field(ge=0.0)]
+Duration = Annotated[float, Field(gt=0.0)]
+Distribution = Literal["exponential", "uniform"]
+
+
+class QueuedParams(Params):
+    """delay_ms: one way. queue: its discipline. queue_packets: how many may wait."""
+
+    delay_ms: Time = 0.0
+    queue: Discipline = "drop_tail"
+    queue_packets: Annotated[int, Field(ge=1)] = 256
+
+
+class RadioParams(QueuedParams):
+    """rate_kbps: 1,000 bits a second. jitter_ms: its mean, on top of the delay, drawn for each packet from `jitter`:
+    `exponential`, or `uniform` from 0 to twice the mean.
+    """
+
+    rate_kbps: Duration
+    jitter_ms: Time = 0.0
+    jitter: Distribution = "exponential"
+
+
+Q = TypeVar("Q", bound=QueuedParams)
+R = TypeVar("R", bound=RadioParams)
+
+
+class QueuedLink(Link[Q]):
+    """A link that says what its parameters say."""
+
+    @property
+    def delay_s(self) -> float:
+        return 1e-3 * self.params.delay_ms
+
+    @property
+    def queue(self) -> Queue:
+        return Queue(self.params.queue_packets, self.params.queue)
+
+
+class RadioLink(QueuedLink[R]):
+    """A link at a rate, whose packets overtake each other where there is jitter."""
+
+    @property
+    def keeps_order(self) -> bool:
+        return self.params.jitter_ms == 0.0

@@ -1,0 +1,137 @@
+"""The link `trace`: a Mahimahi trace says when 1,500 bytes could go.
+
+Source: Netravali et al., "Mahimahi: Accurate Record-and-Replay for HTTP", USENIX ATC 2015, section 3: each line is a
+millisecond since the start at which a packet of 1,500 bytes can be delivered; smaller packets share it, larger ones
+take several; what nobody waits for is lost; the trace starts again when it ends, after as long as its last line says.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from bisect import bisect_left
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.link import Channel, Passage
+from codecbench.core.contracts.params import PathParam
+from codecbench.plugins.links.chance import drawn
+from codecbench.plugins.links.queued import QueuedLink, QueuedParams, Share
+
+OPPORTUNITY_BYTES: Final = 1500
+
+Embedded = Literal["lte_still", "lte_moving", "wifi_walking"]
+
+
+class TraceParams(QueuedParams):
+    """trace: one of ours, made by `codecbench.plugins.links.generator`. file: a trace of yours, in its place.
+    offset_ms: where in the trace time 0 is; drawn by chance where it is not given. loss: share of the packets that are
+    lost besides, each by itself.
+    """
+
+    trace: Embedded = "lte_still"
+    file: PathParam | None = None
+    offset_ms: Annotated[int, Field(ge=0)] | None = None
+    loss: Share = 0.0
+
+    def identity(self) -> dict[str, Any]:
+        """A file counts with what is in it, wherever it lies."""
+        found = self.model_dump(mode="json")
+        if self.file is not None:
+            content = self.file.read_bytes() if self.file.is_file() else b""
+            found |= {"file": "", "content": hashlib.sha256(content).hexdigest()}
+        return found
+
+
+class Trace(QueuedLink[TraceParams]):
+    """Packets keep their order and go in the opportunities that the trace gives. Raises Unsupported without a trace."""
+
+    name = "trace"
+    version = "1"
+    params_type = TraceParams
+
+    def __init__(self, params: TraceParams) -> None:
+        super().__init__(params)
+        self._opportunities_ms = embedded(params.trace) if params.file is None else _of_file(params.file)
+
+    def open(self, rng: np.random.Generator) -> Channel:
+        offset_rng, loss_rng = rng.spawn(2)
+        period_ms = self._opportunities_ms[-1]
+        offset_ms = self.params.offset_ms
+        offset_ms = int(offset_rng.integers(period_ms)) if offset_ms is None else offset_ms % period_ms
+        return _TraceChannel(self._opportunities_ms, offset_ms, self.delay_s, self.params.loss, loss_rng)
+
+
+class _TraceChannel(Channel):
+    """The opportunity that is being used is number `_place`, with `_left_bytes` of it left."""
+
+    def __init__(
+        self, opportunities_ms: list[int], offset_ms: int, delay_s: float, loss: float, rng: np.random.Generator
+    ) -> None:
+        self._opportunities_ms, self._offset_ms, self._delay_s = opportunities_ms, offset_ms, delay_s
+        self._loss, self._chances = loss, drawn(rng.random)
+        self._place, self._left_bytes = -1, 0
+
+    def carry(self, size_bytes: int, start_s: float) -> Passage:
+        if self._place < 0 or self._time_s(self._place) < start_s:
+            self._place, self._left_bytes = self._first_from(start_s), OPPORTUNITY_BYTES
+        beyond = max(0, size_bytes - self._left_bytes)
+        more = -(-beyond // OPPORTUNITY_BYTES)
+        self._place += more
+        self._left_bytes += more * OPPORTUNITY_BYTES - size_bytes
+        sent_s = self._time_s(self._place)
+        if self._loss and next(self._chances) < self._loss:
+            return Passage(sent_s, None)
+        return Passage(sent_s, sent_s + self._delay_s)
+
+    def _time_s(self, place: int) -> float:
+        loops, within = divmod(place, len(self._opportunities_ms))
+        period_ms = self._opportunities_ms[-1]
+        return 1e-3 * (loops * period_ms + self._opportunities_ms[within] - self._offset_ms)
+
+    def _first_from(self, start_s: float) -> int:
+        """The first opportunity that is not before a time."""
+        period_ms = self._opportunities_ms[-1]
+        loops, within_ms = divmod(1e3 * start_s + self._offset_ms, period_ms)
+        place = int(loops) * len(self._opportunities_ms) + bisect_left(self._opportunities_ms, within_ms - 1e-6)
+        while self._time_s(place) < start_s:
+            place += 1
+        return place
+
+
+@lru_cache
+def embedded(name: Embedded) -> list[int]:
+    """The opportunities of one of our traces, in milliseconds."""
+    content = (files("codecbench.plugins.links") / "traces" / f"{name}.gz").read_bytes()
+    return opportunities_ms(gzip.decompress(content).decode(), name)
+
+
+def opportunities_ms(text: str, source: str) -> list[int]:
+    """The lines of a trace. Raises Unsupported, naming `source` and the line, for what is none."""
+    found: list[int] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip().isdecimal():
+            raise Unsupported(
+                f"{source}:{number}: got {line[:40]!r}; a trace has a whole number of milliseconds a line"
+            )
+        found.append(int(line))
+        if len(found) > 1 and found[-1] < found[-2]:
+            raise Unsupported(f"{source}:{number}: {found[-1]} comes after {found[-2]}; the times of a trace rise")
+    if not found or not found[-1]:
+        raise Unsupported(f"{source}: a trace has a line that is later than 0")
+    return found
+
+
+def _of_file(path: Path) -> list[int]:
+    try:
+        return opportunities_ms(path.read_text(encoding="ascii", errors="replace"), str(path))
+    except OSError as error:
+        raise Unsupported(
+            f"the trace {path} cannot be read: {error.strerror}; give the path of a Mahimahi file"
+        ) from error

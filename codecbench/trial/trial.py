@@ -1,0 +1,80 @@
+"""A recording, looked at, given a matrix and run: what `codecbench try` does, for Python."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.registry import Registry, installed
+from codecbench.trial.focal_length import fov_deg_of
+from codecbench.trial.recording import Recording, recognised
+
+if TYPE_CHECKING:
+    from codecbench.core.results.run_result import RunResult
+    from codecbench.trial.trial_matrix import Aim
+
+
+def looked_at(
+    path: str | Path,
+    fov_deg: float | None = None,
+    params: dict[str, Any] | None = None,
+    registry: Registry | None = None,
+) -> Recording:
+    """The recording at `path`, opened.
+
+    fov_deg: the horizontal field of view of a camera that the recording does not describe; by default what its pictures
+    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised.
+    """
+    registry, path = registry or installed(), Path(path)
+    given = {**(params or {}), **({} if fov_deg is None else {"fov_deg": fov_deg})}
+    recording = recognised(registry, path, given)
+    noted = None if recording.has_camera else fov_deg_of(path)
+    if noted is None:
+        return recording
+    assumed = f"its pictures note a focal length that sees {noted:g} degrees (EXIF), which is taken for the camera"
+    return replace(recognised(registry, path, {**given, "fov_deg": noted}), assumed=(assumed,))
+
+
+def trial(
+    path: str | Path,
+    *,
+    codecs: Sequence[str] = (),
+    aim: Aim | None = None,
+    minutes: float | None = None,
+    fov_deg: float | None = None,
+    params: dict[str, Any] | None = None,
+    out: str | Path | None = None,
+    workers: int | None = None,
+) -> RunResult:
+    """Try codecs on the recording at `path` and return the results.
+
+    codecs: such as `jpeg:5..90`; aim: `tracking`, `quality` or `speed`; minutes: about how long it may take, by default
+    5 for tracking and else 2.5; the rest as of `looked_at` and `codecbench.run`. Raises DatasetError, ParamsError,
+    MatrixError and Unsupported.
+    """
+    from codecbench.core.engine.planning.matrix import matrix_from
+    from codecbench.core.results.collect import open_run
+    from codecbench.core.results.running import run_matrix
+    from codecbench.trial.trial_matrix import trial_matrix
+
+    registry = installed()
+    made = trial_matrix(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
+    return open_run(run_matrix(matrix_from(made.text, registry), out, workers=workers).folder)
+
+
+def added_params(texts: Sequence[str]) -> dict[str, Any]:
+    """Parameters of a dataset as `--set NAME=VALUE` gives them. Raises ParamsError for another spelling."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name or name in found:
+            raise ParamsError(f"--set {text}: write NAME=VALUE, each name once, such as topic=/camera/image_raw")
+        try:
+            found[name] = json.loads(value)
+        except ValueError:
+            found[name] = value
+    return found

@@ -1,0 +1,93 @@
+"""Codec settings as they are written on a command line: `jpeg:5..90`, `h264:crf=18..40,gop=30`."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.planning.schema import plugin_schema
+from codecbench.core.engine.registry import Registry
+
+_STEPS: Final = 5
+_SPELLING: Final = "NAME, NAME:VALUE, NAME:FIRST..LAST or NAME:PARAM=..,PARAM=.., such as jpeg:5..90 or h264:crf=18..40"
+_RANGE: Final = re.compile(r"(?P<first>-?[\d.]+?)\.\.(?P<last>-?\d+(?:\.\d+)?)(?:/(?P<count>\d+))?")
+_FACTOR: Final = 4.0
+"""Ranges whose ends are further apart than so many times are divided into equal ratios, others into equal steps."""
+
+
+@dataclass(frozen=True)
+class WantedCodec:
+    """A codec of a matrix: its name and, for each parameter, the values to span."""
+
+    name: str
+    values: dict[str, list[Any]]
+
+    def __len__(self) -> int:
+        """How many settings it spans."""
+        return math.prod(len(values) for values in self.values.values())
+
+
+def read_codec(registry: Registry, text: str) -> WantedCodec:
+    """What a `--codec` asks for. A value without a parameter's name is of the codec's first numeric parameter.
+
+    Raises PluginError for an unknown codec and ParamsError for another spelling.
+    """
+    name, _, rest = text.partition(":")
+    registry.find("codec", name)
+    values: dict[str, list[Any]] = {}
+    for part in rest.split(",") if rest else []:
+        key, equals, value = part.rpartition("=")
+        key = key if equals else _first_number(registry, name)
+        if not value or not key or key in values:
+            raise ParamsError(f"--codec {text}: {part!r} is not understood; write {_SPELLING}")
+        values[key] = _span(registry, name, key, value)
+    return WantedCodec(name, values)
+
+
+def _span(registry: Registry, codec: str, key: str, text: str) -> list[Any]:
+    """The values of `5..90`, `5..90/7`, `5|10|20` or one value."""
+    found = _RANGE.fullmatch(text)
+    if found is None:
+        texts = _kinds(registry, codec, key) - {""} == {"string"}
+        return [word if texts else _value(word) for word in text.split("|")]
+    try:
+        first, last = float(found["first"]), float(found["last"])
+    except ValueError:
+        raise ParamsError(f"--codec {codec}: {text!r} is no range; write FIRST..LAST, such as 5..90") from None
+    count = int(found["count"] or _STEPS)
+    if not 2 <= count <= 100:
+        raise ParamsError(f"--codec {codec}: {text!r} has {count} steps; 2 to 100 are possible")
+    low, high = sorted((first, last))
+    ratios = low > 0 and high / low > _FACTOR
+    steps = [low * (high / low) ** (i / (count - 1)) if ratios else low + (high - low) * i / (count - 1)
+             for i in range(count)]  # fmt: skip
+    whole = "integer" in _kinds(registry, codec, key) or (
+        low.is_integer() and high.is_integer() and high - low >= count
+    )
+    return list(dict.fromkeys(round(step) if whole else float(f"{step:.4g}") for step in steps))
+
+
+def _value(word: str) -> Any:
+    try:
+        return json.loads(word)
+    except ValueError:
+        return word
+
+
+def _first_number(registry: Registry, codec: str) -> str:
+    """The codec's first parameter that is a number."""
+    properties = plugin_schema(registry, f"codec:{codec}").get("properties", {})
+    for key in properties:
+        if _kinds(registry, codec, key) & {"integer", "number"}:
+            return str(key)
+    raise ParamsError(f"--codec {codec}: it has no parameter that is a number; `codecbench schema codec:{codec}`")
+
+
+def _kinds(registry: Registry, codec: str, key: str) -> set[str]:
+    """The JSON types that a parameter takes."""
+    described = plugin_schema(registry, f"codec:{codec}").get("properties", {}).get(key, {})
+    return {str(choice.get("type", "")) for choice in [described, *described.get("anyOf", [])]}

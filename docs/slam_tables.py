@@ -1,0 +1,45 @@
+"""Tables of the SLAM's own options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.results.markdown import table
+from codecbench.core.results.run_result import RunResult
+from codecbench.core.results.table import CellResult
+
+Heads = tuple[str, ...]
+
+
+def ablations(run: RunResult, heads: Heads) -> Iterator[str]:
+    """What raw frames give with each setting of the backend, one row a sequence and setting."""
+    rows = []
+    for entry in run.plan.sequences:
+        for evaluator in dict.fromkeys(result.cell.evaluator for result in run.results):
+            runs = [result for result in run.of(evaluator.title) if result.cell.sequence.name == entry.name]
+            options = evaluator.params["backend_params"]
+            spelled = " ".join(f"`{name}={value}`" for name, value in options.items()) or "as it comes"
+            if runs:
+                rows.append([entry.name, spelled, str(len(runs)), *_measured(runs)])
+    yield table(heads, rows)
+
+
+def _measured(runs: list[CellResult]) -> list[str]:
+    errors_mm = 1e3 * _values(runs, "ate_rmse_m")
+    tracked, loops = _values(runs, "tracked_since_map_fraction"), _values(runs, "loops_closed")
+    return [
+        f"{100 * np.median(tracked):.1f}",
+        f"{np.nanmedian(errors_mm):.4g}",
+        f"{np.nanmin(errors_mm):.4g} to {np.nanmax(errors_mm):.4g}",
+        f"{np.min(loops):.0f}",
+    ]
+
+
+def _values(runs: list[CellResult], metric: str) -> NDArray[np.float64]:
+    """The metric of each run; NaN where it is missing."""
+    return np.array([
+        next((m.value for m in result.measurements if m.metric == metric), np.nan) for result in runs
+    ])  # fmt: skip

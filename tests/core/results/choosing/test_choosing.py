@@ -1,0 +1,186 @@
+"""Which settings are good enough over a link, from runs whose answer is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from measured_runs import cell_result, run_of
+
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.results.choosing.candidates import Candidate, Demand, NotMeasured, candidates
+from codecbench.core.results.choosing.words import choices
+from codecbench.core.results.table import CellResult
+
+WAIT = Metric("wait", "ms", "lower", "", need="delay")
+GONE = Metric("gone", "1", "lower", "", label="gone astray", need="cause")
+IDLE = Metric("idle", "1", "lower", "", label="never begun", need="cause")
+MISS = Metric("miss", "m", "lower", "", need="error")
+METRICS = {metric.name: metric for metric in (WAIT, GONE, IDLE, MISS)}
+FRAMES = 10
+
+
+def over(
+    q: float, repeat: int, link: str, own: dict[str, float], waits_ms: tuple[float, ...] = (), **params: Any
+) -> CellResult:
+    """A cell over a link. own: what it measured once. waits_ms: of its frames, NaN where one is gone."""
+    cell = cell_result(
+        "plain", q, f"over_{link}", repeat=repeat, sequence_name=params.pop("sequence", "s"), count=FRAMES
+    )
+    used = PluginSetting("link", link, "1")
+    evaluator = replace(cell.cell.evaluator, params={"link": link, **params}, uses=(used,))
+    samples = [Measurement("wait", wait, frame) for frame, wait in enumerate(waits_ms) if not math.isnan(wait)]
+    kept = table_from_parquet(parquet_from_samples(samples))
+    return replace(
+        cell,
+        cell=replace(cell.cell, evaluator=evaluator),
+        metrics={name: METRICS[name] for name in (["wait", "gone", "idle"] if waits_ms else ["miss"])},
+        measurements=tuple(Measurement(name, value) for name, value in own.items()),
+        samples=lambda: kept,
+    )
+
+
+def size(q: float, sequence: str = "s") -> CellResult:
+    return cell_result("plain", q, "size", own={("bits", ""): [q]}, sequence_name=sequence)
+
+
+def delivered(q: float, in_time: int, link: str = "radio", repeats: int = 5, **more: Any) -> list[CellResult]:
+    """So many of ten frames come after 50 ms, one after 150 ms if there is room, and the rest goes astray."""
+    waits = [50.0] * in_time + [150.0] * (in_time < FRAMES)
+    gone = (FRAMES - len(waits)) / FRAMES
+    waits += [math.nan] * (FRAMES - len(waits))
+    return [over(q, repeat, link, {"gone": gone, "idle": 0.0}, waits, **more) for repeat in range(repeats)]
+
+
+def read(q: float, errors_m: list[float], link: str = "radio", **more: Any) -> list[CellResult]:
+    return [over(q, repeat, link, {"miss": error}, **more) for repeat, error in enumerate(errors_m)]
+
+
+def judged(demand: Demand, *cells: CellResult) -> dict[str, Candidate]:
+    found = candidates(run_of(*cells), demand)
+    return {candidate.point: candidate for candidate in found}
+
+
+ALL = Demand("radio", deadline_ms=100, error_m=0.1, share=0.9)
+RUN = [
+    *(size(q) for q in (1.0, 2.0, 4.0, 8.0)),
+    *delivered(1.0, 10), *read(1.0, [0.3] * 5),  # all there, and too coarse
+    *delivered(2.0, 10), *read(2.0, [0.05] * 5),
+    *delivered(4.0, 9), *read(4.0, [0.02] * 5),
+    *delivered(8.0, 3), *read(8.0, [0.01] * 5),  # most are gone
+]  # fmt: skip
+
+
+def test_a_setting_holds_where_pictures_come_in_time_and_are_of_use() -> None:
+    found = judged(ALL, *RUN)
+    verdicts = {point: candidate.verdict for point, candidate in found.items()}
+    assert verdicts == {"q=1.0": "fails", "q=2.0": "holds", "q=4.0": "holds", "q=8.0": "fails"}
+    assert found["q=8.0"].share == pytest.approx(0.3)
+    assert found["q=8.0"].causes == pytest.approx(
+        {"gone astray": 0.6, "older than the deadline": 0.1, "never begun": 0}
+    )
+    assert found["q=1.0"].error_m == 0.3
+
+
+def test_what_is_not_asked_is_not_judged() -> None:
+    in_time = judged(Demand("radio", deadline_ms=100, share=0.9), *RUN)
+    assert in_time["q=1.0"].verdict == "holds"
+    assert in_time["q=8.0"].verdict == "fails"
+    near = judged(Demand("radio", error_m=0.1), *RUN)
+    assert near["q=1.0"].verdict == "fails"
+    assert near["q=8.0"].verdict == "holds"
+
+
+def test_a_later_deadline_finds_more_in_time() -> None:
+    assert judged(Demand("radio", deadline_ms=200), *RUN)["q=4.0"].share == 1.0
+    assert judged(Demand("radio", deadline_ms=40), *RUN)["q=4.0"].share == 0.0
+
+
+def test_the_least_bytes_that_hold_are_taken_and_the_limits_of_others_said() -> None:
+    (verdict,) = choices(run_of(*RUN), ALL)
+    assert verdict.title == "s: over radio, 90 % of the pictures within 100 ms and an error of at most 0.1 m"
+    assert verdict.heads == ("setting", "rate [bpp]", "in time", "error [m]", "verdict", "limited by")
+    assert [row[0] for row in verdict.rows] == ["plain q=1.0", "plain q=2.0", "plain q=4.0", "plain q=8.0"]
+    assert verdict.rows[3] == (
+        "plain q=8.0", "8", "30 % (0/5 runs)", "0.01 (5/5 runs)", "fails", "pictures gone astray (60 %)",
+    )  # fmt: skip
+    assert verdict.sentences == (
+        "Over radio take plain q=2.0, 2 bpp, the least of 2 settings that hold (5/5 runs, at least 57 % at 95 %; "
+        "5/5 runs, at least 57 % at 95 %).",
+        "Limited by the error, though pictures come in time: plain q=1.0.",
+        "Limited by pictures gone astray: plain q=8.0.",
+    )
+
+
+def test_few_runs_tell_nothing_and_how_many_more_would_is_said() -> None:
+    cells = [size(1.0), *delivered(1.0, 10, repeats=5), *read(1.0, [0.05, 0.05])]
+    (verdict,) = choices(run_of(*cells), ALL)
+    assert verdict.sentences == (
+        "Over radio no setting is known to hold.",
+        "plain q=1.0 cannot be told: at least 2 more repeats would tell.",
+    )
+    assert verdict.rows[0][-1] == "too few runs"
+
+
+def test_what_was_not_measured_is_said() -> None:
+    (verdict,) = choices(run_of(size(1.0), *delivered(1.0, 10)), ALL)
+    assert "plain q=1.0 cannot be judged by the error: add an evaluator" in verdict.sentences[1]
+
+
+def test_a_reader_that_failed_erred_beyond_all() -> None:
+    crashed = [replace(cell, status="crashed", measurements=()) for cell in read(1.0, [0.0] * 5)]
+    assert judged(Demand("radio", error_m=0.1), size(1.0), *crashed)["q=1.0"].verdict == "fails"
+
+
+def test_ways_over_one_link_are_told_apart_and_journeys_that_are_equal_are_not() -> None:
+    cells = [size(1.0), *delivered(1.0, 3, transport="datagrams"), *delivered(1.0, 10, transport="arq")]
+    cells += read(1.0, [0.05] * 5, transport="arq")
+    found = {candidate.way: candidate for candidate in candidates(run_of(*cells), ALL)}
+    assert found.keys() == {"transport=datagrams", "transport=arq"}
+    assert found["transport=arq"].verdict == "holds"
+    assert found["transport=datagrams"].unmeasured == ("the error",)
+
+
+def test_other_links_do_not_count_and_are_named_where_there_is_nothing() -> None:
+    cells = [size(1.0), *delivered(1.0, 10), *delivered(1.0, 0, link="sound")]
+    assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
+    with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio, sound"):
+        candidates(run_of(*cells), Demand("light", deadline_ms=100))
+    with pytest.raises(NotMeasured, match="no evaluator of it has a link"):
+        candidates(run_of(size(1.0)), Demand("radio", deadline_ms=100))
+
+
+def timed(q: float, encode_ms: float) -> CellResult:
+    cell = cell_result("plain", q, "clock")
+    code = Metric("code_ms", "ms", "lower", "", ("median",), role="time", need="encoding")
+    return replace(cell, metrics={"code_ms": code}, summaries={("code_ms", "", "median"): encode_ms})
+
+
+def test_a_slower_device_makes_pictures_older() -> None:
+    cells = [size(1.0), *delivered(1.0, 10), timed(1.0, 11.0)]
+    asked = {"deadline_ms": 100.0, "share": 0.9}
+    assert judged(Demand("radio", **asked, device_factor=4.0), *cells)["q=1.0"].share == 1.0  # 50 + 44 ms
+    assert judged(Demand("radio", **asked, device_factor=5.0), *cells)["q=1.0"].share == 0.0  # 50 + 55 ms
+    (verdict,) = choices(run_of(*cells), Demand("radio", **asked, device_factor=4.0))
+    assert verdict.title == "s: over radio, 90 % of the pictures of a device 4 times slower within 100 ms"
+    with pytest.raises(NotMeasured, match="no encoding was timed"):
+        judged(Demand("radio", **asked, device_factor=4.0), *cells[:-1])
+
+
+def test_sequences_come_together_first() -> None:
+    cells = [size(1.0), size(1.0, "t"), *delivered(1.0, 10), *delivered(1.0, 3, sequence="t")]
+    verdicts = choices(run_of(*cells), Demand("radio", deadline_ms=100))
+    assert [verdict.title.split(":")[0] for verdict in verdicts] == ["all sequences together", "s", "t"]
+    assert [verdict.rows[0][2] for verdict in verdicts] == ["65 % (5/10 runs)", "100 % (5/5 runs)", "30 % (0/5 runs)"]
+
+
+def test_without_a_rate_nothing_is_called_the_least() -> None:
+    (verdict,) = choices(run_of(*delivered(1.0, 10)), Demand("radio", deadline_ms=100))
+    assert "No rate was measured" in verdict.sentences[1]
+    assert np.array(verdict.rows).shape == (1, 5)

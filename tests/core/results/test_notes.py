@@ -1,0 +1,38 @@
+"""Notes on settings: one sentence for a curve, or for those of its settings that have it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from measured_runs import METRICS, cell_result, run_of
+
+from codecbench.core.results.notes import notes, setting_notes
+from codecbench.core.results.table import CellResult
+
+
+def noted(result: CellResult, *notes: str) -> CellResult:
+    return replace(result, notes=notes)
+
+
+def test_a_note_names_the_curve_or_its_settings() -> None:
+    slow = "holds back 3 frames (100 ms)"
+    cells = [noted(cell_result("slow", q, "look"), slow) for q in (1.0, 2.0)]
+    cells += [noted(cell_result("slow", 1.0, "size"), slow)]
+    cells += [cell_result("plain", q, "look") for q in (1.0, 2.0)]
+    cells += [cell_result("some", 1.0, "look"), noted(cell_result("some", 2.0, "look"), slow, "hums")]
+    assert setting_notes(run_of(*cells)) == [
+        "slow: holds back 3 frames (100 ms).",
+        "some, q=2.0: holds back 3 frames (100 ms).",
+        "some, q=2.0: hums.",
+    ]
+    assert setting_notes(run_of(*cells[3:5])) == []
+
+
+def test_a_caveat_of_a_metric_stands_where_it_has_a_value() -> None:
+    cautious = replace(METRICS["drift"], caveat="guessed, not measured")
+    cells = [cell_result("plain", q, "look", own={("drift", ""): [1.0]}) for q in (1.0, 2.0)]
+    without = [cell_result("plain", q, "look", own={("score", ""): [1.0]}) for q in (1.0, 2.0)]
+    told = [[replace(cell, metrics={**METRICS, "drift": cautious}) for cell in group] for group in (cells, without)]
+    assert notes(run_of(*told[0])) == ["drift: guessed, not measured."]
+    assert notes(run_of(*told[1])) == []
+    assert run_of(*told[0])._repr_html_().endswith("<p>drift: guessed, not measured.</p>")

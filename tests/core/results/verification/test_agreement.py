@@ -1,0 +1,57 @@
+"""What two records of a cell have in common."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from kept_runs import write_kept_run
+
+from codecbench.core.engine.planning.model import Cell
+from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.verification.agreement import Values, compared, values_of
+
+KEY = ("error", "", 0, 0)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Cell:
+    return write_kept_run(tmp_path / "run").cells[0]
+
+
+def test_the_values_of_a_record(cell: Cell, tmp_path: Path) -> None:
+    store = Store(tmp_path / "run")
+    values = values_of(store, store.read_record(cell.id), {"error", "rate_bpp"})
+    frames = {("error", "", frame, 0): frame + 0.25 for frame in range(3)}
+    assert values == {("rate_bpp", "", None, 0): 1.5, **frames}
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "verdict"),
+    [
+        (1.0, 1.0, "to the bit"), (math.nan, math.nan, "to the bit"), (math.inf, math.inf, "to the bit"),
+        (0.0, -0.0, "to the bit"),
+        (1.0, math.nextafter(1.0, 2.0), "within tolerance"), (-1e9, -1e9 - 500, "within tolerance"),
+        (1.0, 1.0 + 2e-6, "differs"), (0.0, 1e-300, "differs"), (1.0, math.nan, "differs"),
+        (math.inf, 1e300, "differs"), (math.inf, -math.inf, "differs"), (math.nan, 0.0, "differs"),
+    ],
+)  # fmt: skip
+def test_a_value(cell: Cell, there: float, here: float, verdict: str) -> None:
+    found = compared(cell, {KEY: there}, {KEY: here}, 1e-6)
+    assert (found.verdict, found.values) == (verdict, 1)
+    assert (found.note == "") == (verdict == "to the bit")
+
+
+def test_the_worst_value_is_named(cell: Cell) -> None:
+    there: Values = {("error", "", frame, 0): 1.0 for frame in range(4)}
+    here = {**there, ("error", "", 1, 0): 1.1, ("error", "", 2, 0): 1.5}
+    found = compared(cell, there, here, 1e-6)
+    assert found.note == "error of frame 2: 1.0 there, 1.5 here; 2 of 4 values differ"
+
+
+def test_values_that_only_one_side_has(cell: Cell) -> None:
+    other = ("rate_bpp", "dc", None, 0)
+    assert compared(cell, {KEY: 1.0, other: 2.0}, {KEY: 1.0}, 1e-6).note == "rate_bpp/dc: not measured here"
+    assert compared(cell, {KEY: 1.0}, {KEY: 1.0, other: 2.0}, 1e-6).note == "rate_bpp/dc: measured here alone"
+    assert compared(cell, {}, {}, 1e-6).verdict == "not recomputed"

@@ -1,0 +1,306 @@
+"""A coded sequence over a link: known answers, and what must hold of every journey."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from codecbench.core.contracts.evaluator import SentPacket
+from codecbench.core.contracts.link import Link
+from codecbench.core.simulation.delivery import Delivery, deliver
+from codecbench.core.simulation.settings import LinkSettings
+from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.gilbert_elliott import GilbertElliott
+from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.links.trace import Trace, embedded
+
+HEADERS = {"mtu": 1000, "header_bytes": 0}
+
+
+def stills(sizes: list[int]) -> list[SentPacket]:
+    return [SentPacket(frame, size, True, frame + 1) for frame, size in enumerate(sizes)]
+
+
+def sent(
+    link: Link[Any], sizes: list[int], rate_hz: float = 10.0, seed: int = 0, stamps_s: Any = None, **params: Any
+) -> Delivery:
+    """Pictures that stand alone over a link that is not asked by name."""
+    stamps_s = np.arange(len(sizes)) / rate_hz if stamps_s is None else stamps_s
+    given = LinkSettings(link="given", **{**HEADERS, **params})
+    return deliver(stills(sizes), stamps_s, link, given, np.random.default_rng(seed))
+
+
+def latencies_s(found: Delivery) -> np.ndarray:
+    return (found.handed_s - found.captured_s)[found.handed]
+
+
+def test_over_an_ideal_link_every_picture_is_there_at_once() -> None:
+    found = sent(Ideal.create(), [100, 5000, 1])
+    assert found.fates == ("on time",) * 3
+    assert found.handed_s.tolist() == found.captured_s.tolist()
+    assert found.ages_s().tolist() == [0.0, 0.0, 0.0]
+    assert (found.packets.sent, found.sent_bytes.tolist()) == (7, [100, 5000, 1])
+
+
+def test_times_begin_with_the_first_picture() -> None:
+    found = sent(Ideal.create(), [1, 1], stamps_s=np.array([1.3e9, 1.3e9 + 0.1]))
+    assert found.captured_s == pytest.approx([0.0, 0.1], abs=1e-6)
+
+
+def test_a_picture_takes_encoding_sending_travelling_and_decoding() -> None:
+    link = Constant.create(rate_kbps=80, delay_ms=30)  # 10 ms for 100 bytes
+    (picture,) = latencies_s(sent(link, [200], encode_ms=5, device_factor=4, decode_ms=7))
+    assert picture == pytest.approx(0.020 + 0.020 + 0.030 + 0.007)
+
+
+def test_headers_are_sent_with_every_packet() -> None:
+    link = Constant.create(rate_kbps=80)
+    found = sent(link, [250], mtu=140, header_bytes=40)  # 100 + 100 + 50 bytes of data
+    assert (found.packets.sent, found.sent_bytes.tolist()) == (3, [370])
+    assert latencies_s(found)[0] == pytest.approx(0.037)
+
+
+@pytest.mark.parametrize("load", [0.3, 0.7])
+def test_waiting_times_are_those_of_a_queue_with_one_server(load: float) -> None:
+    """Poisson arrivals and equal service times: the formula of Pollaczek and Khinchine."""
+    service_s, count = 0.01, 25_000
+    stamps_s = np.cumsum(np.random.default_rng(5).exponential(service_s / load, count))
+    link = Constant.create(rate_kbps=80, queue_packets=10_000)
+    found = sent(link, [100] * count, stamps_s=stamps_s, queue_policy="fifo")
+    waited_s = latencies_s(found) - service_s
+    assert waited_s.mean() == pytest.approx(load * service_s / (2.0 * (1.0 - load)), rel=0.08)
+
+
+@pytest.mark.parametrize("packets", [1, 4, 16])
+def test_a_picture_of_many_packets_is_lost_more_often(packets: int) -> None:
+    count, loss = 8000, 0.03
+    found = sent(Constant.create(rate_kbps=1e6, loss=loss), [1000 * packets] * count)
+    expected = 1.0 - (1.0 - loss) ** packets
+    error = math.sqrt(expected * (1.0 - expected) / count)
+    assert Counter(found.fates)["lost"] / count == pytest.approx(expected, abs=4.0 * error)
+
+
+def test_redundancy_saves_what_a_binomial_says() -> None:
+    count, loss = 8000, 0.1
+    found = sent(Constant.create(rate_kbps=1e6, loss=loss), [10_000] * count, transport="fec", fec_share=0.25)
+    assert found.packets.sent == 13 * count
+    expected = float(binom.sf(9, 13, 1.0 - loss))
+    error = math.sqrt(expected * (1.0 - expected) / count)
+    assert Counter(found.fates)["on time"] / count == pytest.approx(expected, abs=4.0 * error)
+
+
+def test_repair_goes_on_until_the_deadline() -> None:
+    """Sent at 0, and again after each round trip of 40 ms while the picture is at most 101 ms old: three times."""
+    count, loss = 20_000, 0.3
+    link = Constant.create(rate_kbps=1e6, delay_ms=20, loss=loss)
+    found = sent(link, [1000] * count, transport="arq", deadline_ms=101)
+    share = Counter(found.fates)["lost"] / count
+    assert share == pytest.approx(loss**3, abs=4.0 * math.sqrt(loss**3 / count))
+    assert found.packets.sent / count == pytest.approx(1.0 + loss + loss**2, rel=0.01)
+    assert set(np.round(latencies_s(found), 3)) == {0.02, 0.06, 0.1}
+
+
+def test_a_reliable_transport_loses_nothing_and_makes_the_rest_wait() -> None:
+    link = Constant.create(rate_kbps=1e6, delay_ms=20, loss=0.3)
+    reliable = sent(link, [1000] * 3000, rate_hz=100, transport="reliable", queue_policy="fifo")
+    arq = sent(link, [1000] * 3000, rate_hz=100, transport="arq", queue_policy="fifo")
+    assert set(reliable.fates) == {"on time"}
+    assert (np.diff(reliable.handed_s) >= 0).all()
+    assert np.median(latencies_s(reliable)) > 0.04 > np.median(latencies_s(arq))
+    assert set(arq.fates) == {"on time", "late"}  # those that a newer one has overtaken
+
+
+@pytest.mark.parametrize("name", ["lte_still", "lte_moving"])
+def test_what_comes_through_a_trace_is_what_it_gives(name: str) -> None:
+    found = sent(
+        Trace.create(trace=name, offset_ms=0), [15_000] * 3000, rate_hz=200, transport="reliable", queue_policy="fifo",
+        mtu=1500,
+    )  # fmt: skip
+    received = np.count_nonzero(found.handed_s <= 60.0) * 15_000
+    assert received == pytest.approx(1500 * len(embedded(name)), abs=2 * 15_000)  # type: ignore[arg-type]
+
+
+def test_only_the_newest_picture_waits() -> None:
+    """Each takes 275 ms on the way, and one comes every 100 ms."""
+    found = sent(Constant.create(rate_kbps=32), [1100] * 8, mtu=1100)
+    assert [frame for frame, fate in enumerate(found.fates) if fate == "on time"] == [0, 2, 5, 7]
+    assert found.handed_s[found.handed] == pytest.approx([0.275, 0.55, 0.825, 1.1])
+    assert found.ages_s() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.4, 0.5])
+    assert found.gaps_s() == pytest.approx([0.275, 0.275, 0.275, 0.275, 0.0])
+
+
+def test_a_queue_of_all_pictures_grows_old() -> None:
+    found = sent(Constant.create(rate_kbps=32), [1000] * 8, queue_policy="fifo")
+    assert latencies_s(found) == pytest.approx(0.25 + 0.15 * np.arange(8))
+
+
+def test_late_pictures_are_passed_over() -> None:
+    """275 ms on the way; of what waits, nothing older than 100 ms is begun with."""
+    found = sent(Constant.create(rate_kbps=32), [1100] * 8, mtu=1100, queue_policy="drop_late", deadline_ms=100)
+    assert [frame for frame, fate in enumerate(found.fates) if fate != "skipped"] == [0, 2, 5]
+    assert Counter(found.fates) == {"late": 3, "skipped": 5}
+
+
+def test_an_encoder_that_is_too_slow_leaves_pictures_out() -> None:
+    found = sent(Ideal.create(), [10] * 9, encode_ms=44, device_factor=5)
+    assert [frame for frame, fate in enumerate(found.fates) if fate == "on time"] == [0, 2, 4, 6, 8]
+    assert found.handed_s[[0, 2, 4]] == pytest.approx([0.22, 0.44, 0.66])
+
+
+def test_what_finds_no_room_is_dropped() -> None:
+    """One is being sent and three wait; the fifth packet of a picture has no place."""
+    link = Constant.create(rate_kbps=8, queue_packets=3)
+    at_once = sent(link, [5000, 3000], rate_hz=0.01, queue_policy="fifo")
+    assert at_once.fates == ("lost", "on time")
+    assert (at_once.packets.dropped, at_once.packets.arrived) == (1, 7)
+    paced = sent(link, [5000, 3000], rate_hz=0.01)
+    assert paced.fates == ("on time", "on time")
+    assert paced.packets.dropped == 0
+
+
+def stream(*starts: bool) -> list[SentPacket]:
+    return [SentPacket(frame, 1000, start, frame + 1) for frame, start in enumerate(starts)]
+
+
+class Scripted(Ideal):
+    """Loses packets by number."""
+
+    def __init__(self, *lost: int) -> None:
+        super().__init__(Ideal.params_type())
+        self.lost = lost
+
+    def open(self, rng: np.random.Generator) -> Any:
+        numbers = iter(range(1000))
+        channel = super().open(rng)
+        whole = channel.carry
+        channel.carry = lambda size, start_s: whole(size, start_s)._replace(  # type: ignore[method-assign]
+            **({"arrives_s": None} if next(numbers) in self.lost else {})
+        )
+        return channel
+
+
+def test_a_stream_is_broken_until_it_starts_again() -> None:
+    units = stream(True, False, False, False, True, False)
+    found = deliver(
+        units, np.arange(6) / 10, Scripted(1), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
+    )
+    assert found.fates == ("on time", "lost", "broken", "broken", "on time", "on time")
+
+
+def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
+    units = stream(False, True, False, False, False, True)
+    settings = LinkSettings(link="given", concealed=True, **HEADERS)
+    found = deliver(units, np.arange(6) / 10, Scripted(2), settings, np.random.default_rng(0))
+    assert found.fates == ("broken", "on time", "lost", "concealed", "concealed", "on time")
+    assert found.handed == [1, 3, 4, 5]
+    assert found.came.tolist() == [True, True, False, True, True, True]
+
+
+def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
+    units = stream(False, False, True, False)
+    found = deliver(
+        units, np.arange(4) / 10, Ideal.create(), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
+    )
+    assert found.fates == ("broken", "broken", "on time", "on time")
+
+
+def test_pictures_of_a_stream_wait_for_what_they_depend_on() -> None:
+    """The second has a packet that is sent twice; the third is there before it, and cannot be decoded."""
+    units = stream(True, False, False)
+    settings = LinkSettings(link="given", transport="arq", queue_policy="fifo", **HEADERS)
+    slow = type("Slow", (Scripted,), {"delay_s": 0.1})(1)
+    found = deliver(units, np.arange(3) / 10, slow, settings, np.random.default_rng(0))
+    assert found.handed_s == pytest.approx([0.0, 0.3, 0.3])
+    assert set(found.fates) == {"on time"}
+
+
+def test_pictures_sent_in_another_order_are_shown_in_theirs() -> None:
+    """As with pictures between two others: 0, 2, 1, the last two when the encoder has been given three."""
+    units = [SentPacket(0, 1000, True, 1), SentPacket(2, 1000, False, 3), SentPacket(1, 1000, False, 3)]
+    settings = LinkSettings(link="given", queue_policy="fifo", **HEADERS)
+    found = deliver(units, np.arange(3) / 10, Constant.create(rate_kbps=800), settings, np.random.default_rng(0))
+    assert found.handed_s == pytest.approx([0.01, 0.22, 0.22])
+
+
+LINKS = st.sampled_from(
+    [
+        Ideal.create(),
+        Constant.create(rate_kbps=60, delay_ms=15, jitter_ms=10, loss=0.2, queue_packets=4),
+        Constant.create(rate_kbps=200, delay_ms=1, queue="codel", queue_packets=40),
+        GilbertElliott.create(rate_kbps=300, good_ms=200, bad_ms=60, bad_loss=0.7, delay_ms=5, queue_packets=8),
+        Trace.create(trace="lte_moving", delay_ms=20, queue="codel"),
+    ]
+)
+UNITS = st.lists(st.tuples(st.integers(1, 6000), st.booleans()), min_size=1, max_size=60)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    link=LINKS,
+    drawn=UNITS,
+    transport=st.sampled_from(["datagrams", "fec", "arq", "reliable"]),
+    policy=st.sampled_from(["latest_only", "fifo", "drop_late"]),
+    deadline_ms=st.one_of(st.none(), st.floats(20, 600)),
+    encode_ms=st.sampled_from([0.0, 3.0, 60.0]),
+    decode_ms=st.sampled_from([0.0, 45.0]),
+    concealed=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_everything_has_one_fate(
+    link: Link[Any],
+    drawn: list[tuple[int, bool]],
+    transport: Any,
+    policy: Any,
+    deadline_ms: float | None,
+    encode_ms: float,
+    decode_ms: float,
+    concealed: bool,
+    seed: int,
+) -> None:
+    units = [SentPacket(frame, size, starts or frame == 0, frame + 1) for frame, (size, starts) in enumerate(drawn)]
+    stamps_s = np.cumsum(np.random.default_rng(seed).exponential(0.04, len(units)))
+    deadline_ms = deadline_ms or (200.0 if policy == "drop_late" else None)
+    given = LinkSettings(
+        link="given", transport=transport, queue_policy=policy, deadline_ms=deadline_ms, encode_ms=encode_ms,
+        decode_ms=decode_ms, concealed=concealed,
+    )  # fmt: skip
+    found = deliver(units, stamps_s, link, given, np.random.default_rng(seed))
+    packets, most = found.packets, link.queue.packets
+    assert packets.sent == packets.arrived + packets.lost + packets.dropped
+    assert 0 <= packets.late <= packets.arrived
+    assert min(found.waiting) >= 0
+    assert most is None or max(found.waiting) <= most
+    assert len(found.fates) == len(units) == len(found.waiting)
+    taken_s = (found.handed_s - found.captured_s)[found.handed]
+    assert (taken_s >= link.delay_s + 1e-3 * (encode_ms + decode_ms) - 1e-9).all()
+    assert (taken_s <= given.deadline_s).all()
+    assert (np.diff(found.handed_s[found.handed]) >= 0).all()
+    assert [frame for frame, fate in enumerate(found.fates) if fate in ("on time", "concealed")] == found.handed
+    assert concealed or "concealed" not in found.fates
+    if policy == "fifo":
+        assert "skipped" not in found.fates
+    if transport in ("arq", "reliable") and deadline_ms is None:
+        assert "lost" not in found.fates
+    again = deliver(units, stamps_s, link, given, np.random.default_rng(seed))
+    assert (again.fates, again.packets) == (found.fates, packets)
+    assert again.handed_s.tobytes() == found.handed_s.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({"mtu": 500}, "mtu is about a link; name one"),
+        ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "leaves nothing of mtu 40"),
+        ({"link": "ideal", "queue_policy": "drop_late"}, "needs deadline_ms"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(params: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        LinkSettings(**params)

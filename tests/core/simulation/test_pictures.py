@@ -1,0 +1,91 @@
+"""What a decoder makes of what came: pictures that are whole, made up, or none."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from codecbench_delta.codec import Delta
+
+from codecbench.core.contracts.evaluator import SentPacket
+from codecbench.core.simulation.delivery import deliver
+from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.settings import LinkSettings
+from codecbench.plugins.links.ideal import Ideal
+
+COUNT = 12
+
+
+class Losing(Ideal):
+    """Loses packets by number."""
+
+    lost: tuple[int, ...] = ()
+
+    def open(self, rng: np.random.Generator) -> Any:
+        numbers = iter(range(COUNT))
+        carried = super().open(rng).carry
+
+        def carry(size_bytes: int, start_s: float) -> Any:
+            passage = carried(size_bytes, start_s)
+            return passage._replace(arrives_s=None) if next(numbers) in self.lost else passage
+
+        return SimpleNamespace(carry=carry)
+
+
+def film() -> list[np.ndarray]:
+    rng = np.random.default_rng(3)
+    return [rng.integers(0, 256, (8, 10), dtype=np.uint8) for _ in range(COUNT)]
+
+
+def coded(images: list[np.ndarray], gop: int, hold: int = 0) -> Any:
+    """A stream, of which frames can be asked as they are without any loss."""
+    encoder = Delta.create(gop=gop, hold=hold).encoder(10.0)
+    packets, units = {}, []
+    for given, image in enumerate(images, 1):
+        for packet in encoder.push(image) + (encoder.flush() if given == COUNT else []):
+            packets[packet.frame] = packet.data
+            units.append(SentPacket(packet.frame, len(packet.data), packet.starts, given))
+    frames = {i: SimpleNamespace(bitstream=packets[i], decoded=images[i]) for i in range(COUNT)}
+    return SimpleNamespace(packets=tuple(units), codec=Delta.create(), frame=frames.__getitem__)
+
+
+def received(stream: Any, lost: tuple[int, ...], concealed: bool) -> dict[int, np.ndarray | None]:
+    link = Losing.create()
+    link.lost = lost
+    settings = LinkSettings(link="given", queue_policy="fifo", concealed=concealed)
+    delivery = deliver(stream.packets, np.arange(COUNT) / 10, link, settings, np.random.default_rng(0))
+    pictures = DeliveredPictures(stream, delivery)
+    return {frame: pictures.picture(frame) for frame in delivery.handed}
+
+
+@pytest.mark.parametrize("concealed", [False, True])
+def test_without_loss_every_picture_is_the_one_that_was_sent(concealed: bool) -> None:
+    images = film()
+    found = received(coded(images, 5), (), concealed)
+    assert list(found) == list(range(COUNT))
+    assert all(np.array_equal(found[frame], images[frame]) for frame in found)
+
+
+def test_after_a_loss_pictures_come_back_with_the_next_start() -> None:
+    images = film()
+    found = received(coded(images, 5), (2,), concealed=False)
+    assert list(found) == [0, 1, *range(5, COUNT)]
+    assert all(np.array_equal(found[frame], images[frame]) for frame in found)
+
+
+def test_what_the_decoder_makes_up_is_what_the_reader_gets() -> None:
+    """This codec shows its last whole picture again."""
+    images = film()
+    found = received(coded(images, 5), (2,), concealed=True)
+    assert list(found) == [0, 1, 3, 4, *range(5, COUNT)]
+    for frame, picture in found.items():
+        assert np.array_equal(picture, images[1 if frame in (3, 4) else frame]), frame
+
+
+def test_an_encoder_that_holds_back_loses_and_conceals_the_same() -> None:
+    images = film()
+    found = received(coded(images, 5, hold=3), (2,), concealed=True)
+    assert list(found) == [0, 1, 3, 4, *range(5, COUNT)]
+    assert np.array_equal(found[4], images[1])

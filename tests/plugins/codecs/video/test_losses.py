@@ -1,0 +1,151 @@
+"""Every packet lost in turn; where intra refresh makes pictures whole; damage and headers that ask for too much."""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+from typing import Any
+
+import numpy as np
+import pytest
+from video_pictures import gliding_pictures
+
+pytest.importorskip("av", reason="the extra `video` is not installed")
+
+from codecbench import LOST, BitstreamError, Packet
+from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
+
+CODECS: list[Any] = [H264, Hevc, Av1, Vp9, Mjpeg, Ffv1]
+EVERY_CODEC = pytest.mark.parametrize("codec_class", CODECS, ids=lambda codec_class: codec_class.name)
+FIRST_BYTES_AS_SENT = 11
+
+
+def lose_each_in_turn(codec: Any, packets: list[Packet]) -> dict[str, int]:
+    """Count the states of pictures between a loss and the next start, which must be as in the whole stream."""
+    expected = {picture.frame: picture.image for picture in pictures_of(codec, packets)}
+    found = {"whole": 0, "concealed": 0, "missing": 0}
+    for lost, packet in enumerate(packets):
+        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        assert [picture.frame for picture in pictures] == list(range(len(packets)))
+        restart = min((later.frame for later in packets[lost + 1 :] if later.starts), default=len(packets))
+        for picture in pictures:
+            if picture.state == "whole":
+                assert np.array_equal(picture.image, expected[picture.frame])
+            if picture.frame >= restart:
+                assert picture.state == "whole"
+            elif codec.is_low_delay() and picture.frame > packet.frame:
+                found[picture.state] += 1
+        assert pictures[packet.frame].state != "whole"
+    return found
+
+
+@EVERY_CODEC
+def test_each_packet_of_a_short_stream_may_be_lost(codec_class: Any) -> None:
+    codec = codec_class.create(gop=1 if codec_class is Mjpeg else 5)
+    states = lose_each_in_turn(codec, packets_of(codec, gliding_pictures(12, 48, 64, 3)))
+    assert states["whole"] == 0, "until the next start nothing may be called so"
+    if codec_class is not Mjpeg:
+        assert states["concealed"] + states["missing"] > 0
+
+
+@pytest.mark.thorough
+@EVERY_CODEC
+@pytest.mark.parametrize("latency", ["low", "any"])
+def test_each_packet_of_sixty_frames_may_be_lost(codec_class: Any, latency: Any) -> None:
+    if latency == "any" and codec_class in (Mjpeg, Ffv1):
+        pytest.skip("has no look-ahead")
+    codec = codec_class.create(gop=1 if codec_class is Mjpeg else 15, latency=latency)
+    lose_each_in_turn(codec, packets_of(codec, gliding_pictures(60, 96, 128, 1)))
+
+
+@EVERY_CODEC
+def test_everything_may_be_lost_up_to_a_start(codec_class: Any) -> None:
+    codec = codec_class.create(gop=1 if codec_class is Mjpeg else 4)
+    packets = packets_of(codec, gliding_pictures(10, 48, 64, 1))
+    whole = pictures_of(codec, packets)
+    for gone in range(1, 9):
+        pictures = pictures_of(codec, [LOST] * gone + packets[gone:])
+        restart = min(packet.frame for packet in packets[gone:] if packet.starts)
+        assert [picture.state for picture in pictures] == ["missing"] * restart + ["whole"] * (10 - restart)
+        assert np.array_equal(pictures[-1].image, whole[-1].image)
+
+
+def test_intra_refresh_makes_pictures_whole_without_a_start() -> None:
+    """x264 marks where; from there on every picture is that of the stream without losses."""
+    gop = 10
+    codec = H264.create(intra_refresh=True, gop=gop)
+    packets = packets_of(codec, gliding_pictures(50, 96, 128, 1))
+    assert [packet.frame for packet in packets if packet.starts] == [0]
+    expected = [picture.image for picture in pictures_of(codec, packets)]
+    for lost in range(1, 25):
+        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        states = [picture.state for picture in pictures]
+        healed = states.index("whole", lost)
+        assert set(states[healed:]) == {"whole"}
+        assert healed - lost <= 2 * gop
+        for picture in pictures[healed:]:
+            assert np.array_equal(picture.image, expected[picture.frame])
+
+
+def test_a_decoder_that_joins_an_intra_refreshed_stream_gets_whole_pictures_in_time() -> None:
+    codec = H264.create(intra_refresh=True, gop=10)
+    packets = packets_of(codec, gliding_pictures(40, 96, 128, 1))
+    expected = [picture.image for picture in pictures_of(codec, packets)]
+    pictures = pictures_of(codec, packets[13:])
+    states = {picture.frame: picture.state for picture in pictures}
+    first = min(frame for frame, state in states.items() if state == "whole")
+    assert 20 < first <= 30
+    assert {state for frame, state in states.items() if frame >= first} == {"whole"}
+    assert all(np.array_equal(shown.image, expected[shown.frame]) for shown in pictures if shown.frame >= first)
+
+
+def test_x265_refreshes_without_saying_where_so_nothing_is_called_whole() -> None:
+    codec = Hevc.create(intra_refresh=True, gop=6)
+    packets = packets_of(codec, gliding_pictures(24, 96, 128, 1))
+    pictures = pictures_of(codec, [packets[0], LOST, *packets[2:]])
+    assert {picture.state for picture in pictures[1:]} <= {"concealed", "missing"}
+
+
+@EVERY_CODEC
+def test_bytes_that_a_decoder_cannot_read_are_refused_and_the_next_start_is_whole(codec_class: Any) -> None:
+    codec = codec_class.create(gop=1 if codec_class is Mjpeg else 4)
+    packets = packets_of(codec, gliding_pictures(8, 48, 64, 1))
+    expected = pictures_of(codec, packets)
+    decoder = codec.decoder()
+    with pytest.raises(BitstreamError):
+        decoder.push(dataclasses.replace(packets[0], data=packets[0].data[:FIRST_BYTES_AS_SENT] + bytes(60)))
+    pictures = [picture for packet in packets[1:] for picture in decoder.push(packet)]
+    assert [picture.frame for picture in pictures] == list(range(1, 8))
+    assert [picture.state for picture in pictures[3:]] == ["whole"] * 4
+    assert all(np.array_equal(left.image, right.image) for left, right in zip(pictures[3:], expected[4:], strict=True))
+
+
+@EVERY_CODEC
+def test_streams_of_the_others_are_refused(codec_class: Any) -> None:
+    pictures = gliding_pictures(2, 48, 64, 1)
+    for other in CODECS:
+        if other is not codec_class:
+            with pytest.raises(BitstreamError, match="not the start of a stream of this codec"):
+                codec_class.create().decoder().push(packets_of(other.create(), pictures)[0])
+
+
+@EVERY_CODEC
+def test_a_header_that_asks_for_too_much_is_refused_before_memory_is_taken(codec_class: Any) -> None:
+    (packet, *_) = packets_of(codec_class.create(), gliding_pictures(2, 48, 64, 1))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for width, height in ((0xFFFF, 0xFFFF), (0, 5), (0xFFFF, 2000)):
+        sizes = width.to_bytes(2, "little") + height.to_bytes(2, "little")
+        with pytest.raises(BitstreamError):
+            codec_class.create().decoder().push(
+                dataclasses.replace(packet, data=packet.data[:5] + sizes + packet.data[9:])
+            )
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
+def test_a_stream_larger_than_its_header_says_is_refused() -> None:
+    """The header tells 64x48; the sequence behind it is of 640x480."""
+    small, large = (packets_of(H264.create(), gliding_pictures(1, *size, 1))[0] for size in ((48, 64), (480, 640)))
+    forged = small.data[:FIRST_BYTES_AS_SENT] + large.data[FIRST_BYTES_AS_SENT:]
+    with pytest.raises(BitstreamError):
+        H264.create().decoder().push(dataclasses.replace(small, data=forged))

@@ -1,0 +1,226 @@
+"""Samples of every encoding become the pictures that they were made of."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from bag_files import BagWriter, picture, time_ns
+
+from codecbench.core.contracts.errors import DatasetError
+from codecbench.plugins.datasets.bag.dataset import Bag
+
+RGB = picture(1, (24, 32, 3))
+GRAY = picture(2, (24, 32))
+ALPHA = np.full((24, 32, 1), 7, np.uint8)
+DEEP = np.random.default_rng(3).integers(0, 1 << 16, (24, 32), dtype=np.uint16)
+DEEP_RGB = np.random.default_rng(4).integers(0, 1 << 16, (24, 32, 3), dtype=np.uint16)
+FLAT = np.tile(np.array([200, 90, 30], np.uint8), (24, 32, 1))
+BAYER = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "gbrg": (1, 2, 0, 1), "grbg": (1, 0, 2, 1)}
+
+
+def opened(tmp_path, make, **values):
+    path = tmp_path / "a.bag"
+    path.unlink(missing_ok=True)
+    with BagWriter(path, "bag") as bag:
+        bag.write("/image", make(bag), time_ns(0))
+    return Bag.create(path=path, **values).open()
+
+
+def error(tmp_path, make, **values):
+    with pytest.raises(DatasetError) as caught:
+        opened(tmp_path, make, **values)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize(
+    ("encoding", "samples", "expected"),
+    [
+        ("mono8", GRAY, GRAY),
+        ("8UC1", GRAY, GRAY),
+        ("rgb8", RGB, RGB),
+        ("bgr8", RGB[:, :, ::-1], RGB),
+        ("8UC3", RGB[:, :, ::-1], RGB),
+        ("rgba8", np.concatenate([RGB, ALPHA], axis=2), RGB),
+        ("bgra8", np.concatenate([RGB[:, :, ::-1], ALPHA], axis=2), RGB),
+    ],
+)
+def test_eight_bits_are_kept(tmp_path, encoding, samples, expected, padding):
+    sequence = opened(tmp_path, lambda bag: bag.image(samples, encoding, time_ns(0), padding))
+    np.testing.assert_array_equal(sequence.read(0).image, expected)
+    assert len(sequence.notes) == 2  # the topic, and that there is no camera
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(("encoding", "samples"), [("mono16", DEEP), ("16UC1", DEEP), ("rgb16", DEEP_RGB)])
+def test_sixteen_bits_become_their_upper_eight(tmp_path, encoding, samples, big):
+    sequence = opened(tmp_path, lambda bag: bag.image(samples, encoding, time_ns(0), 2, big))
+    np.testing.assert_array_equal(sequence.read(0).image, samples // 256)
+    assert sequence.notes[1].startswith("samples of 16 bits become 8 by their bits 8 to 15 (`bits: 16`); the largest")
+
+
+def test_samples_of_twelve_bits_become_the_upper_eight_of_these(tmp_path):
+    samples = DEEP // 16
+    samples[0, 0], samples[0, 1] = 4095, 5000
+    sequence = opened(tmp_path, lambda bag: bag.image(samples, "mono16", time_ns(0)), bits=12)
+    expected = samples // 16
+    expected[0, 1] = 255
+    np.testing.assert_array_equal(sequence.read(0).image, expected)
+    samples[0, 1] = 7
+    sequence = opened(tmp_path, lambda bag: bag.image(samples, "mono16", time_ns(0)))
+    assert "the largest of the first frame is 4095, for which `bits: 12` would do" in sequence.notes[1]
+
+
+def mosaic(image, order):
+    samples = np.empty(image.shape[:2], image.dtype)
+    for place, channel in enumerate(BAYER[order]):
+        row, column = divmod(place, 2)
+        samples[row::2, column::2] = image[row::2, column::2, channel]
+    return samples
+
+
+def interpolated(samples, order):
+    """Each channel's own samples, and between them the mean of the nearest (1-2-1 across and down)."""
+    kernel = np.outer([1, 2, 1], [1, 2, 1]) / 4
+    made = []
+    for channel in range(3):
+        known = np.zeros(samples.shape)
+        for place, of in enumerate(BAYER[order]):
+            row, column = divmod(place, 2)
+            known[row::2, column::2] = of == channel
+        total = cv2.filter2D(samples * known, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+        weight = cv2.filter2D(known, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+        made.append(np.where(known, samples, total / weight))
+    return np.stack(made, axis=2)
+
+
+@pytest.mark.parametrize("order", BAYER)
+def test_bayer_pictures_are_interpolated_bilinearly(tmp_path, order):
+    samples = mosaic(picture(5), order)
+    sequence = opened(tmp_path, lambda bag: bag.image(samples, f"bayer_{order}8", time_ns(0)))
+    image = sequence.read(0).image
+    assert sequence.channels == 3
+    inner = (slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(image[inner], interpolated(samples, order)[inner], atol=1.01)
+    assert f"bayer_{order}8 becomes RGB by bilinear interpolation (OpenCV)" in sequence.notes
+    deep = opened(tmp_path, lambda bag: bag.image(samples.astype(np.uint16) * 256, f"bayer_{order}16", time_ns(0)))
+    np.testing.assert_array_equal(deep.read(0).image, image)
+
+
+@pytest.mark.parametrize("order", BAYER)
+def test_a_flat_colour_survives_its_mosaic(tmp_path, order):
+    sequence = opened(tmp_path, lambda bag: bag.image(mosaic(FLAT, order), f"bayer_{order}8", time_ns(0)))
+    np.testing.assert_array_equal(sequence.read(0).image, FLAT)
+
+
+@pytest.mark.parametrize(("encoding", "place"), [("yuv422", 1), ("yuv422_yuy2", 0)])
+def test_yuv_with_halved_chroma(tmp_path, encoding, place):
+    samples = np.full((24, 32, 2), 128, np.uint8)
+    luma = picture(6, (24, 32)) // 2 + 60
+    samples[:, :, place] = luma
+    image = opened(tmp_path, lambda bag: bag.image(samples, encoding, time_ns(0))).read(0).image
+    expected = np.clip((luma.astype(float) - 16) * 255 / 219, 0, 255)
+    np.testing.assert_allclose(image, np.repeat(expected[:, :, None], 3, axis=2), atol=1)
+
+
+def test_an_encoding_that_is_not_read_lists_those_that_are(tmp_path):
+    said = error(tmp_path, lambda bag: bag.image(np.zeros((4, 4), np.float32), "32FC1", time_ns(0)))
+    assert "/image[0]: encoding '32FC1' is not read; these are: 16UC1, " in said
+
+
+@pytest.mark.parametrize("wrong", [{"width": 33}, {"height": 25}, {"step": 5}, {"width": 1 << 31}, {"height": 0}])
+def test_sizes_that_do_not_fit_the_data_are_refused(tmp_path, wrong):
+    def make(bag):
+        message = bag.image(RGB, "rgb8", time_ns(0))
+        for name, value in wrong.items():
+            setattr(message, name, value)
+        return message
+
+    assert "does not fit 2304 bytes" in error(tmp_path, make)
+
+
+def test_a_single_row_may_claim_any_step(tmp_path):
+    def make(bag):
+        message = bag.image(RGB[:1], "rgb8", time_ns(0))
+        message.step = (1 << 32) - 1
+        return message
+
+    np.testing.assert_array_equal(opened(tmp_path, make).read(0).image, RGB[:1])
+
+
+def encoded(image, extension, *options):
+    done, content = cv2.imencode(extension, image if image.ndim == 2 else image[:, :, ::-1], options)
+    assert done
+    return content.tobytes()
+
+
+@pytest.mark.parametrize("quality", [5, 30, 75, 95])
+def test_jpeg_pictures_are_decoded_and_their_quality_is_said(tmp_path, quality):
+    content = encoded(RGB, ".jpg", cv2.IMWRITE_JPEG_QUALITY, quality)
+    sequence = opened(tmp_path, lambda bag: bag.compressed_image(content, "rgb8; jpeg compressed bgr8", time_ns(0)))
+    expected = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    np.testing.assert_array_equal(sequence.read(0).image, expected)
+    assert sequence.notes[1] == (
+        "THE FRAMES ARE ALREADY CODED: the topic holds rgb8; jpeg compressed bgr8 pictures, "
+        f"JPEG of quality {quality} (libjpeg's table); `raw` is what that left, "
+        "and every codec is compared with it, not with what the camera saw"
+    )
+
+
+def test_gray_jpeg_pictures_stay_gray(tmp_path):
+    content = encoded(GRAY, ".jpg")
+    sequence = opened(tmp_path, lambda bag: bag.compressed_image(content, "mono8; jpeg compressed ", time_ns(0)))
+    assert (sequence.channels, sequence.read(0).image.shape) == (1, (24, 32))
+
+
+def test_png_pictures_lose_nothing(tmp_path):
+    for image in (RGB, GRAY):
+        content = encoded(image, ".png")
+        sequence = opened(tmp_path, lambda bag, c=content: bag.compressed_image(c, "png", time_ns(0)))
+        np.testing.assert_array_equal(sequence.read(0).image, image)
+        assert "the frames were recorded as PNG, which loses nothing" in sequence.notes
+
+
+def test_png_pictures_of_16_bits_and_of_a_mosaic(tmp_path):
+    content = encoded(DEEP, ".png")
+    sequence = opened(tmp_path, lambda bag: bag.compressed_image(content, "mono16; png compressed ", time_ns(0)))
+    np.testing.assert_array_equal(sequence.read(0).image, DEEP // 256)
+    flat = encoded(mosaic(FLAT, "grbg"), ".png")
+    sequence = opened(tmp_path, lambda bag: bag.compressed_image(flat, "bayer_grbg8; png compressed ", time_ns(0)))
+    np.testing.assert_array_equal(sequence.read(0).image, FLAT)
+
+
+def png_of_size(width, height):
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("content", "format_", "words"),
+    [
+        (b"", "jpeg", "holds no picture that can be decoded"),
+        (b"\xff\xd8\xff nothing", "jpeg", "holds no picture that can be decoded"),
+        (encoded(RGB, ".jpg")[:-300], "jpeg", "the JPEG picture is cut short"),
+        (png_of_size(20_000, 8_000), "png", "says that it is 20000x8000; at most 67108864 pixels are read"),
+        (png_of_size(200_000, 80_000), "png", "holds no picture that can be decoded"),
+        (encoded(DEEP, ".png"), "16UC1; compressedDepth png", "holds depths, not a picture"),
+    ],
+)
+def test_compressed_pictures_that_cannot_be_read(tmp_path, content, format_, words):
+    assert words in error(tmp_path, lambda bag: bag.compressed_image(content, format_, time_ns(0)))
+
+
+def test_a_frame_of_another_size_is_an_error_of_that_frame(tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path, "bag") as bag:
+        bag.write("/image", bag.image(RGB, "rgb8", time_ns(0)), time_ns(0))
+        bag.write("/image", bag.image(RGB[:20], "rgb8", time_ns(1)), time_ns(1))
+    with pytest.raises(DatasetError, match=r"/image\[1\]: is 32x20 with 3, the first frame 32x24 with 3 channel"):
+        Bag.create(path=path).open().read(1)

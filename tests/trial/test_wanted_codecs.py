@@ -1,0 +1,61 @@
+"""Settings of codecs as they are written on a command line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from codecbench.core.contracts.errors import ParamsError, PluginError
+from codecbench.core.engine.registry import installed
+from codecbench.trial.wanted_codecs import read_codec
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("raw", {}),
+        ("jpeg:10", {"quality": [10]}),
+        ("jpeg:10|20|75", {"quality": [10, 20, 75]}),
+        ("jpeg:60..80", {"quality": [60, 65, 70, 75, 80]}),
+        ("jpeg:60..80/3", {"quality": [60, 70, 80]}),
+        ("jpeg:quality=5..80/5,subsampling=444", {"quality": [5, 10, 20, 40, 80], "subsampling": ["444"]}),
+        ("jpeg2000:8..128/5", {"ratio": [8, 16, 32, 64, 128]}),
+        ("jpegxl:0.5..4/4", {"distance": [0.5, 1.0, 2.0, 4.0]}),
+        ("multilevel:5|20,levels=2", {"qf": [5, 20], "levels": [2]}),
+        ("jpeg:optimize=true", {"optimize": [True]}),
+    ],
+)
+def test_what_is_asked_for(text: str, values: dict[str, Any]) -> None:
+    wanted = read_codec(installed(), text)
+    assert (wanted.name, wanted.values) == (text.partition(":")[0], values)
+
+
+def test_the_settings_are_counted() -> None:
+    assert len(read_codec(installed(), "jpeg:5|10|20,subsampling=444|420")) == 6
+    assert len(read_codec(installed(), "raw")) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("jpeg:", None),
+        ("jpeg:,", "is not understood; write NAME"),
+        ("jpeg:quality=", "is not understood"),
+        ("jpeg:5,10", "is not understood"),
+        ("jpeg:5..90/1", "1 steps; 2 to 100"),
+        ("jpeg:1.2.3..9", "is no range"),
+        ("raw:5", "no parameter that is a number"),
+    ],
+)
+def test_other_spellings_are_answered_with_the_right_one(text: str, words: str | None) -> None:
+    if words is None:
+        assert read_codec(installed(), text).values == {}
+        return
+    with pytest.raises(ParamsError, match=words):
+        read_codec(installed(), text)
+
+
+def test_an_unknown_codec_is_answered_with_the_nearest() -> None:
+    with pytest.raises(PluginError, match="did you mean 'jpeg'"):
+        read_codec(installed(), "jpg:5..90")
