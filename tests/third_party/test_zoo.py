@@ -81,7 +81,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         picture = cv2.GaussianBlur(rng.integers(0, 256, (96, 128), np.uint8), (9, 9), 2)
         cv2.imwrite(str(folder / "pictures" / f"{index}.png"), picture)
     (folder / "camera.yaml").write_text("width: 128\nheight: 96\nfx: 100\nfy: 100\ncx: 64\ncy: 48\n")
-    (folder / "thesis.tmp").write_text("years of work")
+    (folder / "temporary").mkdir()
+    for path in (folder, folder / "temporary"):
+        (path / "thesis.tmp").write_text("years of work")
     yield folder
     for process in left_behind(folder):
         process.kill()
@@ -90,6 +92,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def call(place: Path, *words: str, site: str = "", **variables: str) -> subprocess.CompletedProcess[str]:
     """A command in a process of its own, where the distributions of a site are installed."""
     environment = {**os.environ, "COLUMNS": "400", "CODECBENCH_PLUGIN_TIMEOUT_S": "6", **variables}
+    environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(place / "temporary"))
     environment["ZOO_PLACE"] = str(place)
     if site:
         environment["PYTHONPATH"] = str(place / site)
@@ -196,10 +199,6 @@ def test_a_plugin_costs_its_own_rows(beside: dict[str, Rows], name: str, case: C
         assert case.title in reason
 
 
-def test_files_of_the_user_are_there(place: Path, done: dict[str, Any]) -> None:
-    assert (place / "thesis.tmp").read_text() == "years of work"
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_tables_are_made(place: Path, done: dict[str, Any], name: str) -> None:
     table = call(place, "table", f"runs/{name}", "--all", site="zoo")
@@ -255,6 +254,12 @@ def test_doors_change_no_row(place: Path, alone: Rows) -> None:
     assert opened.returncode == 0
     assert "left out: door-exits 1" in opened.stderr
     assert rows(place, "doors") == alone
+
+
+def test_files_of_the_user_are_there(place: Path, done: dict[str, Any]) -> None:
+    """By now tables, reports and listings were made, too."""
+    for path in (place, place / "temporary"):
+        assert (path / "thesis.tmp").read_text() == "years of work"
 
 
 def test_no_process_is_left(place: Path, done: dict[str, Any], listed: Any) -> None:

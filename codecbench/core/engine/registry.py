@@ -13,6 +13,7 @@ import importlib
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from importlib.metadata import EntryPoint
 from types import ModuleType
@@ -21,7 +22,6 @@ from typing import Any
 import pluggy
 
 from codecbench.core.contracts import hooks
-from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
@@ -36,11 +36,10 @@ from codecbench.core.engine.hosting.host import (
 )
 from codecbench.core.engine.loading import load_class
 from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, plugins_told, spoken
-from codecbench.core.engine.scouting import is_single_threaded
+from codecbench.core.engine.scouting import Scout
 
 _MOST_PLUGINS = 1000
 """Of one kind from one hook."""
-_SCOUTED = ("codecbench.core.engine.serving", "scouted")
 _MOST_LOSSES = 3
 """A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
 
@@ -59,13 +58,12 @@ class Registry:
         self._losses: Counter[tuple[str, ...]] = Counter()
         self._given_up: dict[tuple[str, ...], str] = {}
         self._hosts: dict[tuple[str, ...], PluginHost] = {}
-        scout = None if is_single_threaded() and not wanted() else PluginHost(())
-        if hosted and scout is not None:
-            scout.start()  # it gets ready while our own plugins are imported
-        for point in sorted(points, key=own_first):
-            self._admit(point)
-        if hosted:
-            self._admit_hosted(scout, hosted)
+        with ExitStack() as stack:
+            scout = stack.enter_context(Scout(hosted, limit_s())) if hosted else None
+            for point in sorted(points, key=own_first):
+                self._admit(point)  # while the scout is at work
+            if scout is not None:
+                self._admit_hosted(scout, hosted)
 
     def plugins(self, kind: Kind) -> list[Plugin]:
         """Plugins of a kind in the order in which they were offered."""
@@ -143,19 +141,12 @@ class Registry:
                 self._given_up[titles] = message
             raise PluginFault(" ".join(message.split())) from fault
 
-    def _admit_hosted(self, scout: PluginHost | None, hosted: Sequence[str]) -> None:
-        """Take what distributions offer as children tell it, of the scout or, where that is safe, of this process."""
+    def _admit_hosted(self, scout: Scout, hosted: Sequence[str]) -> None:
+        """Take what distributions offer as the scout tells it."""
         try:
-            if scout is None:
-                function = getattr(importlib.import_module(_SCOUTED[0]), _SCOUTED[1])  # it imports this module
-                answers = function(self, hosted, limit_s())
-            else:
-                answers = scout.ask(":".join(_SCOUTED), (hosted, limit_s()), ours=False, times=2)
+            answers = scout.answers()
         except CodecbenchError as error:
             answers = {origin: {"text": str(error)} for origin in hosted}
-        finally:
-            if scout is not None:
-                scout.end()
         for origin in hosted:
             try:
                 plugins, problems = plugins_told(origin, answers.get(origin, {}))

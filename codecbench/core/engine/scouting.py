@@ -1,26 +1,36 @@
 """Questions to several companies at once: a child is forked for each, so that none can harm another's answer.
 
-Whoever forks has imported nothing of theirs and has one thread, so forking is safe; it costs no second interpreter.
+Whoever forks has imported nothing of theirs and has one thread, so forking is safe; it costs no second interpreter. The
+program itself forks one child, the scout, which forks the others.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
+import math
 import os
 import select
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from codecbench.core.contracts.confinement import wanted
+from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.foreign_errors import ended
-from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, cache_variable
+from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, MARGIN_S, PluginHost, cache_variable
 
+_SERVING: Final = "codecbench.core.engine.serving"
 _POLL_S: Final = 0.05
+_SCOUT_TIMES: Final = 3
+"""A scout may ask twice, and needs some time itself."""
+_GRACE_S: Final = 2.0
+"""A scout that has to go gets so long to end its children."""
 _MOST_DESCRIPTORS: Final = 1024
 
 
@@ -43,18 +53,68 @@ class _Child:
                 self.status = os.waitstatus_to_exitcode(status)
 
 
+class Scout:
+    """Finds out what distributions offer while this process goes on: a child where forking is safe, or else a host.
+
+    A context manager, which leaves nobody behind.
+    """
+
+    def __init__(self, companies: Sequence[str], limit_s: float) -> None:
+        self._arguments = (list(companies), limit_s)
+        self._limit_s = _SCOUT_TIMES * limit_s
+        self._host: PluginHost | None = None
+        if wanted() or not is_single_threaded():
+            self._host = PluginHost(())
+            self._host.start()
+        else:
+            self._folder = _folder()
+            self._child = _forked(self._scouted, self._folder.name, self._limit_s)
+
+    def answers(self) -> dict[str, Any]:
+        """What each distribution offers, or `error` and `text`; call it once. Raises PluginError where it fails."""
+        if self._host is not None:
+            return dict(self._host.ask(f"{_SERVING}:scouted", self._arguments, ours=False, times=_SCOUT_TIMES))
+        _wait([self._child], time.monotonic() + self._limit_s)
+        answer = _answered(self._child, self._limit_s)
+        if "value" not in answer:
+            raise PluginError(str(answer.get("text")))
+        return dict(answer["value"])
+
+    def __enter__(self) -> Scout:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._host is not None:
+            self._host.end()
+            return
+        deadline = time.monotonic() + _GRACE_S
+        while not self._child.done and self._child.status is None and time.monotonic() < deadline:
+            os.kill(self._child.pid, signal.SIGTERM)
+            time.sleep(_POLL_S)
+            self._child.reap()
+        _end(self._child)
+        self._folder.cleanup()
+
+    def _scouted(self) -> bytes:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # which ends its children on the way
+        return bytes(importlib.import_module(_SERVING).scouted_line(*self._arguments))
+
+
 def answers_of_children(questions: dict[str, Callable[[], bytes]], limit_s: float) -> dict[str, dict[str, Any]]:
     """Each question's answer, a line of JSON, made in a child of its own; `error` and `text` where there is none.
 
     All children run at once, for at most `limit_s`, in a folder of their own, and none is left.
     """
-    with tempfile.TemporaryDirectory(prefix="codecbench-host-", ignore_cleanup_errors=True) as folder:
-        children = {name: _forked(question, folder) for name, question in questions.items()}
+    with _folder() as folder:
+        children: dict[str, _Child] = {}
         try:
+            for name, question in questions.items():
+                children[name] = _forked(question, folder, limit_s)
             _wait(list(children.values()), time.monotonic() + limit_s)
         finally:
-            answers = {name: _ended(child, limit_s) for name, child in children.items()}
-    return answers
+            for child in children.values():
+                _end(child)
+    return {name: _answered(child, limit_s) for name, child in children.items()}
 
 
 def is_single_threaded() -> bool:
@@ -63,6 +123,10 @@ def is_single_threaded() -> bool:
         return len(os.listdir("/proc/self/task")) == 1
     except OSError:
         return False
+
+
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="codecbench-host-", ignore_cleanup_errors=True)
 
 
 def _wait(waiting: list[_Child], deadline: float) -> None:
@@ -78,7 +142,7 @@ def _wait(waiting: list[_Child], deadline: float) -> None:
         waiting = [child for child in waiting if not child.done]
 
 
-def _forked(question: Callable[[], bytes], folder: str) -> _Child:
+def _forked(question: Callable[[], bytes], folder: str, limit_s: float) -> _Child:
     reading, writing = os.pipe()
     pid = os.fork()
     if pid:
@@ -86,6 +150,8 @@ def _forked(question: Callable[[], bytes], folder: str) -> _Child:
         return _Child(pid, reading)
     with suppress(BaseException):
         os.setsid()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.alarm(math.ceil(limit_s) + MARGIN_S)
         os.closerange(3, writing)
         os.closerange(writing + 1, _MOST_DESCRIPTORS)
         _settle(folder)
@@ -102,11 +168,11 @@ def _settle(folder: str) -> None:
         os.dup2(nothing, descriptor)
     sys.path[:] = [os.path.abspath(path) for path in sys.path]
     os.environ.update(cache_variable(), TMPDIR=folder, **{HOSTED_VARIABLE: "1"})
-    tempfile.tempdir = None
+    tempfile.tempdir = folder
     os.chdir(folder)
 
 
-def _ended(child: _Child, limit_s: float) -> dict[str, Any]:
+def _end(child: _Child) -> None:
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(child.pid, signal.SIGKILL)
     with suppress(ProcessLookupError, PermissionError):
@@ -114,6 +180,9 @@ def _ended(child: _Child, limit_s: float) -> dict[str, Any]:
     with suppress(ChildProcessError):
         os.waitpid(child.pid, 0)
     os.close(child.pipe)
+
+
+def _answered(child: _Child, limit_s: float) -> dict[str, Any]:
     with suppress(ValueError):
         answer = json.loads(child.content)
         if isinstance(answer, dict):

@@ -98,6 +98,33 @@ def test_a_bad_distribution_is_reported_and_the_rest_works(tmp_path: Path, sourc
     assert next(row for row in rows["codecs"] if row["name"] == "raw")["distribution"].startswith("codecbench ")
 
 
+@pytest.mark.parametrize(
+    ("imports", "times"),
+    [
+        ("", 1),
+        ("import numpy, cv2, pydantic", 2),
+        ("try:\n    import numpy\nexcept:\n    numpy = None\nassert numpy is not None", 2),
+        ("try:\n    import numpy\nexcept Exception:\n    numpy = None\nassert numpy is not None", 2),
+        ("import sys\nimport numpy\nsys.modules.pop('numpy')\nimport numpy.linalg", 2),
+    ],
+)
+def test_a_plugin_that_imports_a_shared_package_is_asked_again(tmp_path: Path, imports: str, times: int) -> None:
+    log = tmp_path / "imported"
+    told = f"import os\nopen({str(log)!r}, 'a').write(os.environ.get('OPENBLAS_NUM_THREADS', 'as it was') + '\\n')\n"
+    install_source(tmp_path, "mine", "1", told + imports + hook_module())
+    install_posterize(tmp_path)
+    rows = listed(tmp_path)
+    assert rows["problems"] == []
+    assert {"mine", "posterize"} <= set(names(rows["codecs"]))
+    assert log.read_text().splitlines() == ["as it was"] * times
+
+
+def test_a_plugin_is_forked_where_no_other_thread_runs(tmp_path: Path) -> None:
+    source = "import os\nimport cv2\nassert len(os.listdir('/proc/self/task')) == 1, os.listdir('/proc/self/task')\n"
+    install_source(tmp_path, "mine", "1", source + hook_module())
+    assert listed(tmp_path)["problems"] == []
+
+
 def test_a_plugin_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     install_source(tmp_path, "needy", "1", hook_module(requires=("nothing_of_this_name",), extra="needy[all]"))
     row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -13,6 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from distributions import install_source
 
 from codecbench.core.engine.scouting import answers_of_children, is_single_threaded
 
@@ -84,6 +87,30 @@ def test_a_child_that_hangs_is_ended_with_its_children() -> None:
     time.sleep(0.1)
     left = [child for child in psutil.Process().children(recursive=True) if child.status() != psutil.STATUS_ZOMBIE]
     assert not [child for child in left if child.cmdline() == psutil.Process().cmdline()]
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_a_listing_leaves_nobody_behind(tmp_path: Path, interrupted: bool) -> None:
+    begun, mark = tmp_path / "begun", f"hanging-{tmp_path.name}"
+    source = f"import os, time\nopen({str(begun)!r}, 'w').close()\nos.fork()\ntime.sleep(3600)\n"
+    install_source(tmp_path, "hanging", "1", source)
+    limit = "60" if interrupted else "0.5"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "MARK": mark, "CODECBENCH_PLUGIN_TIMEOUT_S": limit}
+    command = [sys.executable, "-m", "codecbench", "list"]
+    program = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not begun.exists() and program.poll() is None:
+        time.sleep(0.02)
+    if interrupted:
+        program.send_signal(signal.SIGINT)
+    _, said = program.communicate(timeout=20)
+    assert program.returncode == (130 if interrupted else 0), said
+    assert ("hanging 1" in said and "no answer within 0.5 s" in said) is not interrupted
+    time.sleep(0.1)
+    assert [process.pid for process in psutil.process_iter(["environ"]) if has_mark(process, mark)] == []
+
+
+def has_mark(process: psutil.Process, mark: str) -> bool:
+    return (process.info["environ"] or {}).get("MARK") == mark and process.status() != psutil.STATUS_ZOMBIE
 
 
 def test_what_is_no_answer_is_none() -> None:
