@@ -24,6 +24,24 @@ STREAMS: Final = {
 }
 
 
+JOINING: Final = {
+    "kbit/s": STREAMS["kbit/s"],
+    "PSNR dB": STREAMS["PSNR dB"],
+    "largest frame, bytes": Column("stream.largest_frame_bytes.mean"),
+    "joining, frames": Column("stream.joining_frames.mean"),
+    "worst, frames": Column("stream.joining_worst_frames.mean"),
+}
+
+
+def joining(run: RunResult, heads: Heads) -> Iterator[str]:
+    """How long a receiver waits for whole pictures, and at what price."""
+    (sequence,) = run.plan.sequences
+    yield f"{sequence.frames} frames at 30 Hz, joined at twenty of the first half:\n"
+    shown = {**STREAMS, **JOINING}
+    rows = rows_of(run, sequence.name)
+    yield table(heads, [[row[head] if head in SETTING else shown[head].shown(row) for head in heads] for row in rows])
+
+
 def every_setting(run: RunResult, heads: Heads) -> Iterator[str]:
     """Rate, quality and tasks of every setting."""
     (sequence,) = run.plan.sequences

@@ -67,6 +67,9 @@ BLOCKS = {
         "docs/video.md", "run", "video",
         ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
     ),
+    "streams-joining": Block(
+        "docs/video.md", "run", "joining", ("codec", "setting", *stream_tables.JOINING), stream_tables.joining
+    ),
     "real": Block("docs/real.md", "run", "real", BESIDE, run_tables.beside_photographs),
     "sequences": Block("docs/real.md", "run", "real", CODING, run_tables.every_sequence),
     "rates-beside-jpeg": Block(
