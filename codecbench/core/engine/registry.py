@@ -145,8 +145,8 @@ class Registry:
         """Take what distributions offer as the scout tells it."""
         try:
             answers = scout.answers()
-        except CodecbenchError as error:
-            answers = {origin: {"text": str(error)} for origin in hosted}
+        except CodecbenchError:  # one of them may have ended it, which is to cost no other
+            answers = {origin: _offer_alone(origin) for origin in hosted}
         for origin in hosted:
             try:
                 plugins, problems = plugins_told(origin, answers.get(origin, {}))
@@ -260,6 +260,15 @@ def offered(registry: Registry) -> dict[str, Any]:
         ],
         "problems": [asdict(problem) for problem in registry.problems],
     }
+
+
+def _offer_alone(origin: str) -> dict[str, Any]:
+    """What a distribution offers as a scout of its own tells it, or `text`: why it does not."""
+    try:
+        with Scout([origin], limit_s()) as scout:
+            return dict(scout.answers()[origin])
+    except CodecbenchError as error:
+        return {"text": str(error)}
 
 
 def _hook_names(module: ModuleType) -> set[str]:

@@ -6,9 +6,9 @@ program itself forks one child, the scout, which forks the others.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
-import math
 import os
 import select
 import signal
@@ -23,9 +23,10 @@ from typing import Any, Final
 from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.foreign_errors import ended
-from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, MARGIN_S, PluginHost, cache_variable
+from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, PluginHost, cache_variable
 
 _SERVING: Final = "codecbench.core.engine.serving"
+_PR_SET_PDEATHSIG: Final = 1
 _POLL_S: Final = 0.05
 _SCOUT_TIMES: Final = 3
 """A scout may ask twice, and needs some time itself."""
@@ -68,7 +69,7 @@ class Scout:
             self._host.start()
         else:
             self._folder = _folder()
-            self._child = _forked(self._scouted, self._folder.name, self._limit_s)
+            self._child = _forked(self._scouted, self._folder.name)
 
     def answers(self) -> dict[str, Any]:
         """What each distribution offers, or `error` and `text`; call it once. Raises PluginError where it fails."""
@@ -109,7 +110,7 @@ def answers_of_children(questions: dict[str, Callable[[], bytes]], limit_s: floa
         children: dict[str, _Child] = {}
         try:
             for name, question in questions.items():
-                children[name] = _forked(question, folder, limit_s)
+                children[name] = _forked(question, folder)
             _wait(list(children.values()), time.monotonic() + limit_s)
         finally:
             for child in children.values():
@@ -142,8 +143,9 @@ def _wait(waiting: list[_Child], deadline: float) -> None:
         waiting = [child for child in waiting if not child.done]
 
 
-def _forked(question: Callable[[], bytes], folder: str, limit_s: float) -> _Child:
+def _forked(question: Callable[[], bytes], folder: str) -> _Child:
     reading, writing = os.pipe()
+    asker = os.getpid()
     pid = os.fork()
     if pid:
         os.close(writing)
@@ -151,7 +153,7 @@ def _forked(question: Callable[[], bytes], folder: str, limit_s: float) -> _Chil
     with suppress(BaseException):
         os.setsid()
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        signal.alarm(math.ceil(limit_s) + MARGIN_S)
+        _die_with_parent(asker)
         os.closerange(3, writing)
         os.closerange(writing + 1, _MOST_DESCRIPTORS)
         _settle(folder)
@@ -159,6 +161,13 @@ def _forked(question: Callable[[], bytes], folder: str, limit_s: float) -> _Chil
         while content:
             content = content[os.write(writing, content) :]
     os._exit(0)
+
+
+def _die_with_parent(parent: int) -> None:
+    """End this process when the one that asks it ends."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(0)
 
 
 def _settle(folder: str) -> None:

@@ -54,6 +54,11 @@ def worker_context(*modules: str) -> BaseContext:
         return _Spawned()
 
 
+def server_pid() -> int | None:
+    """The process that forks workers; None where there is none, or nobody says."""
+    return getattr(getattr(multiprocessing.forkserver, "_forkserver", None), "_forkserver_pid", None)
+
+
 class _ForkedProcess(ForkServerProcess):
     def start(self) -> None:
         with hidden_main(), _deaf():  # also where the server is gone, and started anew for it

@@ -27,7 +27,7 @@ from pebble import ProcessExpired, ProcessPool
 from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.confined_context import ConfinedContext
-from codecbench.plugins.executors.fork_server import Surroundings, worker_context
+from codecbench.plugins.executors.fork_server import Surroundings, server_pid, worker_context
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform, private_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 
@@ -37,6 +37,9 @@ _START_S: Final = 180.0
 _GRACE_S: Final = 0.5
 """After a time-out, for the worker to write down where it was."""
 _LAUNCHES: Final = 3
+_UNKNOWN: Final = 255
+"""What multiprocessing takes for the exit status of a process where nobody is left to tell it."""
+_LOST: Final = "its worker was lost with the process that starts workers, which some plugin or the system ended"
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
 _PARKED: Final = 3
@@ -59,6 +62,7 @@ class _Slot:
     pid: int = 0
     baseline_mb: float = 0.0
     gone_since: float | None = None
+    server: int | None = None
     launches: int = field(default=0)
 
 
@@ -155,7 +159,7 @@ class WorkerPool:
             future = Future()
             future.set_exception(error)
             self._discard(slot)
-        slot.future = future
+        slot.future, slot.server = future, server_pid()
         future.add_done_callback(lambda done: self._done.put((slot, done)))
 
     def _settled(self, slot: _Slot, future: Future[Any]) -> Finished | None:
@@ -171,7 +175,8 @@ class WorkerPool:
                 self._discard(slot)
                 self._launch(slot)
                 return None
-            return self._end(slot, "crashed", _death(exitcode), discard=True)
+            lost = exitcode == _UNKNOWN and not slot.confined and slot.server is not None and not _runs(slot.server)
+            return self._end(slot, "crashed", _LOST if lost else _death(exitcode), discard=True)
         if isinstance(error, RuntimeError) and (slot.pool is None or not slot.pool.active):
             return self._restarted(slot, f"its worker could not start or answer: {error}")
         text = " ".join(f"{type(error).__name__}: {error}".split())

@@ -396,6 +396,29 @@ def say_and_die(path: str) -> None:
     time.sleep(60)
 
 
+def say_and_sleep(path: str) -> None:
+    Path(path).touch()
+    time.sleep(60)
+
+
+def wait_and_die(path: str) -> None:
+    while not Path(path).exists():
+        time.sleep(0.01)
+    say_and_die(path)
+
+
+def test_a_worker_that_is_lost_with_its_server_is_not_blamed(executor: LocalExecutor, tmp_path: Path) -> None:
+    for name, function in {"innocent": say_and_sleep, "culprit": wait_and_die}.items():
+        executor.submit(Task(name, function, str(tmp_path / "trace")))
+    ends: list[Finished] = []
+    deadline = time.monotonic() + 60
+    while len(ends) < 2 and time.monotonic() < deadline:
+        ends += filter(None, [executor.next_finished(1.0)])
+    assert {(end.task_id, end.status) for end in ends} == {("innocent", "crashed"), ("culprit", "crashed")}
+    assert all("lost with the process that starts workers" in end.reason for end in ends)
+    assert beside_others(executor, Task("next", double, 4)).value == 8
+
+
 def test_a_task_that_has_begun_is_not_begun_again(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

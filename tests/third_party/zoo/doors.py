@@ -66,6 +66,7 @@ DOORS: dict[str, tuple[str, str]] = {
         "it answered nonsense",
     ),
     "slams": ("import os\nos.closerange(0, 1024)", "it ended its process with status 0"),
+    "orphans": ("import os, signal\nos.kill(os.getppid(), signal.SIGKILL)", "it ended its process by SIGKILL"),
     "forks": ("import os\nos.fork()", ""),
     "breeds": ("import os\nfor _ in range(4):\n    os.fork()", ""),
     "prints": ("print('hello from a door\\n' * 10**6)\nimport sys\nprint('hello from a door', file=sys.stderr)", ""),

@@ -33,9 +33,6 @@ LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
 HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
 """Set in hosts, so that a plugin which calls codecbench when it is imported is not imported again and again."""
 
-MARGIN_S: Final = 5
-"""A process whose asker is gone, so that nobody ends it, ends itself so long after its time."""
-
 _LIMIT_S: Final = 60.0
 _MOST_BYTES: Final = 64 << 20
 _POLL_S: Final = 0.1

@@ -8,7 +8,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import check_image
 from codecbench.core.contracts.sequence import Frame, Sequence
 
-MOST_BYTES = 160 << 20
+MOST_BYTES = 128 << 20
 """Two workers, each with these, half as many of decoded frames, and its compiled kernels, stay below 1.5 GB."""
 
 

@@ -5,14 +5,17 @@ What cannot be compiled ahead, for whatever reason, is compiled when it is first
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
+
+import psutil
 
 from codecbench.core.contracts.confinement import confines
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.executor import Executor, Finished, Task
+from codecbench.core.contracts.executor import Executor, Finished, Task, retirement
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
@@ -20,6 +23,7 @@ from codecbench.core.kernels.manifest import Entry, ManifestError, listed
 
 log = logging.getLogger("codecbench.run")
 
+_MOST_LEFT_BYTES: Final = 48 << 20
 _Call: TypeAlias = tuple[Kind, str, str]
 """Kind and name of a plugin, and a package or module whose kernels it calls."""
 
@@ -90,8 +94,16 @@ class WarmUp:
 
 
 def compile_entry(entry: Entry) -> None:
-    """Compile a kernel into the cache."""
+    """Compile a kernel into the cache. A worker in which the compiler has left much asks for another in its place."""
+    before = _bytes_at_first()
     entry.compile()
+    retirement.asked = psutil.Process().memory_info().rss - before > _MOST_LEFT_BYTES
+
+
+@functools.cache
+def _bytes_at_first() -> int:
+    """Memory of this process before it compiled anything."""
+    return int(psutil.Process().memory_info().rss)
 
 
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
