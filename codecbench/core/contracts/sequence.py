@@ -93,7 +93,7 @@ class Origin:
 
     kind: such as `ROS 2 bag, topic /camera/image_raw`; empty: what its dataset is said to be. camera: what the camera
     was taken from, such as `camera_info`. sizes: width and height of its frames in pixels, each once, where they
-    differ. params: parameters of its dataset, as JSON types, that suit what was found better than their defaults.
+    differ. params: parameters of its dataset, as JSON types, that suit what was found better than those given.
     """
 
     kind: str = ""

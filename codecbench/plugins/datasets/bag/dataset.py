@@ -113,7 +113,7 @@ class BagSequence(Sequence):
         self.origin = Origin(
             f"{self._recording.kind}, topic {self._topic.name}",
             found.source,
-            params={} if largest is None else {"bits": bits_of(largest)},
+            params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
         )
         self.notes = (*self._recording.damage, described(self._recording, self._topic), *of_picture, *said)
         self.notes += (*found.notes, *of_truth)
