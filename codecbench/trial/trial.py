@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.trial.focal_length import fov_deg_of
 from codecbench.trial.recording import Recording, recognised
@@ -27,11 +27,14 @@ def looked_at(
     """The recording at `path`, opened.
 
     fov_deg: the horizontal field of view of a camera that the recording does not describe; by default what its pictures
-    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised.
+    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised and where
+    a camera is given to pictures of several sizes.
     """
     registry, path = registry or installed(), Path(path)
     given = {**(params or {}), **({} if fov_deg is None else {"fov_deg": fov_deg})}
     recording = recognised(registry, path, given)
+    if recording.sizes and recording.has_camera:
+        raise DatasetError(f"{path}: its pictures differ in size, and a camera has one; leave out what gives it")
     taken: dict[str, Any] = {}
     assumed: list[str] = []
     for name, value in recording.suited.items():

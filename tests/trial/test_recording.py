@@ -59,6 +59,8 @@ def test_pictures_of_several_sizes_are_called_so(tmp_path: Path) -> None:
     pictures(tmp_path, ["3.png"], size=(48, 32))
     found = looked_at(tmp_path)
     assert "3 frames, pictures of 32x48 and 48x32, colour" in str(found)
+    with pytest.raises(DatasetError, match="differ in size, and a camera has one"):
+        looked_at(tmp_path, fov_deg=70.0)
     for number in range(4, 7):
         pictures(tmp_path, [f"{number}.png"], size=(20, 10 * number))
     assert "pictures of 5 sizes from 32x48 to 60x20" in str(looked_at(tmp_path))

@@ -55,7 +55,7 @@ class SqliteFile(BagFile):
 
     @property
     def _recovery(self) -> str:
-        return f"copy it again, or try `sqlite3 {self.file.name} .recover | sqlite3 recovered.db3`"
+        return f"copy it again, or see what `sqlite3 {self.file.name} .recover` finds"
 
     def _find_damage(self, head: bytes, size_bytes: int) -> None:
         page_bytes = int.from_bytes(head[16:18], "big")

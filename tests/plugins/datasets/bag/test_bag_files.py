@@ -67,7 +67,7 @@ def test_a_cut_sqlite_file_whose_messages_cannot_be_reached_says_how_it_may_be_r
     with pytest.raises(DatasetError, match="is damaged, and no picture is left") as caught:
         Bag.create(path=cut).open()
     assert f"is cut short: {cut.stat().st_size} of {len(content)} bytes" in str(caught.value)
-    assert "try `sqlite3 cut.db3 .recover" in str(caught.value)
+    assert "see what `sqlite3 cut.db3 .recover` finds" in str(caught.value)
 
 
 def test_a_file_that_is_cut_anywhere_gives_true_frames_or_an_error(whole, tmp_path):
