@@ -60,7 +60,10 @@ def try_(
     click.echo(f"looking at {path} ...", err=True)
     made = _made(path, codecs, aim, minutes, fov, set_)
     about = max(1, round(made.estimated_s / 60))
-    click.echo(f"{made.settings} settings on {made.frames:,} frames: about {about} min, some of it to compile at first")
+    from codecbench.trial.recording import counted
+
+    work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
+    click.echo(f"{work}: about {about} min, some of it to compile at first")
     from codecbench.cli.run import run_and_report
     from codecbench.core.engine.planning.matrix import matrix_from
 
@@ -87,7 +90,7 @@ def init(
     from codecbench.core.engine.storage.atomic import write_file
     from codecbench.trial.example_files import example
 
-    text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_).text
+    text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_, with_notes=True).text
     if str(out) == "-":
         click.echo(text, nl=False)
         return
@@ -98,14 +101,25 @@ def init(
 
 
 def _made(
-    path: Path, codecs: tuple[str, ...], aim: Any, minutes: float | None, fov: float | None, set_: tuple[str, ...]
+    path: Path,
+    codecs: tuple[str, ...],
+    aim: Any,
+    minutes: float | None,
+    fov: float | None,
+    set_: tuple[str, ...],
+    *,
+    with_notes: bool = False,
 ) -> TrialMatrix:
-    """The matrix for the recording at `path`; what it holds and what is chosen is told as soon as it is known."""
+    """The matrix for the recording at `path`; what it holds and what is chosen is told as soon as it is known.
+
+    with_notes: also what its dataset says of it, which else the run does.
+    """
     from codecbench.core.engine.registry import installed
     from codecbench.trial.trial import added_params, looked_at
 
     recording = looked_at(path, fov, added_params(set_))
-    click.echo(str(recording), err=True)
+    for line in (str(recording), *(recording.notes if with_notes else ())):
+        click.echo(line, err=True)
     from codecbench.trial.trial_matrix import trial_matrix
 
     made = trial_matrix(installed(), recording, codecs, aim, minutes)

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, ParamsError
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.description import InvalidParams, describe
+from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import Registry
+
+_MOST_SIZES: Final = 3
 
 
 @dataclass(frozen=True)
 class Recording:
     """A recording that a dataset recognised and opened.
 
-    dataset, params: what opens it. width, height: of its first frame in pixels. notes: what its dataset says of it.
-    assumed: what nobody said and was taken for granted.
+    dataset, params: what opens it. kind: what it is, in its user's words. width, height: of its first frame in pixels;
+    sizes: where frames differ, each once. camera_from: what the camera was taken from, as far as that is known. suited:
+    parameters that suit it better than those by which it was opened. settable: all that its dataset takes. notes: what
+    its dataset says of it. assumed: what nobody said and was taken for granted.
     """
 
     dataset: str
-    summary: str
+    kind: str
     params: dict[str, Any]
     name: str
     frames: int
@@ -30,19 +36,38 @@ class Recording:
     height: int
     has_camera: bool
     has_ground_truth: bool
+    sizes: tuple[tuple[int, int], ...] = ()
+    camera_from: str = ""
+    suited: dict[str, Any] = field(default_factory=dict)
+    settable: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """`tum (TUM RGB-D benchmark layout): 715 frames, 640x480, colour, camera known, ground truth`."""
-        facts = [
-            f"{self.frames:,} frame{'' if self.frames == 1 else 's'}",
-            f"{self.width}x{self.height}",
+        """`ROS 2 bag, topic /camera/image_raw, 1,204 frames, 640x480, colour, camera_info found, no ground truth`."""
+        known = f"camera from {self.camera_from}" if self.camera_from else "camera known"
+        return ", ".join((
+            self.kind,
+            counted(self.frames, "frame"),
+            self._size,
             "gray" if self.channels == 1 else "colour",
-            "camera known" if self.has_camera else "no calibration",
+            known if self.has_camera else "no calibration",
             "ground truth" if self.has_ground_truth else "no ground truth",
-        ]
-        return f"{self.dataset} ({clean_line(self.summary)}): {', '.join(facts)}"
+        ))  # fmt: skip
+
+    @property
+    def _size(self) -> str:
+        sizes = [f"{width}x{height}" for width, height in self.sizes]
+        if not sizes:
+            return f"{self.width}x{self.height}"
+        if len(sizes) <= _MOST_SIZES:
+            return f"pictures of {', '.join(sizes[:-1])} and {sizes[-1]}"
+        return f"pictures of {len(sizes)} sizes from {sizes[0]} to {sizes[-1]}"
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 frame`, `1,204 frames`."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:
@@ -65,15 +90,23 @@ def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recordi
         )
     plugin, (_, params) = min(found, key=lambda pair: pair[1][0])
     params = {**params, **given}
-    _check_params(registry, plugin.spec.name, params)
-    facts = registry.ask(opened, plugin.spec.name, params, of=[("dataset", plugin.spec.name)], times=10)
-    return Recording(plugin.spec.name, plugin.spec.summary, params, **{**facts, "notes": tuple(facts["notes"])})
+    name = plugin.spec.name
+    _check_params(registry, name, params)
+    settable = frozenset(plugin_schema(registry, f"dataset:{name}").get("properties", {}))
+    try:
+        facts = registry.ask(opened, name, params, of=[("dataset", name)], times=10)
+    except DatasetError as error:
+        raise DatasetError(f"{error}{_how_to_set(str(error), settable)}") from error
+    facts |= {"notes": tuple(facts["notes"]), "sizes": tuple((width, height) for width, height in facts["sizes"])}
+    kind = facts.pop("kind") or f"{name} ({clean_line(plugin.spec.summary)})"
+    return Recording(name, kind, params, settable=settable, **facts)
 
 
 def opened(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
     """What a Recording says of the sequence, as JSON types; frames but the first are not read. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
     height, width = sequence.read(0).image.shape[:2]
+    origin = sequence.origin
     return {
         "name": clean_line(str(sequence.name)),
         "frames": len(sequence),
@@ -82,6 +115,10 @@ def opened(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, A
         "height": int(height),
         "has_camera": sequence.camera is not None,
         "has_ground_truth": sequence.ground_truth is not None,
+        "kind": clean_line(origin.kind),
+        "sizes": [list(size) for size in origin.sizes],
+        "camera_from": clean_line(origin.camera),
+        "suited": dict(origin.params),
         "notes": [clean_line(str(note)) for note in sequence.notes],
     }
 
@@ -91,6 +128,13 @@ def answered(registry: Registry, name: str, path: str) -> tuple[bool, dict[str, 
     cls = registry.load("dataset", name)
     params = cls.recognise(Path(path))
     return None if params is None else (bool(cls.catch_all), dict(params))
+
+
+def _how_to_set(said: str, settable: frozenset[str]) -> str:
+    """How the parameters that an error names are given on the command line; empty where it names none."""
+    named = [name for name in dict.fromkeys(re.findall(r"`(\w+)[`:]", said)) if name in settable and name != "path"]
+    words = ["--fov DEGREES" if name == "fov_deg" else f"--set {name}=VALUE" for name in named]
+    return f"\nwith `codecbench try` and `init --from`: {', '.join(words)}" if words else ""
 
 
 def _check_params(registry: Registry, dataset: str, params: dict[str, Any]) -> None:

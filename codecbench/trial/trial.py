@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.trial.focal_length import fov_deg_of
 from codecbench.trial.recording import Recording, recognised
@@ -27,16 +27,34 @@ def looked_at(
     """The recording at `path`, opened.
 
     fov_deg: the horizontal field of view of a camera that the recording does not describe; by default what its pictures
-    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised.
+    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised and where
+    a camera is given to pictures of several sizes.
     """
     registry, path = registry or installed(), Path(path)
     given = {**(params or {}), **({} if fov_deg is None else {"fov_deg": fov_deg})}
     recording = recognised(registry, path, given)
-    noted = None if recording.has_camera else fov_deg_of(path)
-    if noted is None:
+    if recording.sizes and recording.has_camera:
+        raise DatasetError(f"{path}: its pictures differ in size, and a camera has one; leave out what gives it")
+    taken: dict[str, Any] = {}
+    assumed: list[str] = []
+    for name, value in recording.suited.items():
+        if name not in given and name in recording.settable:
+            taken[name] = value
+            assumed.append(f"{name}={json.dumps(value)} suits what was found and is set (--set {name}=... for another)")
+    if (noted := _noted_view(recording, path)) is not None:
+        taken["fov_deg"] = noted
+        view = f"its pictures note a focal length that sees {noted:g} degrees (EXIF)"
+        assumed.append(f"{view}, which is taken for the camera")
+    if not taken:
         return recording
-    assumed = f"its pictures note a focal length that sees {noted:g} degrees (EXIF), which is taken for the camera"
-    return replace(recognised(registry, path, {**given, "fov_deg": noted}), assumed=(assumed,))
+    return replace(recognised(registry, path, {**given, **taken}), assumed=tuple(assumed))
+
+
+def _noted_view(recording: Recording, path: Path) -> float | None:
+    """The field of view that EXIF tells of a camera which is not known and whose pictures have one size."""
+    if recording.has_camera or recording.sizes or "fov_deg" not in recording.settable:
+        return None
+    return fov_deg_of(path)
 
 
 def trial(

@@ -13,7 +13,7 @@ from codecbench.core.engine.planning.estimate import estimate
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import Registry
-from codecbench.trial.recording import Recording
+from codecbench.trial.recording import Recording, counted
 from codecbench.trial.wanted_codecs import WantedCodec, read_codec
 
 Aim = Literal["tracking", "quality", "speed"]
@@ -76,7 +76,10 @@ def trial_matrix(
         chosen.append(
             "there is no ground truth: the paths that SLAM finds on raw pictures stand in for it, as far as they agree"
         )
-    wanted = [read_codec(registry, text) for text in codecs] or _usual(registry)
+    wanted = [read_codec(registry, text) for text in codecs] or _usual(registry, recording)
+    if recording.sizes and not codecs:
+        names = ", ".join(text.partition(":")[0] for text in _STREAMS)
+        chosen.append(f"codecs with memory ({names}) are left out: they need pictures of one size")
     draft = _Draft(recording, tuple(wanted), aim, recording.frames)
     seconds = draft.seconds(registry)
     budget_s = max(60.0 * minutes - _COMPILE_S[aim], 0.0)
@@ -85,32 +88,37 @@ def trial_matrix(
         few_s = replace(draft, frames=fewest).seconds(registry)
         share = 0.0 if seconds <= few_s else min(1.0, max(0.0, (budget_s - few_s) / (seconds - few_s)))
         draft = replace(draft, frames=fewest + int(share * (recording.frames - fewest)))
-        chosen.append(
-            f"the first {draft.frames:,} of {recording.frames:,} frames, to be done in about {minutes:g} minutes "
-            f"(--minutes); the other frames are not looked at"
-        )
         seconds = draft.seconds(registry)
+        about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"
+        if draft.frames < recording.frames:
+            chosen.append(
+                f"the first {draft.frames:,} of {counted(recording.frames, 'frame')}, to be done in {about}; "
+                f"the other frames are not looked at"
+            )
+        else:
+            chosen.append(f"all {counted(draft.frames, 'frame')} are needed, which may take more than {about}")
     settings = 1 + sum(len(codec) for codec in wanted)
     return TrialMatrix(draft.text(), aim, draft.frames, settings, seconds + _COMPILE_S[aim], tuple(chosen))
 
 
 def _why(aim: Aim, recording: Recording) -> str:
+    """Why this is what codecs are judged by, and how it would be tracking where that is a parameter away."""
     if aim == "tracking":
         return "the camera is known, so codecs are judged by what SLAM makes of their pictures (--for tracking)"
+    so = "so codecs are judged by pictures and features (--for quality)"
     if recording.has_camera:
-        few = f"{recording.frames} frames are too few for SLAM"
-        return f"{few}, so codecs are judged by pictures and features (--for quality)"
-    return (
-        "the camera is not known, so codecs are judged by pictures and features (--for quality); "
-        "with --fov DEGREES, the horizontal field of view, SLAM can run"
-    )
+        verb = "is" if recording.frames == 1 else "are"
+        return f"{counted(recording.frames, 'frame')} {verb} too few for SLAM, {so}"
+    enough = recording.frames >= _FEWEST["tracking"] and not recording.sizes and "fov_deg" in recording.settable
+    how = "; with --fov DEGREES, the horizontal field of view, SLAM can run" if enough else ""
+    return f"the camera is not known, {so}{how}"
 
 
-def _usual(registry: Registry) -> list[WantedCodec]:
-    """Codecs that anybody would ask for, those of them that are installed."""
+def _usual(registry: Registry, recording: Recording) -> list[WantedCodec]:
+    """Codecs that anybody would ask for, those of them that are installed and take the recording's pictures."""
     return [
         read_codec(registry, text)
-        for text in (*_STILLS, *_STREAMS)
+        for text in (*_STILLS, *(() if recording.sizes else _STREAMS))
         if registry.find("codec", text.partition(":")[0]).missing is None
     ]
 

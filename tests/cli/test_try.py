@@ -55,7 +55,7 @@ def test_the_program_of_the_page_runs(place: Place) -> None:
 
 def test_a_report_is_written_and_the_matrix_can_be_run_again(place: Place) -> None:
     said = succeeded(place.call("try", "pictures", "--codec", "jpeg:10", "--for", "speed", "--out", "run"))
-    assert "folder (any image files" in said
+    assert "folder of pictures, 12 frames, 128x96" in said
     (report,) = re.findall(r"the report: file://(.*)", said)
     assert Path(report).stat().st_size > 10_000
     again = succeeded(place.call("run", "run/matrix.yaml", "--out", "run"))
@@ -85,3 +85,4 @@ def test_photographs_of_a_library_can_be_tried(place: Place) -> None:
         cv2.imwrite(str(folder / f"{name}.jpg"), np.ascontiguousarray(getattr(data, name)()[::2, ::2, ::-1]))
     said = succeeded(place.call("try", "photographs", "--codec", "jpeg:20", "--codec", "webp:20", timeout=600))
     assert "decoded JPEG" in said
+    assert "decoded JPEG" in succeeded(place.call("init", "--from", "photographs", "--out", "photographs.yaml"))

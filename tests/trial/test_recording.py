@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -47,8 +48,22 @@ def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
 def test_it_is_said_in_one_line(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     said = str(recognised(installed(), tmp_path, {}))
-    assert said.startswith("folder (")
-    assert said.endswith("): 2 frames, 48x32, colour, no calibration, no ground truth")
+    assert said == "folder of pictures, 2 frames, 48x32, colour, no calibration, no ground truth"
+    found = recognised(installed(), tum(tmp_path / "walk"), {})
+    assert str(found) == "TUM RGB-D folder, 2 frames, 48x32, colour, camera from calib.yaml, ground truth"
+    assert "1 frame, " in str(replace(found, frames=1))
+
+
+def test_pictures_of_several_sizes_are_called_so(tmp_path: Path) -> None:
+    pictures(tmp_path, ["1.png", "2.png"])
+    pictures(tmp_path, ["3.png"], size=(48, 32))
+    found = looked_at(tmp_path)
+    assert "3 frames, pictures of 32x48 and 48x32, colour" in str(found)
+    with pytest.raises(DatasetError, match="differ in size, and a camera has one"):
+        looked_at(tmp_path, fov_deg=70.0)
+    for number in range(4, 7):
+        pictures(tmp_path, [f"{number}.png"], size=(20, 10 * number))
+    assert "pictures of 5 sizes from 32x48 to 60x20" in str(looked_at(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["nothing", "text.txt", "one.png", "empty"])
@@ -93,3 +108,49 @@ def test_bags_are_recognised_and_their_camera_with_them(tmp_path: Path, kind: st
         assert (found.dataset, found.frames, found.width, found.height) == ("bag", 6, 32, 24)
         assert found.has_camera
         assert any("/cam/image_raw" in note for note in found.notes)
+    said = str(recognised(installed(), path, {}))
+    assert said.startswith(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw, 6 frames, 32x24, colour, ")
+    assert said.endswith("camera from camera_info, no ground truth")
+
+
+@pytest.mark.parametrize("layout", ["tum", "bag"])
+def test_every_recording_without_calibration_takes_a_field_of_view(tmp_path: Path, layout: str) -> None:
+    if layout == "tum":
+        path = tum(tmp_path / "walk", calibrated=False)
+    else:
+        pytest.importorskip("rosbags", reason="the extra codecbench[bag] is not installed")
+        from bag_files import write_pictures
+
+        path = write_pictures(tmp_path / "walk.bag", "bag", camera=False)
+    assert not looked_at(path).has_camera
+    found = looked_at(path, fov_deg=90.0)
+    assert found.has_camera
+    assert "camera from the field of view" in str(found)
+
+
+def test_a_camera_of_twelve_bits_is_measured_and_its_bits_are_set(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra codecbench[bag] is not installed")
+    from bag_files import BagWriter, picture, time_ns
+
+    with BagWriter(tmp_path / "deep.bag", "bag") as bag:
+        for number in range(3):  # the first is dark
+            samples = picture(number, (24, 32)).astype(np.uint16) * (16 if number else 1)
+            bag.write("/image", bag.image(samples, "mono16", time_ns(number)), time_ns(number))
+    found = looked_at(tmp_path / "deep.bag")
+    assert found.params["bits"] == 12
+    assert found.assumed[0].startswith("bits=12 suits what was found and is set")
+    assert any("(`bits: 12`)" in note for note in found.notes)
+    given = looked_at(tmp_path / "deep.bag", params={"bits": 16})
+    assert (given.params["bits"], given.assumed) == (16, ())
+
+
+def test_what_has_to_be_chosen_is_said_as_the_command_takes_it(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra codecbench[bag] is not installed")
+    from bag_files import BagWriter, picture, time_ns
+
+    with BagWriter(tmp_path / "two.bag", "bag") as bag:
+        for topic in ("/left", "/right"):
+            bag.write(topic, bag.image(picture(0), "rgb8", time_ns(0)), time_ns(0))
+    with pytest.raises(DatasetError, match=r"init --from`: --set topic=VALUE$"):
+        looked_at(tmp_path / "two.bag")
+    assert looked_at(tmp_path / "two.bag", params={"topic": "/left"}).frames == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def test_it_is_a_matrix_with_raw_and_what_was_asked_for(tmp_path: Path) -> None:
     assert made.settings == 6
     assert [entry.frames for entry in plan.sequences] == [12]
     assert made.aim == "quality"
-    assert "--fov" in made.choices[0]
+    assert "--fov" not in made.choices[0]
 
 
 def test_every_usual_codec_that_is_installed_can_be_planned(tmp_path: Path) -> None:
@@ -35,6 +36,30 @@ def test_every_usual_codec_that_is_installed_can_be_planned(tmp_path: Path) -> N
     cells = make_plan(matrix_from(made.text)).cells
     assert {"raw", "jpeg", "jpeg2000", "webp", "h264"} == {cell.codec.name for cell in cells}
     assert not [cell.unsupported for cell in cells if cell.unsupported]
+
+
+def test_codecs_with_memory_are_left_out_where_sizes_differ(tmp_path: Path) -> None:
+    pictures(tmp_path, [f"{n}.png" for n in range(6)])
+    pictures(tmp_path, ["6.png"], size=(48, 32))
+    made = trial_matrix(installed(), looked_at(tmp_path))
+    assert {cell.codec.name for cell in make_plan(matrix_from(made.text)).cells} == {"raw", "jpeg", "jpeg2000", "webp"}
+    assert "codecs with memory (h264) are left out: they need pictures of one size" in made.choices
+    assert "h264" in trial_matrix(installed(), looked_at(tmp_path), ["h264"]).text
+
+
+def test_a_field_of_view_is_suggested_where_it_would_help(tmp_path: Path) -> None:
+    recording = looked_at(tum(tmp_path / "walk", calibrated=False))
+    for frames, helps in ((149, False), (150, True)):
+        made = trial_matrix(installed(), replace(recording, frames=frames), ["jpeg:10"], minutes=60)
+        assert ("--fov DEGREES" in made.choices[0]) is helps
+
+
+def test_one_and_few_are_said_as_they_are(tmp_path: Path) -> None:
+    recording = looked_at(tum(tmp_path / "walk"))
+    assert "2 frames are too few" in trial_matrix(installed(), recording, ["jpeg:10"]).choices[0]
+    assert "1 frame is too few" in trial_matrix(installed(), replace(recording, frames=1), ["jpeg:10"]).choices[0]
+    (_, few) = trial_matrix(installed(), recording, ["jpeg:10"], minutes=0.001).choices
+    assert few == "all 2 frames are needed, which may take more than about 0.001 minutes (--minutes)"
 
 
 def test_a_long_recording_is_cut_to_the_minutes_and_that_is_said(tmp_path: Path) -> None:

@@ -87,6 +87,21 @@ class Frame:
         return self.cached("png_size_bytes", lambda image: len(png_bytes(image)))
 
 
+@dataclass(frozen=True)
+class Origin:
+    """What a sequence was opened from, for `codecbench try`, which tells it in a line.
+
+    kind: such as `ROS 2 bag, topic /camera/image_raw`; empty: what its dataset is said to be. camera: what the camera
+    was taken from, such as `camera_info`. sizes: width and height of its frames in pixels, each once, where they
+    differ. params: parameters of its dataset, as JSON types, that suit what was found better than those given.
+    """
+
+    kind: str = ""
+    camera: str = ""
+    sizes: tuple[tuple[int, int], ...] = ()
+    params: dict[str, Any] = field(default_factory=dict)
+
+
 class Sequence(ABC):
     """Frames in order, read one at a time, with whatever is known about the camera and its true path.
 
@@ -94,7 +109,7 @@ class Sequence(ABC):
     increasing; `frame_rate_hz`, nominal; `channels`, 1 or 3; `camera` and `ground_truth` or None;
     `fingerprint`, a hex digest of everything that determines the frames, the camera and the ground truth:
     two sequences with equal fingerprints are interchangeable. `notes`: sentences on what was done to the frames or is
-    wrong with the files, which a run says before it begins and beside its results.
+    wrong with the files, which a run says before it begins and beside its results. `origin`: what it was opened from.
     """
 
     name: str
@@ -105,6 +120,7 @@ class Sequence(ABC):
     ground_truth: Trajectory | None
     fingerprint: str
     notes: tuple[str, ...] = ()
+    origin: Origin = Origin()
 
     def __len__(self) -> int:
         return len(self.timestamps_s)

@@ -86,6 +86,15 @@ def camera_from_model(
     return Camera(*size, *intrinsics, distortion=padded if any(padded[5:]) else padded[:5], model=known)
 
 
+def lens_of(camera: Camera) -> str:
+    """How a camera's pictures are distorted, in the field's words."""
+    if camera.model == "equidistant":
+        return "equidistant fisheye (Kannala-Brandt)"
+    if any(camera.distortion[5:]):
+        return "rational distortion (k1 to k6)"
+    return "Brown-Conrady distortion" if any(camera.distortion) else "no distortion"
+
+
 def camera_from_view(width: int, height: int, fov_deg: float) -> Camera:
     """An ideal pinhole camera of a horizontal field of view, looking through the middle of its pictures."""
     focal = width / 2 / math.tan(math.radians(fov_deg) / 2)

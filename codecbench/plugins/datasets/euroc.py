@@ -10,17 +10,19 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Dataset, Origin, Sequence, Trajectory
 from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, numbers_in
-from codecbench.plugins.datasets.files import Content, FileSequence
-from codecbench.plugins.datasets.selection import Located
+from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
+from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
 
 Floats = NDArray[np.float64]
 _REMEDY = "set `ground_truth: false` to use the frames without it"
+_USUAL_RATE_HZ = 20.0
+_UNMOVED = "without sensor.yaml the poses are those of the vehicle's sensor, which are taken as the camera's"
 
 
-class EurocParams(Located):
+class EurocParams(Located, FieldOfView):
     """Parameters of `euroc`."""
 
     camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
@@ -58,21 +60,41 @@ class Euroc(Dataset[EurocParams]):
         rows = read_rows(folder / "data.csv", "the list of frames", 2, ",")
         times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "data.csv"))
-        sensor = YamlFile(folder / "sensor.yaml", "calibration")
-        rate_hz = sensor.number("rate_hz", 20.0)
-        if rate_hz <= 0.0:
-            raise DatasetError(f"{sensor.where('rate_hz')}: `rate_hz` is {rate_hz}, which is not above 0")
+        files = tuple(folder / "data" / rows[index].fields[1] for index in chosen)
+        sensor = _sensor(folder / "sensor.yaml", params.fov_deg is not None)
+        known = FoundCamera() if sensor is None else FoundCamera(_camera(sensor), sensor.file.name)
+        found = params.or_ideal(known, lambda: frame_size(files[0]))
+        notes = found.notes if sensor or not params.ground_truth else (*found.notes, _UNMOVED)
         content = Content(
             name=root.resolve().name,
             where=str(folder),
-            files=tuple(folder / "data" / rows[index].fields[1] for index in chosen),
+            files=files,
             timestamps_s=times_s[np.array(chosen)],
-            frame_rate_hz=rate_hz / params.stride,
-            camera=_camera(sensor),
-            ground_truth=_trajectory(root / "mav0", _mounting(sensor)) if params.ground_truth else None,
+            frame_rate_hz=_rate_hz(sensor) / params.stride,
+            camera=found.camera,
+            ground_truth=_trajectory(root / "mav0", sensor) if params.ground_truth else None,
             color=params.color,
+            notes=notes,
+            origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
         )
         return FileSequence(content)
+
+
+def _sensor(file: Path, may_lack: bool) -> YamlFile | None:
+    """The description of the camera, None where it is not there and may lack. Raises DatasetError."""
+    if may_lack and not file.exists():
+        return None
+    return YamlFile(file, "calibration", "`fov_deg` makes an ideal camera instead")
+
+
+def _rate_hz(sensor: YamlFile | None) -> float:
+    """Frames a second. Raises DatasetError."""
+    if sensor is None:
+        return _USUAL_RATE_HZ
+    rate_hz = sensor.number("rate_hz", _USUAL_RATE_HZ)
+    if rate_hz <= 0.0:
+        raise DatasetError(f"{sensor.where('rate_hz')}: `rate_hz` is {rate_hz}, which is not above 0")
+    return rate_hz
 
 
 def _camera(sensor: YamlFile) -> Camera:
@@ -103,13 +125,16 @@ def _mounting(sensor: YamlFile) -> Floats:
     return checked_rotation(matrix, sensor.where("T_BS"))
 
 
-def _trajectory(mav: Path, body_from_camera: Floats) -> Trajectory:
+def _trajectory(mav: Path, camera: YamlFile | None) -> Trajectory:
+    """The path of the camera that is described, else of the body's sensor. Raises DatasetError."""
     folder = mav / "state_groundtruth_estimate0"
     rows = read_rows(folder / "data.csv", "ground truth", 8, ",", _REMEDY)
     times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
     poses = np.array([[row.number(column) for column in range(1, 8)] for row in rows])
     sensor = trajectory_from_quaternions(times_s, poses, "wxyz", rows)
+    if camera is None:
+        return sensor
     described = folder / "sensor.yaml"
     body_from_sensor = _mounting(YamlFile(described, "mounting")) if described.is_file() else np.eye(4)
-    sensor_from_camera = np.linalg.inv(body_from_sensor) @ body_from_camera
+    sensor_from_camera = np.linalg.inv(body_from_sensor) @ _mounting(camera)
     return Trajectory(times_s, sensor.world_from_camera @ sensor_from_camera)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence as Ordered
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings
 
 import cv2
 import numpy as np
+from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
-from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Frame, Origin, Sequence, Trajectory
 from codecbench.plugins.datasets.coded_before import jpeg_notes
 from codecbench.plugins.datasets.selection import Color, converted
 
@@ -43,6 +45,21 @@ def read_image_file(file: Path) -> Image:
     if stored.dtype != np.uint8:
         raise DatasetError(f"{file}: has samples of {stored.dtype}; frames have 8 bits a sample: convert the file")
     return _rgb_from_stored(stored)
+
+
+def frame_size(file: Path) -> tuple[int, int]:
+    """Width and height in pixels of the picture in a file. Raises DatasetError as `read_image_file`."""
+    height, width = read_image_file(file).shape[:2]
+    return width, height
+
+
+def _size_in_head(file: Path) -> tuple[int, int] | None:
+    """Width and height as a file says without being decoded; None where that is not understood."""
+    try:
+        with catch_warnings(action="ignore"), PillowImage.open(file) as picture:
+            return picture.size
+    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
+        return None
 
 
 def _rgb_from_stored(stored: Any) -> Image:
@@ -76,7 +93,8 @@ def _digest_of_version(file: Path, size_bytes: int, mtime_ns: int) -> str:
 class Content:
     """What a sequence of image files consists of, after selection.
 
-    sizes_differ: whether frames of several sizes are allowed. where: what to call the sequence in errors.
+    sizes_differ: whether frames of several sizes are allowed. where: what to call the sequence in errors. origin: but
+    for the sizes, which the sequence finds.
     """
 
     name: str
@@ -89,6 +107,7 @@ class Content:
     color: Color = "as_is"
     sizes_differ: bool = False
     notes: tuple[str, ...] = ()
+    origin: Origin = field(default_factory=Origin)
 
 
 class FileSequence(Sequence):
@@ -118,6 +137,15 @@ class FileSequence(Sequence):
                 **known_facts(self),
             }
         )
+
+    @cached_property
+    def origin(self) -> Origin:  # type: ignore[override]
+        """What it was opened from; where sizes may differ, the first use reads the head of every file."""
+        found = self._content.origin
+        if not self._content.sizes_differ:
+            return found
+        sizes = sorted({size for file in self._content.files if (size := _size_in_head(file)) is not None})
+        return replace(found, sizes=tuple(sizes)) if len(sizes) > 1 else found
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Dataset, Sequence
-from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, read_image_file
+from codecbench.core.contracts.sequence import Dataset, Origin, Sequence
+from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import Located, OwnCamera
 
 
@@ -39,23 +39,20 @@ class Folder(Dataset[FolderParams]):
         folder = params.folder("image files")
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
+        found = params.own_camera(lambda: frame_size(files[chosen[0]]))
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
             files=tuple(files[index] for index in chosen),
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,
-            camera=params.camera(lambda: _size(files[chosen[0]])),
+            camera=found.camera,
             color=params.color,
             sizes_differ=True,
-            notes=params.camera_notes,
+            notes=found.notes,
+            origin=Origin("folder of pictures", found.source),
         )
         return FileSequence(content)
-
-
-def _size(file: Path) -> tuple[int, int]:
-    height, width = read_image_file(file).shape[:2]
-    return width, height
 
 
 def image_files(folder: Path) -> list[Path]:

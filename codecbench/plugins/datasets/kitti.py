@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
-from codecbench.plugins.datasets.files import Content, FileSequence, read_image_file
-from codecbench.plugins.datasets.selection import Located
+from codecbench.core.contracts.sequence import Camera, Dataset, Origin, Sequence, Trajectory
+from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
+from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
 _Camera = Literal["image_0", "image_1", "image_2", "image_3"]
+_UNMOVED = "without calib.txt the poses are those of camera 0, which are taken as this camera's"
 
 
-class KittiParams(Located):
+class KittiParams(Located, FieldOfView):
     """Parameters of `kitti`."""
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
@@ -66,26 +67,29 @@ class Kitti(Dataset[KittiParams]):
         times_s = increasing([row.number(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "times.txt"))
         files = tuple(folder / params.camera / f"{index:06d}.png" for index in chosen)
-        projection = read_projection(folder / "calib.txt", f"P{params.camera[-1]}")
+        found, projection = _camera(params, folder, files[0])
         truth = None
         if params.ground_truth:
             truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
+        unmoved = () if truth is None or projection is not None else (_UNMOVED,)
         content = Content(
             name=f"kitti_{params.sequence}",
             where=str(folder),
             files=files,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=rate_hz(times_s, 10.0) / params.stride,
-            camera=_camera(projection, files[0]),
+            camera=found.camera,
             ground_truth=truth,
             color=params.color,
+            notes=(*found.notes, *unmoved),
+            origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
         )
         return FileSequence(content)
 
 
 def read_projection(file: Path, name: str) -> Floats:
     """The projection matrix (3, 4) in the row `name:` of a calibration file. Raises DatasetError."""
-    for row in read_rows(file, "calibration", 1):
+    for row in read_rows(file, "calibration", 1, remedy="`fov_deg` makes an ideal camera instead"):
         if row.fields[0] == f"{name}:":
             numbers = row.numbers(1)
             if len(numbers) != 12:
@@ -97,15 +101,22 @@ def read_projection(file: Path, name: str) -> Floats:
     raise DatasetError(f"{file}: calibration has no row `{name}:`")
 
 
-def _camera(projection: Floats, first: Path) -> Camera:
-    """KITTI's files do not give the frames' size: the first frame does."""
-    height, width = read_image_file(first).shape[:2]
+def _camera(params: KittiParams, folder: Path, first: Path) -> tuple[FoundCamera, Floats | None]:
+    """The camera and its projection matrix; None of a sequence without calibration whose field of view was given.
+
+    KITTI's files do not give the frames' size: the first frame does.
+    """
+    file = folder / "calib.txt"
+    if params.fov_deg is not None and not file.exists():
+        return params.or_ideal(FoundCamera(), lambda: frame_size(first)), None
+    projection = read_projection(file, f"P{params.camera[-1]}")
     fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Camera(width, height, fx, fy, cx, cy)
+    known = FoundCamera(Camera(*frame_size(first), fx, fy, cx, cy), file.name)
+    return params.or_ideal(known, lambda: frame_size(first)), projection
 
 
-def _trajectory(file: Path, times_s: Floats, projection: Floats) -> Trajectory:
-    """Poses of the camera with this projection, one a frame, from lines of 12 numbers for camera 0."""
+def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Trajectory:
+    """Poses of the camera with this projection, else of camera 0, one a frame, from lines of 12 numbers for that."""
     remedy = "set `ground_truth: false` to use the frames without it"
     rows = read_rows(file, "ground truth", 12, remedy=remedy, exact=True)
     if len(rows) != len(times_s):
@@ -114,6 +125,8 @@ def _trajectory(file: Path, times_s: Floats, projection: Floats) -> Trajectory:
     for index, row in enumerate(rows):
         poses[index, :3] = np.array(row.numbers()).reshape(3, 4)
         poses[index] = checked_rotation(poses[index], row.where)
+    if projection is None:
+        return Trajectory(times_s, poses)
     zero_from_camera = np.eye(4)
     zero_from_camera[:3, 3] = -np.linalg.solve(projection[:, :3], projection[:, 3])
     return Trajectory(times_s, poses @ zero_from_camera)

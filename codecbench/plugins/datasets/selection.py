@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -41,14 +42,42 @@ class Selection(Params):
         return range(self.start, stop, self.stride)
 
 
-class OwnCamera(Params):
+@dataclass(frozen=True)
+class FoundCamera:
+    """A camera or None, what it was taken from, and what is to be said of it."""
+
+    camera: Camera | None = None
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+
+class FieldOfView(Params):
+    """An ideal camera for recordings that bring none."""
+
+    fov_deg: Annotated[
+        float | None,
+        Field(gt=0.0, lt=180.0, description="without calibration: horizontal field of view of an ideal pinhole camera"),
+    ] = None
+
+    def or_ideal(self, known: FoundCamera, frame_size: Callable[[], tuple[int, int]]) -> FoundCamera:
+        """The camera that is `known`, else the ideal one if its field of view was given.
+
+        frame_size: width and height of the frames in pixels, asked for if they are needed.
+        """
+        if self.fov_deg is None:
+            return known
+        view = f"{self.fov_deg:g} degrees"
+        if known.camera is not None:
+            unused = f"the field of view of {view} (`fov_deg`) is not used: the camera is known from {known.source}"
+            return replace(known, notes=(*known.notes, unused))
+        ideal = f"the camera is an ideal one of {view}: calibrate it before you trust a path"
+        return FoundCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
+
+
+class OwnCamera(FieldOfView):
     """The camera of recordings that bring none: from a calibration file, or an ideal one by its field of view."""
 
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
-    fov_deg: Annotated[
-        float | None,
-        Field(gt=0.0, lt=180.0, description="instead: horizontal field of view of an ideal pinhole camera"),
-    ] = None
 
     @model_validator(mode="after")
     def _one_camera(self) -> Self:
@@ -56,21 +85,23 @@ class OwnCamera(Params):
             raise ValueError("give `calibration` or `fov_deg`, not both")
         return self
 
-    @property
-    def camera_notes(self) -> tuple[str, ...]:
-        """What is to be said of a camera that nobody measured."""
-        if self.fov_deg is None:
-            return ()
-        return (f"the camera is an ideal one of {self.fov_deg:g} degrees: calibrate it before you trust a path",)
+    def refuse_beside(self, camera: str) -> None:
+        """Raise ValueError where `camera`, which may be `auto` or `none`, and another parameter both say the camera."""
+        if camera != "auto" and self.calibration is not None:
+            raise ValueError("give `camera` or `calibration`, not both")
+        if camera not in ("auto", "none") and self.fov_deg is not None:
+            raise ValueError("give `camera` or `fov_deg`, not both")
 
-    def camera(self, frame_size: Callable[[], tuple[int, int]]) -> Camera | None:
-        """The camera, if one was given, of frames whose width and height are asked for if they are needed.
+    def own_camera(self, frame_size: Callable[[], tuple[int, int]]) -> FoundCamera:
+        """The camera, if one was given. Raises DatasetError for a wrong file."""
+        known = FoundCamera() if self.calibration is None else found_in_file(self.calibration)[0]
+        return self.or_ideal(known, frame_size)
 
-        Raises DatasetError for a wrong file.
-        """
-        if self.fov_deg is not None:
-            return camera_from_view(*frame_size(), self.fov_deg)
-        return None if self.calibration is None else camera_from_file(self.calibration)[0]
+
+def found_in_file(calibration: Path) -> tuple[FoundCamera, float | None]:
+    """The camera in a calibration file, and the frame rate if the file has one. Raises DatasetError."""
+    camera, fps = camera_from_file(calibration)
+    return FoundCamera(camera, calibration.name), fps
 
 
 class Located(Selection):

@@ -10,30 +10,27 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Camera, Dataset, Sequence, Trajectory
-from codecbench.plugins.datasets.calibration import FREIBURG, camera_from_file
-from codecbench.plugins.datasets.files import Content, FileSequence
-from codecbench.plugins.datasets.selection import Located
+from codecbench.core.contracts.sequence import Dataset, Origin, Sequence, Trajectory
+from codecbench.plugins.datasets.calibration import FREIBURG
+from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
+from codecbench.plugins.datasets.selection import FoundCamera, Located, OwnCamera, found_in_file
 from codecbench.plugins.datasets.tables import increasing, rate_hz, read_rows, trajectory_from_quaternions
 
 _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
 
 
-class TumParams(Located):
+class TumParams(Located, OwnCamera):
     """Parameters of `tum`."""
 
     camera: Annotated[
         Literal["auto", "freiburg1", "freiburg2", "freiburg3", "none"],
         Field(description="auto: calib.yaml beside the frames, else by `freiburgN` in the folder's name"),
     ] = "auto"
-    calibration: Annotated[PathParam | None, Field(description="calibration file to use instead")] = None
     ground_truth: Annotated[bool, Field(description="false for a sequence without groundtruth.txt")] = True
 
     @model_validator(mode="after")
-    def _one_camera(self) -> Self:
-        if self.calibration is not None and self.camera != "auto":
-            raise ValueError("give `camera` or `calibration`, not both")
+    def _camera_once(self) -> Self:
+        self.refuse_beside(self.camera)
         return self
 
 
@@ -61,17 +58,21 @@ class Tum(Dataset[TumParams]):
         folder = params.folder("rgb.txt")
         rows = read_rows(folder / "rgb.txt", "the list of frames", 2)
         times_s = increasing([row.number(0) for row in rows], rows)
-        camera, fps = _camera(params, folder)
+        known, fps = _known_camera(params, folder)
         chosen = params.indices(len(rows), str(folder / "rgb.txt"))
+        files = tuple(folder / rows[index].fields[1] for index in chosen)
+        found = params.or_ideal(known, lambda: frame_size(files[0]))
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
-            files=tuple(folder / rows[index].fields[1] for index in chosen),
+            files=files,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=(fps or rate_hz(times_s, 30.0)) / params.stride,
-            camera=camera,
+            camera=found.camera,
             ground_truth=read_tum_trajectory(folder / "groundtruth.txt") if params.ground_truth else None,
             color=params.color,
+            notes=found.notes,
+            origin=Origin("TUM RGB-D folder", found.source),
         )
         return FileSequence(content)
 
@@ -85,20 +86,23 @@ def read_tum_trajectory(file: Path) -> Trajectory:
     return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)
 
 
-def _camera(params: TumParams, folder: Path) -> tuple[Camera | None, float | None]:
+def _known_camera(params: TumParams, folder: Path) -> tuple[FoundCamera, float | None]:
+    """The camera that is published or described, and the frame rate if the description has one."""
     if params.camera == "none":
-        return None, None
+        return FoundCamera(), None
     if params.camera != "auto":
-        return FREIBURG[params.camera], None
+        return FoundCamera(FREIBURG[params.camera], params.camera), None
     beside = folder / "calib.yaml"
     if params.calibration is not None:
-        return camera_from_file(params.calibration)
+        return found_in_file(params.calibration)
     if beside.is_file():
-        return camera_from_file(beside)
+        return found_in_file(beside)
     named = _FOLDER_NAME.search(folder.resolve().name)
+    if named is None and params.fov_deg is not None:
+        return FoundCamera(), None
     if named is None:
         raise DatasetError(
             f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "
-            "give `camera`, `calibration`, or `camera: none`"
+            "give `camera`, `calibration`, `fov_deg`, or `camera: none`"
         )
-    return FREIBURG[f"freiburg{named[1]}"], None
+    return FoundCamera(FREIBURG[named[0]], f"the folder's name ({named[0]})"), None

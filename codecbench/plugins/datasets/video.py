@@ -14,7 +14,7 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Dataset, Frame, Sequence
+from codecbench.core.contracts.sequence import Dataset, Frame, Origin, Sequence
 from codecbench.plugins.datasets.files import EXTENSIONS, digest_of, digest_of_file, known_facts
 from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted
 
@@ -88,11 +88,13 @@ class VideoSequence(Sequence):
         self.timestamps_s = times_s[np.array(chosen)]
         self.frame_rate_hz = rate_hz / params.stride
         self.channels = 1 if params.color == "gray" else 3
-        self.camera = params.camera(lambda: (index.width, index.height))
+        found = params.own_camera(lambda: (index.width, index.height))
+        self.camera = found.camera
         self.ground_truth = None
-        self.notes = params.camera_notes
+        self.notes = found.notes
+        coding = f"{index.coding} video".strip()
+        self.origin = Origin(coding, found.source)
         if index.coding.upper() not in _LOSSLESS:
-            coding = f"{index.coding} video".strip()
             self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
             size = f"{self.camera.width}x{self.camera.height}"

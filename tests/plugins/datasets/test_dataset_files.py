@@ -96,7 +96,7 @@ def test_tum_gives_frames_times_camera_and_the_whole_true_path(tum):
 
 def test_tum_finds_its_camera(tum, tmp_path):
     (tum / "calib.yaml").rename(tmp_path / "other.yaml")
-    assert "give `camera`, `calibration`, or `camera: none`" in message(Tum, path=tum)
+    assert "give `camera`, `calibration`, `fov_deg`, or `camera: none`" in message(Tum, path=tum)
     assert Tum.create(path=tum, calibration=tmp_path / "other.yaml").open().camera.fx == 30.5
     assert Tum.create(path=tum, camera="none").open().camera is None
     assert "is 32x24, but the calibration is for 640x480" in message(Tum, path=tum, camera="freiburg1")
@@ -106,6 +106,19 @@ def test_tum_finds_its_camera(tum, tmp_path):
     assert Tum.create(path=named).open().camera == FREIBURG["freiburg2"]
     with pytest.raises(ValidationError, match="not both"):
         Tum.create(path=named, camera="freiburg1", calibration=tmp_path / "other.yaml")
+
+
+def test_tum_takes_a_field_of_view_where_there_is_no_calibration(tum):
+    known = Tum.create(path=tum, fov_deg=90).open()
+    assert known.camera == Tum.create(path=tum).open().camera
+    assert "is not used: the camera is known from calib.yaml" in known.notes[-1]
+    assert Tum.create(path=tum, fov_deg=90, camera="none").open().camera.fx == pytest.approx(16)
+    (tum / "calib.yaml").unlink()
+    ideal = Tum.create(path=tum, fov_deg=90).open()
+    assert (ideal.camera.fx, ideal.camera.width, ideal.camera.cx) == (pytest.approx(16), 32, 15.5)
+    assert "ideal one of 90 degrees" in ideal.notes[-1]
+    with pytest.raises(ValidationError, match="give `camera` or `fov_deg`, not both"):
+        Tum.create(path=tum, fov_deg=90, camera="freiburg1")
 
 
 def test_tum_without_ground_truth_says_so(tum):
@@ -362,6 +375,19 @@ def test_kitti_names_file_and_line(kitti, file, before, after, words):
     assert words in message(Kitti, path=kitti, sequence="07")
 
 
+def test_kitti_takes_a_field_of_view_where_there_is_no_calibration(kitti):
+    params = {"path": kitti, "sequence": "07", "fov_deg": 90}
+    known = Kitti.create(**params).open()
+    assert known.camera == Kitti.create(path=kitti, sequence="07").open().camera
+    assert "is not used: the camera is known from calib.txt" in known.notes[-1]
+    next(kitti.rglob("calib.txt")).unlink()
+    ideal = Kitti.create(**params).open()
+    assert ideal.camera.fx == pytest.approx(ideal.camera.width / 2)
+    assert "ideal one of 90 degrees" in ideal.notes[0]
+    assert "the poses are those of camera 0" in ideal.notes[1]
+    assert "`fov_deg` makes an ideal camera" in message(Kitti, path=kitti, sequence="07")
+
+
 def test_kitti_what_is_missing(kitti):
     assert "sequences/08: is not a folder" in message(Kitti, path=kitti, sequence="08")
     rows = (kitti / "poses" / "07.txt").read_text().splitlines()
@@ -454,6 +480,18 @@ def test_euroc_names_file_and_line(euroc, file, before, after, words):
         assert words in message(Euroc, path=euroc)
     else:
         Euroc.create(path=euroc).open()
+
+
+def test_euroc_takes_a_field_of_view_where_there_is_no_calibration(euroc):
+    known = Euroc.create(path=euroc, fov_deg=90).open()
+    assert known.camera == Euroc.create(path=euroc).open().camera
+    assert "is not used: the camera is known from sensor.yaml" in known.notes[-1]
+    (euroc / "mav0" / "cam0" / "sensor.yaml").unlink()
+    ideal = Euroc.create(path=euroc, fov_deg=90).open()
+    assert (ideal.camera.fx, ideal.frame_rate_hz) == (pytest.approx(ideal.camera.width / 2), 20.0)
+    assert "taken as the camera's" in ideal.notes[1]
+    assert len(ideal.ground_truth) == len(known.ground_truth)
+    assert "`fov_deg` makes an ideal camera" in message(Euroc, path=euroc)
 
 
 def test_euroc_what_is_missing(euroc, tmp_path):

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +56,10 @@ class Channel:
 class BagFile(ABC):
     """A file of messages; opening it finds where they lie and reads none.
 
-    damage: what is wrong with the file and how far it is read, or None.
+    kind: what such a file is called. damage: what is wrong with the file and how far it is read, or None.
     """
 
+    kind: ClassVar[str]
     damage: str | None = None
 
     def __init__(self, file: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
@@ -13,11 +14,14 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Sequence
+from codecbench.core.contracts.sequence import Dataset, Frame, Origin, Sequence
 from codecbench.plugins.datasets.bag.bag_file import Integers
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
 from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
 from codecbench.plugins.datasets.bag.pictures import (
+    bits_of,
+    is_read,
+    largest_sample,
     picture_from_compressed,
     picture_from_image,
     said_of_compressed,
@@ -26,16 +30,17 @@ from codecbench.plugins.datasets.bag.pictures import (
 from codecbench.plugins.datasets.bag.recording import Recording, Topic, is_called_a_bag, recording
 from codecbench.plugins.datasets.bag.transforms import frame_name
 from codecbench.plugins.datasets.bag.truth import Wanted, true_path
-from codecbench.plugins.datasets.calibration import camera_from_file
+from codecbench.plugins.datasets.calibration import lens_of
 from codecbench.plugins.datasets.files import digest_of, known_facts
-from codecbench.plugins.datasets.selection import Selection, converted
+from codecbench.plugins.datasets.selection import FoundCamera, OwnCamera, Selection, converted, found_in_file
 from codecbench.plugins.datasets.tables import rate_hz
 
 _USUAL_RATE_HZ: Final = 30.0
 _MOST_LISTED: Final = 40
+_SAMPLED_FRAMES: Final = 9
 
 
-class BagParams(Selection):
+class BagParams(Selection, OwnCamera):
     """Parameters of `bag`."""
 
     path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
@@ -48,7 +53,6 @@ class BagParams(Selection):
         str,
         Field(description="topic of sensor_msgs/CameraInfo; auto: the one beside the pictures or the only one; none"),
     ] = "auto"
-    calibration: Annotated[PathParam | None, Field(description="calibration file to use instead")] = None
     ground_truth: Annotated[
         str, Field(description="topic of poses or transforms; auto: the only topic of poses; none")
     ] = "auto"
@@ -60,9 +64,8 @@ class BagParams(Selection):
     ] = None
 
     @model_validator(mode="after")
-    def _one_camera(self) -> Self:
-        if self.calibration is not None and self.camera != "auto":
-            raise ValueError("give `camera` or `calibration`, not both")
+    def _camera_once(self) -> Self:
+        self.refuse_beside(self.camera)
         return self
 
 
@@ -99,14 +102,21 @@ class BagSequence(Sequence):
         image = self._picture(int(self._numbers[0]), first)
         self.channels = channel_count(image)
         self._size = image.shape[1::-1]
-        self.camera, of_camera = self._find_camera()
+        found = params.or_ideal(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
+        self.camera = found.camera
         frame = frame_name(first.header.frame_id)
         wanted = Wanted(params.ground_truth, params.parent_frame, params.child_frame, frame)
         self.ground_truth, of_truth = true_path(self._recording, wanted)
         compressed = self._topic.type == COMPRESSED
-        of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits)
+        largest = None if compressed else self._largest_sample()
+        of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits, largest)
+        self.origin = Origin(
+            f"{self._recording.kind}, topic {self._topic.name}",
+            found.source,
+            params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
+        )
         self.notes = (*self._recording.damage, described(self._recording, self._topic), *of_picture, *said)
-        self.notes += (*of_camera, *of_truth)
+        self.notes += (*found.notes, *of_truth)
         self._check(image, int(self._numbers[0]))
 
     @cached_property
@@ -135,23 +145,40 @@ class BagSequence(Sequence):
         image = picture(message, self._params.bits, self._recording.where(self._topic, number))
         return converted(image, self._params.color)
 
-    def _find_camera(self) -> tuple[Camera | None, list[str]]:
+    def _largest_sample(self) -> int | None:
+        """The largest sample of a few frames over the whole, of pictures of 16 bits."""
+        found: list[int] = []
+        places = np.unique(np.linspace(0, len(self._numbers) - 1, _SAMPLED_FRAMES).astype(int))
+        for number in self._numbers[places].tolist():
+            with suppress(DatasetError):  # a damaged frame is an error when it is read
+                largest = largest_sample(self._recording.message(self._topic, number))
+                if largest is None:
+                    return None
+                found.append(largest)
+        return max(found, default=None)
+
+    def _known_camera(self) -> FoundCamera:
         params = self._params
         if params.calibration is not None:
-            return camera_from_file(params.calibration)[0], []
+            return found_in_file(params.calibration)[0]
         if params.camera == "none":
-            return None, []
+            return FoundCamera()
         if params.camera == "auto":
             topic = camera_topic(self._recording, self._topic)
         else:
             topic = _camera_named(self._recording, params.camera)
         if topic is None:
-            return None, ["no camera: there is no camera_info beside the pictures; `calibration: FILE` gives one"]
+            if params.fov_deg is not None:
+                return FoundCamera()
+            remedy = "`calibration: FILE` or `fov_deg` gives one"
+            return FoundCamera(notes=(f"no camera: there is no camera_info beside the pictures; {remedy}",))
         camera = camera_from_topic(self._recording, topic, self._topic)
         if camera is None:
-            return None, [f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)"]
-        distorted = f"distortion {camera.model}" if any(camera.distortion) else "no distortion"
-        return camera, [f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {distorted}"]
+            return FoundCamera(
+                notes=(f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)",)
+            )
+        said = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {lens_of(camera)}"
+        return FoundCamera(camera, "camera_info", (said,))
 
     def _check(self, image: Image, number: int) -> None:
         where = self._recording.where(self._topic, number)
@@ -171,16 +198,27 @@ def image_topic(found: Recording, name: str | None) -> Topic:
     images = {topic.name: topic for topic in found.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)}
     if name is not None and name in images:
         return images[name]
-    if name is None and len(images) == 1:
-        return next(iter(images.values()))
+    readable = {name: topic for name, topic in images.items() if _may_be_read(found, topic)}
+    if name is None and len(readable or images) == 1:
+        return next(iter((readable or images).values()))
     damage = "".join(f"; {text}" for text in found.damage)
     if not images:
         topics = list(found.topics.values())[:_MOST_LISTED]
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
-        raise DatasetError(f"{found.path}: holds no pictures; topics: {listed or 'none'}{damage}")
+        what = "is damaged, and no picture is left that can be read" if damage else "holds no pictures"
+        raise DatasetError(f"{found.path}: {what}; topics: {listed or 'none'}{damage}")
+    images = readable or images
     listed = "".join(f"\n  {described(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
     what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
     raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}{damage}")
+
+
+def _may_be_read(found: Recording, topic: Topic) -> bool:
+    """Whether the encoding of a topic's first picture is one that is read; a damaged one may be."""
+    try:
+        return is_read(found.message(topic, 0))
+    except DatasetError:
+        return True
 
 
 def described(found: Recording, topic: Topic) -> str:

@@ -23,6 +23,7 @@ _LATEST_NS: Final = (1 << 63) - 1
 class McapFile(ChunkedFile):
     """An `.mcap` file."""
 
+    kind = "MCAP file"
     magic = b"\x89MCAP0\r\n"
 
     def __init__(self, file: Path) -> None:

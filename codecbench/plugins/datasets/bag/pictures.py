@@ -97,6 +97,18 @@ def eight_bits(samples: NDArray[Any], bits: int) -> Image:
     return np.asarray(np.minimum(samples >> (bits - 8), 255), dtype=np.uint8)
 
 
+def is_read(message: Any) -> bool:
+    """Whether an Image or a CompressedImage holds a picture by its encoding; depths in metres, 32FC1, are none."""
+    if hasattr(message, "format"):
+        return "compressedDepth" not in message.format
+    return message.encoding in _LAYOUTS
+
+
+def bits_of(largest: int) -> int:
+    """How many bits a camera has whose largest sample is this: 8, 10, 12, 14 or 16."""
+    return max(8, (largest.bit_length() + 1) // 2 * 2)
+
+
 def largest_sample(message: Any) -> int | None:
     """The largest sample of a sensor_msgs/Image of 16 bits, None for others."""
     layout = _LAYOUTS.get(message.encoding)
@@ -144,14 +156,18 @@ def _check_header(content: NDArray[np.uint8], where: str) -> None:
         raise DatasetError(f"{where}: the JPEG picture is cut short")
 
 
-def said_of_image(message: Any, bits: int) -> list[str]:
-    """What was done to the samples of a sensor_msgs/Image, in sentences."""
+def said_of_image(message: Any, bits: int, largest: int | None) -> list[str]:
+    """What was done to the samples of a sensor_msgs/Image, in sentences.
+
+    largest: the largest sample that was seen of 16 bits, None for others.
+    """
     notes = []
-    largest = largest_sample(message)
     if largest is not None:
+        fit = bits_of(largest)
+        better = "" if fit == bits else f", for which `bits: {fit}` would do"
         notes.append(
-            f"samples of 16 bits become 8 by their bits {bits - 8} to {bits - 1} (`bits: {bits}`); the largest of the "
-            f"first frame is {largest}, for which `bits: {max(largest.bit_length(), 8)}` would do"
+            f"samples of 16 bits become 8 by their bits {bits - 8} to {bits - 1} (`bits: {bits}`); the largest of "
+            f"frames that were looked at is {largest}{better}"
         )
     if message.encoding.startswith("bayer"):
         notes.append(f"{message.encoding} becomes RGB by bilinear interpolation (OpenCV)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ from codecbench.plugins.datasets.folder import natural_key
 _KINDS: Final[dict[str, type[BagFile]]] = {".bag": Ros1File, ".mcap": McapFile, ".db3": SqliteFile}
 _IN_FOLDERS: Final = (".mcap", ".db3")
 """What ROS 2 puts into the folder of a bag."""
+_NUMBER: Final = re.compile(r"(^|_)\d+$")
+_MOST_NAMES: Final = 20
 _HEAD_BYTES: Final = 12
 _OPEN_AT_ONCE: Final = 4
 
@@ -45,13 +48,14 @@ class Topic:
 class Recording:
     """A ROS 1 bag, a ROS 2 bag of one or several files, or an MCAP file.
 
-    damage: for each file that is damaged, what is wrong and how far it is read.
+    kind: what it is called. damage: for each file that is damaged, what is wrong and how far it is read.
     """
 
     def __init__(self, path: Path, files: list[Path]) -> None:
         self.path = path
         self._files = [_KINDS[file.suffix](file) for file in files]
         self.damage = [file.damage for file in self._files if file.damage is not None]
+        self.kind = "ROS 2 bag" if path.is_dir() else self._files[0].kind
         self.topics = {topic.name: topic for topic in self._merged()}
 
     def raw(self, topic: Topic, number: int) -> bytes:
@@ -113,6 +117,11 @@ class Recording:
             yield Topic(name, *kinds[0], places[np.argsort(places[:, 0], kind="stable")])
 
 
+def _several(files: list[Path]) -> bool:
+    """Whether files are of several recordings: those of one are numbered, `walk_0.db3`, `walk_1.db3`."""
+    return len({(_NUMBER.sub("", file.stem), file.suffix) for file in files}) > 1
+
+
 def is_called_a_bag(path: Path) -> bool:
     """Whether a file's name, or those of a folder's files, say that it is one."""
     if not path.is_dir():
@@ -145,10 +154,12 @@ def _files(path: Path) -> list[Path]:
                 f"{path}: ends in {path.suffix!r}; .bag, .mcap, .db3 and folders of the last two are read"
             )
         return [path]
-    for suffix in _IN_FOLDERS:
-        files = sorted((file for file in path.iterdir() if file.suffix == suffix and file.is_file()), key=natural_key)
-        if files:
-            return files
+    files = sorted((file for file in path.iterdir() if file.suffix in _KINDS and file.is_file()), key=natural_key)
+    if _several(files):
+        names = ", ".join(file.name for file in files[:_MOST_NAMES]) + (", ..." if len(files) > _MOST_NAMES else "")
+        raise DatasetError(f"{path}: holds several recordings; `path` names one of them: {names}")
+    if files and files[0].suffix in _IN_FOLDERS:
+        return files
     packed = next((file.name for file in sorted(path.iterdir()) if file.suffix == ".zstd"), None)
     if packed is not None:
         raise DatasetError(f"{path / packed}: is compressed as a whole; expand the folder's files with `zstd -d` first")

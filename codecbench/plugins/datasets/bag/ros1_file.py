@@ -19,6 +19,7 @@ Fields = dict[bytes, bytes]
 class Ros1File(ChunkedFile):
     """A `.bag` file of ROS 1."""
 
+    kind = "ROS 1 bag"
     magic = b"#ROSBAG V2.0\n"
 
     def _walk_record(self, position: int) -> int | None:

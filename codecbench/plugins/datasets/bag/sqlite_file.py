@@ -20,6 +20,8 @@ _ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
 class SqliteFile(BagFile):
     """A `.db3` file. Blocks are always 0, offsets are rows."""
 
+    kind = "ROS 2 bag"
+
     def __init__(self, file: Path) -> None:
         super().__init__(file)
         try:
@@ -51,11 +53,15 @@ class SqliteFile(BagFile):
         except _ERRORS as error:
             raise DatasetError(f"{self.file}: the message of row {offset} is damaged: {error}") from error
 
+    @property
+    def _recovery(self) -> str:
+        return f"copy it again, or see what `sqlite3 {self.file.name} .recover` finds"
+
     def _find_damage(self, head: bytes, size_bytes: int) -> None:
         page_bytes = int.from_bytes(head[16:18], "big")
         wanted = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
         if size_bytes < wanted:
-            self.damage = f"{self.file}: is cut short: {size_bytes} of {wanted} bytes"
+            self.damage = f"{self.file}: is cut short: {size_bytes} of {wanted} bytes; {self._recovery}"
         elif self._wal_bytes:
             self.damage = f"{self.file}: was not closed; what is only in {self.file.name}-wal is not read"
 
@@ -90,7 +96,7 @@ class SqliteFile(BagFile):
                 if number in by_id and isinstance(time_ns, int):
                     by_id[number].add(time_ns, 0, row)
         except _ERRORS as error:
-            self.damage = self.damage or f"{self.file}: is damaged: {error}"
+            self.damage = self.damage or f"{self.file}: is damaged: {error}; {self._recovery}"
         self.channels = list(by_id.values())
         if self.damage is not None:
             for channel in self.channels:

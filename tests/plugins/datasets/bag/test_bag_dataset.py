@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image
-from codecbench.core.contracts.sequence import Camera
+from codecbench.core.contracts.sequence import Camera, Origin
 from codecbench.plugins.datasets.bag.dataset import Bag
 from codecbench.plugins.datasets.bag.recording import recording
 
@@ -108,6 +108,28 @@ def test_several_topics_of_pictures_are_listed_and_one_is_chosen_by_name(tmp_pat
     assert len(Bag.create(path=path, topic="/left/image").open()) == 3
 
 
+def test_depths_are_not_offered_as_pictures(tmp_path):
+    path = path_for(tmp_path, "mcap")
+    with BagWriter(path, "mcap") as bag:
+        bag.write("/depth", bag.image(np.zeros((24, 32), np.float32), "32FC1", time_ns(0)), time_ns(0))
+        bag.write("/depth/small", bag.compressed_image(b"x", "32FC1; compressedDepth png", time_ns(0)), time_ns(0))
+        bag.write("/left", bag.image(picture(1), "rgb8", time_ns(0)), time_ns(0))
+    assert Bag.create(path=path).open().origin.kind == "ROS 2 bag, topic /left"
+    assert message(path=path, topic="/x").endswith(
+        "choose one with `topic`:\n  /left: 1 of sensor_msgs/msg/Image, 32x24 rgb8"
+    )
+    assert "encoding '32FC1' is not read" in message(path=path, topic="/depth")
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_what_it_was_opened_from(tmp_path, kind):
+    path = write_pictures(path_for(tmp_path, kind), kind, count=2)
+    origin = Bag.create(path=path).open().origin
+    assert origin == Origin(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw", "camera_info")
+    if kind == "mcap":
+        assert Bag.create(path=bag_file(path, kind)).open().origin.kind == "MCAP file, topic /cam/image_raw"
+
+
 def test_a_bag_without_pictures_lists_what_it_has(tmp_path):
     with BagWriter(tmp_path / "a.bag", "bag") as bag:
         bag.write("/cam/camera_info", bag.camera_info(), 5)
@@ -166,6 +188,8 @@ def test_rational_cameras_are_read(tmp_path):
     numbers = (0.5, -0.3, 0.001, -0.002, 0.01, 0.4, -0.2, 0.03)
     camera = camera_of(tmp_path, model="rational_polynomial", distortion=numbers).open().camera
     assert (camera.distortion, camera.model) == (numbers, "pinhole")
+    dataset = Bag.create(path=path_for(tmp_path, "bag"))
+    assert "camera: /cam/camera_info, 32x24, fx 30, rational distortion (k1 to k6)" in dataset.open().notes
 
 
 def test_a_rational_camera_whose_denominator_is_1_is_a_plain_one(tmp_path):
@@ -216,6 +240,30 @@ def test_a_calibration_file_takes_the_place_of_the_topic(tmp_path):
         Bag.create(path=dataset.params.path, calibration=file, camera="/cam/camera_info")
     assert Bag.create(path=dataset.params.path, camera="/cam/camera_info").open().camera.fx == 30.0
     assert "camera '/x' is no topic of sensor_msgs/msg/CameraInfo" in message(path=dataset.params.path, camera="/x")
+
+
+def test_a_field_of_view_is_used_where_there_is_no_calibration(tmp_path):
+    path = write_pictures(tmp_path / "bare.bag", "bag", camera=False)
+    sequence = Bag.create(path=path, fov_deg=90).open()
+    assert (sequence.camera.fx, sequence.origin.camera) == (pytest.approx(16), "the field of view")
+    assert sequence.notes[-1] == "the camera is an ideal one of 90 degrees: calibrate it before you trust a path"
+    path = write_pictures(tmp_path / "known.bag", "bag")
+    sequence = Bag.create(path=path, fov_deg=90).open()
+    assert sequence.camera.fx == 30.0
+    assert "(`fov_deg`) is not used: the camera is known from camera_info" in sequence.notes[-1]
+    assert Bag.create(path=path, fov_deg=90, camera="none").open().camera.fx == pytest.approx(16)
+    with pytest.raises(ValidationError, match="give `camera` or `fov_deg`, not both"):
+        Bag.create(path=path, fov_deg=90, camera="/cam/camera_info")
+
+
+def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path):
+    write_pictures(tmp_path / "b.bag", "bag", count=2)
+    for name in ("walk", "drive"):
+        file = bag_file(write_pictures(tmp_path / name, "mcap", count=3), "mcap")
+        shutil.copy(file, tmp_path)
+    assert message(path=tmp_path).endswith(
+        "holds several recordings; `path` names one of them: b.bag, drive.mcap, walk.mcap"
+    )
 
 
 def test_paths_that_are_no_bag(tmp_path):

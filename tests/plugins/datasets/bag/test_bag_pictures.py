@@ -12,6 +12,7 @@ from bag_files import BagWriter, picture, time_ns
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets.bag.dataset import Bag
+from codecbench.plugins.datasets.bag.pictures import bits_of
 
 RGB = picture(1, (24, 32, 3))
 GRAY = picture(2, (24, 32))
@@ -72,7 +73,13 @@ def test_samples_of_twelve_bits_become_the_upper_eight_of_these(tmp_path):
     np.testing.assert_array_equal(sequence.read(0).image, expected)
     samples[0, 1] = 7
     sequence = opened(tmp_path, lambda bag: bag.image(samples, "mono16", time_ns(0)))
-    assert "the largest of the first frame is 4095, for which `bits: 12` would do" in sequence.notes[1]
+    assert "the largest of frames that were looked at is 4095, for which `bits: 12` would do" in sequence.notes[1]
+    assert sequence.origin.params == {"bits": 12}
+
+
+@pytest.mark.parametrize(("largest", "bits"), [(0, 8), (255, 8), (256, 10), (1900, 12), (4096, 14), (65535, 16)])
+def test_a_camera_has_an_even_number_of_bits(largest, bits):
+    assert bits_of(largest) == bits
 
 
 def mosaic(image, order):
