@@ -93,7 +93,7 @@ def cli(confine: bool) -> None:
 
 
 def main() -> None:
-    """Entry point: whatever ends a command is a message, not a traceback, and an exit status."""
+    """Run the command of this process: whatever ends it is a message, not a traceback, and an exit status."""
     from codecbench.cli.exit_status import close_output, report_error
 
     if VARIABLE in os.environ:

@@ -1,9 +1,10 @@
 """Which code a plugin is made of, as a fingerprint: it changes with an edit, whether or not a version was raised.
 
 Of another distribution that was installed as copied files, its version and what its RECORD lists. Of one that is loaded
-from where it is written (editable, or found on the path) the files of the package that the plugin is in. Of our own,
-the modules outside the core that the plugin's imports lead to: what the core does to results is in every identity
-(`RECORD_FORMAT`), and an edit of one codec says nothing about another. Nothing is imported.
+from where it is written (editable, or found on the path) the files of the package that the plugin is in, and the
+modules beside it that the plugin's imports lead to. Of our own, the modules outside the core that the plugin's imports
+lead to: what the core does to results is in every identity (`RECORD_FORMAT`), and an edit of one codec says nothing
+about another. Nothing is imported.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
+from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +31,8 @@ _CORE: Final = f"{OURS}.core"
 _COMPILED: Final = (".pyc", ".pyo", ".nbi", ".nbc")
 _LISTS: Final = ("kernels.json",)
 """What is compiled ahead: it changes when something is compiled, not what."""
+_SHARED_FOLDERS: Final = ("site-packages", "dist-packages")
+"""What pip installs into: what lies beside a package there is of other distributions."""
 _LARGE_BYTES: Final = 16 << 20
 """Larger files, such as weights, count by size and time of writing."""
 
@@ -98,25 +102,29 @@ def _recorded(installed: Distribution) -> Iterator[str]:
 def _files(plugin: Plugin) -> list[Path]:
     """The files that the plugin's code is in, in order."""
     module = plugin.spec.target.partition(":")[0]
-    place = _place(module)
-    if place is None:
+    found = _place(module)
+    if found is None:
         return []
+    place, top = found
     if not plugin.company:
-        return sorted(_own_files(module, Path(__file__).parents[2]))
-    return [place] if place.is_file() else sorted(_files_below(place))
+        return sorted(_led_to(module, top, _outside_core))
+    files = {place} if place.is_file() else set(_files_below(place))
+    return sorted(files if top.name in _SHARED_FOLDERS else files | _led_to(module, top, _outside_codecbench))
 
 
-def _place(module: str) -> Path | None:
-    """The folder or file of the package that a module is in: the first below those that distributions share."""
+def _place(module: str) -> tuple[Path, Path] | None:
+    """The folder or file of the package that a module is in, the first below those that distributions share, and the
+    folder on the path that it was found in."""
     parts = module.split(".")
-    with suppress(ImportError, ValueError, AttributeError):
+    with suppress(ImportError, ValueError, AttributeError, IndexError):
         spec = find_spec(parts[0])
         for depth in range(2, len(parts) + 1):
             if spec is None or spec.origin is not None:
                 break
             spec = PathFinder.find_spec(".".join(parts[:depth]), list(spec.submodule_search_locations or ()))
         if spec is not None:
-            return Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
+            place = Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
+            return place, place.parents[spec.name.count(".")]
     return None
 
 
@@ -128,17 +136,22 @@ def _files_below(folder: Path) -> Iterator[Path]:
                 yield Path(parent, name)
 
 
-def _own_files(module: str, root: Path) -> set[Path]:
-    """The files of one of our modules, of those outside the core that it leads to, and the data beside them."""
-    waiting, found = [module], set()
+def _led_to(module: str, top: Path, counted: Callable[[Iterable[str]], Iterable[str]]) -> set[Path]:
+    """The files of a module, of those in the folder `top` that it leads to, and the data beside them in packages.
+
+    counted: which of the names that a module imports count.
+    """
+    waiting, found = [*counted([module])], set()
     while waiting:
-        path = _module_file(waiting.pop(), root)
+        path = _module_file(waiting.pop(), top)
         if path is None or path in found:
             continue
         found.add(path)
-        state = path.stat()
-        waiting += _imports(path, state.st_size, state.st_mtime_ns)
-    data = (other for folder in {path.parent for path in found} for other in folder.iterdir())
+        with suppress(OSError):
+            state = path.stat()
+            package = ".".join(path.relative_to(top).parent.parts)
+            waiting += counted(_imports(path, package, state.st_size, state.st_mtime_ns))
+    data = (other for folder in {path.parent for path in found} - {top} for other in folder.iterdir())
     return found | {path for path in data if path.is_file() and _is_data(path)}
 
 
@@ -146,25 +159,34 @@ def _is_data(path: Path) -> bool:
     return path.suffix not in (".py", ".typed", *_COMPILED) and path.name not in _LISTS and path.name[0] != "."
 
 
-def _module_file(module: str, root: Path) -> Path | None:
-    path = root.parent.joinpath(*module.split("."))
-    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+def _module_file(module: str, top: Path) -> Path | None:
+    path = top.joinpath(*module.split("."))
+    return next((file for file in (path.with_name(f"{path.name}.py"), path / "__init__.py") if file.is_file()), None)
 
 
 @functools.cache
-def _imports(path: Path, size: int, written_ns: int) -> tuple[str, ...]:
-    """What a file of ours of this size and time imports from outside the core: modules, and names that may be some."""
+def _imports(path: Path, package: str, size: int, written_ns: int) -> tuple[str, ...]:
+    """What a file in a package, of this size and time, imports: modules, and names that may be some."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    return tuple(_outside_core(names))
+    with suppress(SyntaxError, ValueError, RecursionError, ImportError):  # of others, and nothing to run
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.Import):
+                names += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                module = resolve_name("." * node.level + (node.module or ""), package)
+                names += [module, *(f"{module}.{alias.name}" for alias in node.names)]
+    return tuple(names)
 
 
 def _outside_core(names: Iterable[str]) -> Iterator[str]:
     return (name for name in names if name.startswith(f"{OURS}.") and not f"{name}.".startswith(f"{_CORE}."))
+
+
+def _outside_codecbench(names: Iterable[str]) -> Iterator[str]:
+    """Names of others, each after the packages that it is in, which are imported too."""
+    for name in names:
+        if name.partition(".")[0] != OURS:
+            yield from accumulate(name.split("."), "{}.{}".format)
 
 
 @functools.cache

@@ -18,12 +18,14 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.held_folder import HeldFolder
 from codecbench.core.engine.foreign_errors import ended
-from codecbench.core.engine.hosting.host import HOSTED_VARIABLE, PluginHost, cache_variable
+from codecbench.core.engine.hosting.host import FOLDER_PREFIX, HOSTED_VARIABLE, PluginHost, cache_variable
 
 _SERVING: Final = "codecbench.core.engine.serving"
 _PR_SET_PDEATHSIG: Final = 1
@@ -33,6 +35,7 @@ _SCOUT_TIMES: Final = 3
 _GRACE_S: Final = 2.0
 """A scout that has to go gets so long to end its children."""
 _MOST_DESCRIPTORS: Final = 1024
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass
@@ -68,8 +71,8 @@ class Scout:
             self._host = PluginHost(())
             self._host.start()
         else:
-            self._folder = _folder()
-            self._child = _forked(self._scouted, self._folder.name)
+            self._folder = HeldFolder(FOLDER_PREFIX)
+            self._child = _forked(self._scouted, self._folder.path)
 
     def answers(self) -> dict[str, Any]:
         """What each distribution offers, or `error` and `text`; call it once. Raises PluginError where it fails."""
@@ -94,7 +97,7 @@ class Scout:
             time.sleep(_POLL_S)
             self._child.reap()
         _end(self._child)
-        self._folder.cleanup()
+        self._folder.remove()
 
     def _scouted(self) -> bytes:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # which ends its children on the way
@@ -106,11 +109,11 @@ def answers_of_children(questions: dict[str, Callable[[], bytes]], limit_s: floa
 
     All children run at once, for at most `limit_s`, in a folder of their own, and none is left.
     """
-    with _folder() as folder:
+    with HeldFolder(FOLDER_PREFIX) as folder:
         children: dict[str, _Child] = {}
         try:
             for name, question in questions.items():
-                children[name] = _forked(question, folder)
+                children[name] = _forked(question, folder.path)
             _wait(list(children.values()), time.monotonic() + limit_s)
         finally:
             for child in children.values():
@@ -126,10 +129,6 @@ def is_single_threaded() -> bool:
         return False
 
 
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="codecbench-host-", ignore_cleanup_errors=True)
-
-
 def _wait(waiting: list[_Child], deadline: float) -> None:
     """Read what children write until all have answered or ended, or it is too late."""
     while waiting and time.monotonic() < deadline:
@@ -143,17 +142,21 @@ def _wait(waiting: list[_Child], deadline: float) -> None:
         waiting = [child for child in waiting if not child.done]
 
 
-def _forked(question: Callable[[], bytes], folder: str) -> _Child:
+def _forked(question: Callable[[], bytes], folder: Path) -> _Child:
     reading, writing = os.pipe()
     asker = os.getpid()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # none may end the child as if it were its parent
     pid = os.fork()
     if pid:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(writing)
         return _Child(pid, reading)
     with suppress(BaseException):
         os.setsid()
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         _die_with_parent(asker)
+        for number in _ENDING:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.closerange(3, writing)
         os.closerange(writing + 1, _MOST_DESCRIPTORS)
         _settle(folder)
@@ -170,14 +173,14 @@ def _die_with_parent(parent: int) -> None:
         os._exit(0)
 
 
-def _settle(folder: str) -> None:
+def _settle(folder: Path) -> None:
     """Leave the folder and the terminal of whoever runs codecbench."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):
         os.dup2(nothing, descriptor)
     sys.path[:] = [os.path.abspath(path) for path in sys.path]
-    os.environ.update(cache_variable(), TMPDIR=folder, **{HOSTED_VARIABLE: "1"})
-    tempfile.tempdir = folder
+    os.environ.update(cache_variable(), TMPDIR=str(folder), **{HOSTED_VARIABLE: "1"})
+    tempfile.tempdir = str(folder)
     os.chdir(folder)
 
 

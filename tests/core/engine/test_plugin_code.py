@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from distributions import install_posterize
+from distributions import install_posterize, install_source
 
 from codecbench.core.contracts.hooks import PluginSpec
 from codecbench.core.engine.plugin import Plugin
-from codecbench.core.engine.plugin_code import _own_files, code_digest, code_of, files_since
+from codecbench.core.engine.plugin_code import _led_to, _outside_core, code_digest, code_of, files_since
 from codecbench.core.engine.registry import installed
 
 POSTERIZE = Plugin("codec", PluginSpec("posterize", "codecbench_posterize.codec:Posterize", ""),
@@ -77,6 +77,43 @@ def test_of_copied_files_the_version_and_the_list_count(site: Path) -> None:
     assert code_of(POSTERIZE) not in (before, after)
 
 
+@pytest.mark.parametrize("depth", [0, 1], ids=["beside", "in a package beside"])
+def test_modules_that_the_plugin_leads_to_count_and_others_in_the_folder_do_not(site: Path, depth: int) -> None:
+    helper = site / "tools" / "rounding.py" if depth else site / "rounding.py"
+    (site / "tools").mkdir()
+    (site / "tools" / "__init__.py").write_text("from . import rounding\n" if depth else "")
+    helper.write_text("import json\nSTEP = 1\n")
+    (site / "unrelated.py").write_text("")
+    append(site / "codecbench_posterize" / "codec.py", "import tools\n" if depth else "from rounding import STEP\n")
+    before = code_of(POSTERIZE)
+    append(site / "unrelated.py", "X = 1\n")
+    assert code_of(POSTERIZE) == before
+    append(helper, "STEP = 2\n")
+    assert code_of(POSTERIZE) != before
+    assert "rounding.py" in files_since(POSTERIZE, helper.stat().st_mtime - 1)
+
+
+def test_beside_what_pip_installs_lie_the_modules_of_others(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = tmp_path / "site-packages"
+    shared.mkdir()
+    monkeypatch.syspath_prepend(str(shared))
+    install_source(shared, "lonely", "1", "import other_library\n")
+    lonely = Plugin("codec", PluginSpec("lonely", "lonely:Codec", ""), "lonely 1", hosted=True)
+    before = code_of(lonely)
+    (shared / "other_library.py").write_text("")
+    assert code_of(lonely) == before
+
+
+def test_a_module_that_cannot_be_read_as_python_counts_as_a_file(site: Path) -> None:
+    path = site / "codecbench_posterize" / "codec.py"
+    path.write_text("def broken(:\n")
+    before = code_of(POSTERIZE)
+    append(path, "X = 1\n")
+    assert code_of(POSTERIZE) != before
+
+
 def test_a_plugin_that_is_not_there_has_no_fingerprint() -> None:
     assert code_of(Plugin("codec", PluginSpec("gone", "nowhere.to.be:Found", ""), "gone 1.0", hosted=True)) == ""
 
@@ -96,7 +133,7 @@ def test_of_ours_only_what_the_plugin_consists_of_counts(tmp_path: Path) -> None
         path = tmp_path / "codecbench" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    found = _own_files("codecbench.plugins.codecs.mine", tmp_path / "codecbench")
+    found = _led_to("codecbench.plugins.codecs.mine", tmp_path, _outside_core)
     names = {path.relative_to(tmp_path / "codecbench").as_posix() for path in found}
     assert names == files.keys() - {"plugins/codecs/other.py", "slam/kernels.json", "core/image.py"}
 

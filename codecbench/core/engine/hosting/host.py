@@ -10,11 +10,9 @@ import json
 import math
 import os
 import select
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import weakref
@@ -25,6 +23,7 @@ from typing import Any, Final
 from codecbench.core.contracts import errors
 from codecbench.core.contracts.confinement import confining_words, status_inside, wanted
 from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.held_folder import HeldFolder
 from codecbench.core.engine.foreign_errors import ended
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
@@ -32,6 +31,9 @@ LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
 
 HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
 """Set in hosts, so that a plugin which calls codecbench when it is imported is not imported again and again."""
+
+FOLDER_PREFIX: Final = "codecbench-host-"
+"""How the names of folders begin in which plugins of others are asked."""
 
 _LIMIT_S: Final = 60.0
 _MOST_BYTES: Final = 64 << 20
@@ -79,7 +81,8 @@ class PluginHost:
         """Start the process without waiting for it."""
         if self._process is not None:
             return
-        folder = tempfile.mkdtemp(prefix="codecbench-host-")
+        held = HeldFolder(FOLDER_PREFIX)
+        folder = str(held.path)
         confining = confining_words(folder) if wanted() else []
         taken, self._requests = os.pipe()
         self._answers, given = os.pipe()
@@ -96,7 +99,7 @@ class PluginHost:
         )
         os.close(taken)
         os.close(given)
-        self._end = weakref.finalize(self, _end, self._process, (self._requests, self._answers), folder)
+        self._end = weakref.finalize(self, _end, self._process, (self._requests, self._answers), held)
 
     def ask(
         self, function: Callable[..., Any] | str, arguments: Sequence[Any], *, ours: bool = True, times: float = 1
@@ -182,7 +185,7 @@ def _death(process: subprocess.Popen[bytes]) -> str:
     return ended(status_inside(status) if wanted() else status)
 
 
-def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: str) -> None:
+def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: HeldFolder) -> None:
     """Kill a host with its process group and remove what it left."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -190,4 +193,4 @@ def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: str) 
     for pipe in pipes:
         with suppress(OSError):
             os.close(pipe)
-    shutil.rmtree(folder, ignore_errors=True)
+    folder.remove()

@@ -1,4 +1,4 @@
-"""Ending a run early: the first SIGINT or SIGTERM asks for it, a second SIGINT does not wait."""
+"""Ending a run early: the first SIGINT, SIGTERM or SIGHUP asks for it, a second SIGINT does not wait."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interruption:
-    """A context in which signals set `requested` instead of ending the process. Inert outside the main thread."""
+    """A context in which signals set `requested` instead of ending the process. Inert outside the main thread.
+
+    SIGHUP stays ignored where it is, as under nohup.
+    """
 
     def __init__(self) -> None:
         self.signal_name: str | None = None
@@ -23,7 +26,9 @@ class Interruption:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._request) for number in _SIGNALS}
+            deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            heeded = _SIGNALS[:-1] if deaf else _SIGNALS
+            self._before = {number: signal.signal(number, self._request) for number in heeded}
         return self
 
     def __exit__(self, *_: object) -> None:

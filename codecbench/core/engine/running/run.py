@@ -56,9 +56,9 @@ def run_plan(
     """Compute what is missing of a plan and record it in `folder`; `growth` is asked for more until there is none.
 
     recompute: names of codecs, evaluators and sequences whose cells are computed again. Listener is told after every
-    job and cell. SIGINT and SIGTERM end the run within seconds; everything recorded is kept. Raises StoreError where
-    the folder is in use or cannot be written, ParamsError for a name in `recompute` that the plan does not have, and
-    CodecbenchError where plugins are to be confined and cannot be.
+    job and cell. SIGINT, SIGTERM and SIGHUP end the run within seconds; everything recorded is kept. Raises StoreError
+    where the folder is in use or cannot be written, ParamsError for a name in `recompute` that the plan does not have,
+    and CodecbenchError where plugins are to be confined and cannot be.
     """
     store = Store(folder)
     setting = plan.run.executor

@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from distributions import install_posterize
-from installed_command import Done, Place
+from distributions import install_posterize, install_source
+from installed_command import TINY, Done, Place, tiny_place
 
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.storage.record import bytes_from_record
@@ -24,6 +24,26 @@ run: {workers: 1}
 """
 
 pytestmark = pytest.mark.thorough
+
+
+HELPED = """
+import ed_helper
+from plain_plugins import NULL_TRACE, Shift
+
+from codecbench import PluginSpec, hookimpl
+
+
+class Helped(Shift):
+    name = "helped"
+
+    def encode(self, image, *, trace=NULL_TRACE):
+        return super().encode(ed_helper.prepared(image), trace=trace)
+
+
+@hookimpl
+def codecbench_codecs():
+    return [PluginSpec("helped", "ed_one:Helped", "asks the module beside it")]
+"""
 
 
 def run(place: Place, *words: str, evaluators: str = "quality") -> Done:
@@ -56,6 +76,21 @@ def test_an_edit_is_told_until_its_cells_are_made_again(place: Place) -> None:
         assert "2 of them from before" in done.stdout
     assert "1 of them from before" in run(place, "--recompute", "posterize").stdout
     assert "other code" not in run(place).output
+
+
+def test_an_edit_of_a_module_beside_the_codec_is_told(tmp_path: Path) -> None:
+    place = tiny_place(tmp_path)
+    install_source(place.site, "ed-one", "1", HELPED)
+    helper = place.site / "ed_helper.py"
+    helper.write_text("def prepared(image):\n    return image\n")
+    (tmp_path / "helped.yaml").write_text(TINY.replace("tiny", "helped").replace("shift", "helped"))
+    for told in (False, True):
+        assert place.call("run", "helped.yaml", "--quiet").status == 0
+        assert ("other code" in place.call("run", "helped.yaml", "--quiet").stderr) == told
+        helper.write_text("def prepared(image):\n    return image | 1\n")
+    said = place.call("run", "helped.yaml", "--quiet").stderr
+    assert "codec helped: other code made 1 kept cell (ed-one 1: ed_helper.py written since)" in said
+    assert "--recompute helped" in said
 
 
 @pytest.mark.slow
