@@ -71,6 +71,7 @@ class Euroc(Dataset[EurocParams]):
             camera=_camera(sensor),
             ground_truth=_trajectory(root / "mav0", _mounting(sensor)) if params.ground_truth else None,
             color=params.color,
+            notes=params.notes_of_part(len(rows)),
         )
         return FileSequence(content)
 

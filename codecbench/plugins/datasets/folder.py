@@ -48,7 +48,7 @@ class Folder(Dataset[FolderParams]):
             camera=params.camera(lambda: _size(files[chosen[0]])),
             color=params.color,
             sizes_differ=True,
-            notes=params.camera_notes,
+            notes=(*params.notes_of_part(len(files)), *params.camera_notes),
         )
         return FileSequence(content)
 

@@ -79,6 +79,7 @@ class Kitti(Dataset[KittiParams]):
             camera=_camera(projection, files[0]),
             ground_truth=truth,
             color=params.color,
+            notes=params.notes_of_part(len(rows)),
         )
         return FileSequence(content)
 

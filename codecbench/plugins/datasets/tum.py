@@ -72,6 +72,7 @@ class Tum(Dataset[TumParams]):
             camera=camera,
             ground_truth=read_tum_trajectory(folder / "groundtruth.txt") if params.ground_truth else None,
             color=params.color,
+            notes=params.notes_of_part(len(rows)),
         )
         return FileSequence(content)
 

@@ -90,7 +90,7 @@ class VideoSequence(Sequence):
         self.channels = 1 if params.color == "gray" else 3
         self.camera = params.camera(lambda: (index.width, index.height))
         self.ground_truth = None
-        self.notes = params.camera_notes
+        self.notes = (*params.notes_of_part(len(index.times_s)), *params.camera_notes)
         if index.coding.upper() not in _LOSSLESS:
             coding = f"{index.coding} video".strip()
             self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)

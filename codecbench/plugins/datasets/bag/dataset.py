@@ -105,7 +105,8 @@ class BagSequence(Sequence):
         self.ground_truth, of_truth = true_path(self._recording, wanted)
         compressed = self._topic.type == COMPRESSED
         of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits)
-        self.notes = (*self._recording.damage, described(self._recording, self._topic), *of_picture, *said)
+        part = params.notes_of_part(len(numbers))
+        self.notes = (*self._recording.damage, described(self._recording, self._topic), *part, *of_picture, *said)
         self.notes += (*of_camera, *of_truth)
         self._check(image, int(self._numbers[0]))
 
