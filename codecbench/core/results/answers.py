@@ -13,7 +13,7 @@ import pandas as pd
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import POOLED, Limit, limits
-from codecbench.core.results.ranking.ranking import SIGNIFICANCE, Ranked, Ranking, rankings
+from codecbench.core.results.ranking.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.results.ranking.words import baseline_rate, share_of_rate, successes, where
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import bd_rates_by_anchor
@@ -137,9 +137,11 @@ def _spanned(run: RunResult, on: str, curve: str, column: Column) -> str:
     assert run.rate is not None
     keys = zip(run.wide["codec"], run.wide["setting"], strict=True)
     settings = run.wide[[run.curves[key].curve == curve for key in keys]].groupby("setting", sort=False)
-    rows = settings[[column.name, run.rate.name]].agg(_mean_of_all).dropna()
+    means = settings[[column.name, run.rate.name]].agg(_mean_of_all)
+    rows = means.dropna()
     if rows.empty:
-        return f"no {column.label} known"
+        unmeasured = [f"“{part.label}”" for part in (column, run.rate) if means[part.name].isna().all()]
+        return f"{' and '.join(unmeasured) or 'rate and value of one setting'} not measured"
     values = np.sort(rows[column.name].to_numpy(float)) * column.factor
     rates = np.sort(rows[run.rate.name].to_numpy(float))
     unit = f" {column.unit}" if column.unit not in ("", "1") else ""
@@ -170,13 +172,16 @@ def _compared(run: RunResult, column: Column, ranking: Ranking | None, ranked: R
         return
     others = {other.curve: other for other in ranking.ranked if other is not ranked}
     behind = [name for name, other in others.items() if ranked.curve in other.ahead_of]
-    level = [name for name in others if name not in ranked.ahead_of and name not in behind]
+    beyond = ranking.not_compared(ranked.curve)
+    level = [name for name in others if name not in (*ranked.ahead_of, *behind, *beyond)]
     for words, names in (("better than", ranked.ahead_of), ("not told apart from", level), ("worse than", behind)):
         if names:
             all_of_them = len(names) == len(others) > 2
             yield f"{words} {f'all {len(names)} others' if all_of_them else ', '.join(names)}"
+    if beyond:
+        yield f"not compared with {', '.join(beyond)} ({NO_COMMON_RATE})"
     for anchor in ranking.anchors[:1]:
-        if anchor in level:
+        if anchor in level or anchor in beyond:
             continue
         yield from _beside(run, column, ranking, ranked, anchor)
 

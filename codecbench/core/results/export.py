@@ -15,6 +15,7 @@ from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import foreign_table
 
 if TYPE_CHECKING:
+    from codecbench.core.results.columns import Column
     from codecbench.core.results.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
@@ -70,14 +71,28 @@ def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
 def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
     """The headlines of a run in the units that people are shown, under heads for people.
 
-    brief: narrow heads, on several lines where there is more to say than the metric.
+    brief: narrow heads, on several lines where there is more to say than the metric, for a screen that may not hold all
+    columns beside each other: the rate and what codecs are judged by come first, before them the status where a row is
+    not ok.
     """
     headlines = run.headlines()
-    parts = [run.wide[[*_KEYS]], *(run.wide[column.name] * column.factor for column in headlines), run.wide[["status"]]]
-    table = pd.concat(parts, axis=1)
+    if brief:
+        headlines = list(dict.fromkeys([*_judged_by(run), *headlines]))
+    parts = [run.wide[column.name] * column.factor for column in headlines]
     heads = [column.brief if brief else column.heading for column in headlines]
-    table.columns = pd.Index([*_KEYS, *heads, "status"])
+    at = 0 if brief and (run.wide["status"] != "ok").any() else len(parts)
+    table = pd.concat([run.wide[[*_KEYS]], *parts[:at], run.wide["status"], *parts[at:]], axis=1)
+    table.columns = pd.Index([*_KEYS, *heads[:at], "status", *heads[at:]])
     return table
+
+
+def _judged_by(run: RunResult) -> list[Column]:
+    """The rate, whether the first task succeeds, and what is compared."""
+    from codecbench.core.results.answers import judged_column
+    from codecbench.core.results.ranking.words import successes
+
+    succeeded = next(iter(successes(run)), [])
+    return [column for column in (run.rate, *succeeded, judged_column(run)) if column is not None]
 
 
 def _objects(frame: pd.DataFrame) -> pd.DataFrame:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -119,7 +121,9 @@ class RunResult:
         from codecbench.core.results.export import short_table
         from codecbench.core.results.notes import notes
 
-        table = short_table(self).to_html(index=False, na_rep="–", float_format=lambda value: f"{value:.4g}")
+        table = short_table(self).to_html(
+            index=False, na_rep="–", float_format=lambda value: f"{value:.4g}".replace("inf", "∞")
+        )
         return "\n".join([str(table), *(f"<p>{escape(note)}</p>" for note in notes(self))])
 
     def plot(self, what: str = "", sequence: str | None = None) -> Figure:
@@ -146,22 +150,29 @@ class RunResult:
     def best(self, rate: float | None = None) -> Answers | Ranked:
         """What to take. Without a rate a sentence a codec; at a rate, in the unit that people are shown, the codec.
 
-        Raises ParamsError where nothing can be ranked at the rate.
+        Raises ParamsError for what is no rate, and where nothing can be ranked at it.
         """
         from codecbench.core.results.answers import answers
         from codecbench.core.results.ranking.ranking import rankings
 
         if rate is None:
             return answers(self)
+        if isinstance(rate, bool) or not isinstance(rate, Real) or not 0.0 < rate < math.inf:
+            unit = "" if self.rate is None else f" in {self.rate.unit}"
+            raise ParamsError(
+                f"best({rate!r}): give a rate above 0{unit}, as a number, or nothing for a sentence a codec; "
+                "`wide` and `tidy` are the tables with every column"
+            )
         found = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
         if not found:
             raise ParamsError("nothing can be ranked at that rate: no two codecs have settings around it")
         return found[0].taken
 
-    def frames(self, codec: str, setting: str = "", sequence: str | None = None) -> CodedSequence:
+    def frames(self, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None) -> CodedSequence:
         """The frames of a codec setting beside what was decoded of them, from the bitstreams in the run folder.
 
-        setting: as in the tables, `quality=10`; it may be left out where there is one. Opens the sequence. Raises
+        setting: as in the tables, `quality=10`, or parameters, {"quality": 10}; it may be left out where there is one.
+        Opens the sequence. Raises
         ParamsError where the run has no such setting, and DatasetError where the sequence is no longer that of the run.
         """
         from codecbench.core.results.stored_frames import stored_frames

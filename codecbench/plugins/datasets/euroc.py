@@ -74,7 +74,7 @@ class Euroc(Dataset[EurocParams]):
             camera=found.camera,
             ground_truth=_trajectory(root / "mav0", sensor) if params.ground_truth else None,
             color=params.color,
-            notes=notes,
+            notes=(*params.notes_of_part(len(rows)), *notes),
             origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
         )
         return FileSequence(content)

@@ -49,7 +49,7 @@ class Folder(Dataset[FolderParams]):
             camera=found.camera,
             color=params.color,
             sizes_differ=True,
-            notes=found.notes,
+            notes=(*params.notes_of_part(len(files)), *found.notes),
             origin=Origin("folder of pictures", found.source),
         )
         return FileSequence(content)

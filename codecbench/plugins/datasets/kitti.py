@@ -81,7 +81,7 @@ class Kitti(Dataset[KittiParams]):
             camera=found.camera,
             ground_truth=truth,
             color=params.color,
-            notes=(*found.notes, *unmoved),
+            notes=(*params.notes_of_part(len(rows)), *found.notes, *unmoved),
             origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
         )
         return FileSequence(content)

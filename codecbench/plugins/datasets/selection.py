@@ -41,6 +41,16 @@ class Selection(Params):
             raise DatasetError(f"{where}: start is {self.start}, which is not below {limit}; no frame is left")
         return range(self.start, stop, self.stride)
 
+    def notes_of_part(self, count: int) -> tuple[str, ...]:
+        """What is to be said of a recording of `count` frames of which only some are used."""
+        chosen = self.indices(count, "")
+        if len(chosen) == count:
+            return ()
+        if chosen[-1] == len(chosen) - 1:
+            return (f"the first {len(chosen):,} of {count:,} frames are used",)
+        steps = f", in steps of {self.stride}" if self.stride > 1 else ""
+        return (f"{len(chosen):,} of {count:,} frames are used, from {chosen[0]:,} to {chosen[-1]:,}{steps}",)
+
 
 @dataclass(frozen=True)
 class FoundCamera:

@@ -71,7 +71,7 @@ class Tum(Dataset[TumParams]):
             camera=found.camera,
             ground_truth=read_tum_trajectory(folder / "groundtruth.txt") if params.ground_truth else None,
             color=params.color,
-            notes=found.notes,
+            notes=(*params.notes_of_part(len(rows)), *found.notes),
             origin=Origin("TUM RGB-D folder", found.source),
         )
         return FileSequence(content)

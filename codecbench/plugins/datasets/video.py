@@ -91,7 +91,7 @@ class VideoSequence(Sequence):
         found = params.own_camera(lambda: (index.width, index.height))
         self.camera = found.camera
         self.ground_truth = None
-        self.notes = found.notes
+        self.notes = (*params.notes_of_part(len(index.times_s)), *found.notes)
         coding = f"{index.coding} video".strip()
         self.origin = Origin(coding, found.source)
         if index.coding.upper() not in _LOSSLESS:

@@ -47,6 +47,8 @@ def test_it_shows_itself_in_three_lines_and_as_a_table(run: RunResult) -> None:
     table = run._repr_html_()
     assert table.count("<tr") == 8
     assert "quality=10" in table
+    assert "<td>∞</td>" in table
+    assert "inf" not in table
 
 
 def test_figures_are_found_by_words(run: RunResult) -> None:
@@ -70,6 +72,12 @@ def test_the_best_is_a_sentence_a_codec_or_at_a_rate_the_codec(run: RunResult) -
         run.best(1e6)
 
 
+@pytest.mark.parametrize("wrong", ["quality.psnr_gray_db", True, -1.0, float("nan"), [0.5]])
+def test_what_is_no_rate_is_answered_with_what_is(run: RunResult, wrong: Any) -> None:
+    with pytest.raises(ParamsError, match=r"^best\(.*give a rate above 0 in bit/px, as a number"):
+        run.best(wrong)
+
+
 def test_frames_come_back_as_they_were_coded(run: RunResult) -> None:
     coded = run.frames("jpeg", "quality=10")
     jpeg = codecbench.codec("jpeg", quality=10)
@@ -77,6 +85,13 @@ def test_frames_come_back_as_they_were_coded(run: RunResult) -> None:
         bitstream = jpeg.encode(frame.original.image)  # type: ignore[attr-defined]
         assert bitstream == frame.bitstream
         assert np.array_equal(jpeg.decode(bitstream), frame.decoded)  # type: ignore[attr-defined]
+    assert [frame.bitstream for frame in run.frames("jpeg", {"quality": 10})] == [frame.bitstream for frame in coded]
+    with pytest.raises(
+        ParamsError, match=r"jpeg quality=11 is not one setting of the run; say which of raw, jpeg quality=10"
+    ):
+        run.frames("jpeg", {"quality": 11})
+    with pytest.raises(ParamsError, match="is not one setting"):
+        run.frames("jpeg", {"ratio": 10})
     with pytest.raises(ParamsError, match="say which of jpeg quality=10, jpeg quality=50"):
         run.frames("jpeg")
     with pytest.raises(ParamsError, match="say which of"):
@@ -95,6 +110,10 @@ def test_a_codec_by_its_name() -> None:
         codecbench.codec("jpeg", quality=700)
     with pytest.raises(PluginError, match="did you mean 'jpeg'"):
         codecbench.codec("jpge")
+    with pytest.raises(
+        ParamsError, match="one value is wanted of quality: make a codec of each, or a grid in a matrix"
+    ):
+        codecbench.codec("jpeg", quality=[10, 20])
 
 
 def test_dir_lists_what_a_user_needs_and_nothing_else() -> None:

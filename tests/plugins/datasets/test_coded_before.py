@@ -35,3 +35,12 @@ def test_a_folder_and_a_video_say_what_their_frames_were(tmp_path: Path) -> None
             writer.write(frame)
         writer.release()
         assert len(Video.create(path=tmp_path / name).open().notes) == notes, name
+
+
+def test_a_recording_that_is_used_in_part_says_how_much_of_it(tmp_path: Path) -> None:
+    for number in range(6):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((8, 8), np.uint8))
+    assert Folder.create(path=tmp_path).open().notes == ()
+    assert Folder.create(path=tmp_path, stop=4).open().notes == ("the first 4 of 6 frames are used",)
+    (note,) = Folder.create(path=tmp_path, start=1, stride=2).open().notes
+    assert note == "3 of 6 frames are used, from 1 to 5, in steps of 2"

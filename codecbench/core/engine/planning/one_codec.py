@@ -20,6 +20,8 @@ def codec(name: str, **params: Any) -> AnyCodec[Any]:
     try:
         describe(registry, "codec", name, params)
     except InvalidParams as invalid:
-        raise ParamsError(f"codec {name}: {invalid.sentence}") from None
+        several = [key for key, value in params.items() if isinstance(value, list | tuple | range)]
+        one = f"; one value is wanted of {', '.join(several)}: make a codec of each, or a grid in a matrix"
+        raise ParamsError(f"codec {name}: {invalid.sentence}{one if several else ''}") from None
     found: AnyCodec[Any] = registry.create("codec", name, params)
     return found

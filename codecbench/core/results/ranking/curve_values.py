@@ -78,11 +78,12 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
     counts as the best or the worst that is finite.
     """
     rows, of = _rows(run, column, sequence)
-    left_out = {}
-    for key in list(rows):
-        curve = run.curves[key[1:]].curve
+    unknown: dict[str, list[str]] = defaultdict(list)
+    for key in rows:
+        point = run.curves[key[1:]]
         if np.isnan(run.rates.get(key, np.nan)):
-            left_out[curve] = "a setting has no rate"
+            unknown[point.curve].append(point.point or "its setting")
+    left_out = {curve: f"no rate is known of {', '.join(points)}" for curve, points in unknown.items()}
     measured = {key: values for key, values in rows.items() if run.curves[key[1:]].curve not in left_out}
     if not measured:
         return {}, left_out

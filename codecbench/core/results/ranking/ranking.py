@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import string
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,9 @@ from codecbench.core.results.verdicts import SequenceCurve, anchors_of, bd_rates
 SIGNIFICANCE: Final = 0.01
 """Chance that a ranking of codecs that are all alike puts any of them before another."""
 
+NO_COMMON_RATE: Final = "no common rate to compare at"
+"""Why two codecs that both have a place are not compared with each other."""
+
 
 @dataclass(frozen=True)
 class Ranked:
@@ -31,8 +35,9 @@ class Ranked:
 
     ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rates: by
     anchor, without an interval, for what may be claimed is in the other fields; none against itself. missing, values:
-    how many of its values are missing, of how many. In a ranking at one rate, value is the column's mean there, between
-    settings, and nearest the setting with the nearest rate.
+    how many of its values are missing, of how many. score: how much better it is than the others on average, by least
+    squares over pairs; known less surely than places are. In a ranking at one rate, value is the column's mean there,
+    between settings, and nearest the setting with the nearest rate.
     """
 
     curve: str
@@ -43,6 +48,7 @@ class Ranked:
     bd_rates: dict[str, BdRate]
     missing: int
     values: int
+    score: float
     value: float | None = None
     nearest: str = ""
 
@@ -51,10 +57,10 @@ class Ranked:
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    left_out: curves without a place, and why. anchors: whom BD-rates are against. rate: at which codecs are compared;
-    None for all rates that they share. pairs: what is known of two curves that share a rate, of the first over the
-    second. foretold: by sequence, Kendall's tau-b of the order there and the order of all other sequences together;
-    empty for a single sequence.
+    ranked: by place, first and last, then by name. left_out: curves without a place, and why. anchors: whom BD-rates
+    are against. rate: at which codecs are compared; None for all rates that they share. pairs: what is known of two
+    curves that share a rate, of the first over the second. foretold: by sequence, Kendall's tau-b of the order there
+    and the order of all other sequences together; empty for a single sequence.
     """
 
     column: Column
@@ -70,13 +76,24 @@ class Ranking:
 
     @property
     def taken(self) -> Ranked:
-        """The codec to take: the first in order than which none is told to be better; of a circle, the first."""
-        return next((ranked for ranked in self.ranked if ranked.first == 1), self.ranked[0])
+        """The codec to take: of those than which none is told to be better (in a circle: of all) the highest score."""
+        unbeaten = [ranked for ranked in self.ranked if ranked.first == 1]
+        return max(unbeaten or self.ranked, key=lambda ranked: ranked.score)
 
     @property
     def as_good(self) -> tuple[str, ...]:
         """Other curves than which none is told to be better."""
         return tuple(each.curve for each in self.ranked if each.first == 1 and each is not self.taken)
+
+    def not_compared(self, curve: str) -> tuple[str, ...]:
+        """The ranked curves that share no rate with this one, of which nothing is known beside it."""
+        compared = {name for first, second, _ in self.pairs if curve in (first, second) for name in (first, second)}
+        return tuple(each.curve for each in self.ranked if each.curve != curve and each.curve not in compared)
+
+    @property
+    def too_few(self) -> bool:
+        """Whether so few frames or repeats cannot tell of any two codecs, however far apart they are."""
+        return all(math.isnan(evidence.variance) for _, _, evidence in self.pairs)
 
 
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
@@ -230,7 +247,8 @@ def _placed(
     rate: float | None,
 ) -> list[Ranked]:
     better = matrices.better
-    order = sorted(range(len(curves)), key=lambda place: -matrices.scores[place])
+    first, last = 1 + better.sum(axis=0), len(curves) - better.sum(axis=1)
+    order = sorted(range(len(curves)), key=lambda at: (first[at], last[at], curves[at]))
     apart = (better | better.T)[np.ix_(order, order)]
     groups = joined_groups(apart)
     placed = []
@@ -240,13 +258,14 @@ def _placed(
         placed.append(
             Ranked(
                 curve,
-                1 + int(better[:, at].sum()),
-                len(curves) - int(better[at].sum()),
+                int(first[at]),
+                int(last[at]),
                 tuple(curves[other] for other in order if better[at, other]),
                 "".join(_letter(number) for number, group in enumerate(groups) if place in group),
                 _beside(curve, list(values), rates),
                 sum(found.missing for found in of_curve),
                 sum(found.qualities.size for found in of_curve),
+                float(matrices.scores[at]),
                 None if rate is None else from_quality(_mean_at(of_curve, rate), column),
                 "" if rate is None else of_curve[0].nearest(rate),
             )

@@ -6,14 +6,18 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 import numpy as np
 
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import POOLED, Limit, limits, pooled_rates
-from codecbench.core.results.ranking.ranking import Ranked, Ranking, rankings
+from codecbench.core.results.ranking.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import SequenceCurve
+
+SURE: Final = f"{100 * (1 - SIGNIFICANCE):.0f} % confidence"
+"""How sure a ranking is of whom it puts before whom."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +120,11 @@ def _rate(anchor: str, ranked: Ranked) -> str:
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     if not any(ranked.ahead_of for ranked in ranking.ranked):
-        yield "No two of these codecs can be told apart."
+        few = f": so few {' and '.join(ranking.of)} cannot tell" if ranking.too_few else ""
+        yield f"No two of these codecs can be told apart with {SURE}{few}."
     else:
         yield "Codecs that share a letter cannot be told apart."
+    yield from _not_compared(ranking)
     if ranking.foretold:
         least = min(ranking.foretold, key=lambda name: ranking.foretold[name])
         mean = sum(ranking.foretold.values()) / len(ranking.foretold)
@@ -131,6 +137,32 @@ def _notes(ranking: Ranking) -> Iterator[str]:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
     for curve, reason in ranking.left_out.items():
         yield f"{curve} has no place: {reason}."
+
+
+def beside_ranking(ranking: Ranking, first: str, second: str) -> str:
+    """Why a ranking does not put one of two curves before the other, though other figures do; empty where it does."""
+    places = {ranked.curve: ranked for ranked in ranking.ranked}
+    if first not in places or second not in places:
+        return ""
+    if second in places[first].ahead_of or first in places[second].ahead_of:
+        return ""
+    if second in ranking.not_compared(first):
+        return f"the ranking does not compare them: {NO_COMMON_RATE}"
+    if ranking.too_few:
+        return f"so few {' and '.join(ranking.of)} cannot tell them apart in the ranking"
+    return f"not told apart in the ranking, which asks for {SURE} over all pairs together"
+
+
+def _not_compared(ranking: Ranking) -> Iterator[str]:
+    """Who shares no rate with whom, each pair once."""
+    said: set[str] = set()
+    for ranked in ranking.ranked:
+        if others := [name for name in ranking.not_compared(ranked.curve) if name not in said]:
+            yield f"{ranked.curve} was not compared with {', '.join(others)}: {NO_COMMON_RATE}."
+        said.add(ranked.curve)
+    for anchor in ranking.anchors:
+        if any(_rate(anchor, each) != "–" for each in ranking.ranked if anchor in ranking.not_compared(each.curve)):
+            yield f"The rate beside {anchor} is for equal values, which codecs may reach without a common rate."
 
 
 def where(sequence: str) -> str:

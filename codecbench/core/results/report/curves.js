@@ -71,17 +71,18 @@ function curves() {
       const value = measured(row, y), ends = (errorsOf([row], y) || [])[0] || [value, value];
       return { low: ends[0], high: ends[1], value, colour: DATA.styles[row.curve].colour };
     });
+    const front = $("front").checked ? frontOf(pointed, x, y) : [];
     chart($("curve"), traces, bands, {
       height: Math.max(300, Math.min(460, $("curve").clientWidth * 0.75)), label: `${columnOf(y).label} over ${columnOf(x).label}, one line a codec; the table below has the numbers`,
       x: { label: columnOf(x).label, log: logx }, y: { label: columnOf(y).label, log: logy }, chosen: STATE.at,
-      front: $("front").checked ? frontOf(pointed, x, y) : [], pick: (key) => look(key, true),
+      front, pick: (key) => look(key, true),
     });
-    legend(rows, level);
+    legend(rows, level, front.length > 0);
     const left = DATA.rows.filter((row) => row.sequence === sequence && !rows.includes(row));
     $("left-out").textContent = left.length ? `Without a number here: ${left.map(named).join("; ")}.` : "";
     remember({ seq: sequence, x, y, logx: Number(logx), logy: Number(logy), front: Number($("front").checked), off: off.size ? JSON.stringify([...off]) : "" });
   };
-  const legend = (rows, level) => {
+  const legend = (rows, level, fronted) => {
     const present = names.filter((curve) => rows.some((row) => row.curve === curve));
     const focused = document.activeElement && document.activeElement.dataset.toggle;
     $("legend").replaceChildren(...present.map((curve) => {
@@ -92,6 +93,7 @@ function curves() {
       button.addEventListener("click", () => { if (!off.delete(curve)) off.add(curve); plot(); });
       return button;
     }));
+    if (fronted) $("legend").append(element("span", "front-name", "Pareto front"));
     if (focused) [...$("legend").children].find((button) => button.dataset.toggle === focused)?.focus();
   };
   const another = () => {

@@ -13,6 +13,7 @@ from codecbench.core.results.answers import judged_column
 from codecbench.core.results.columns import Column
 from codecbench.core.results.export import json_value
 from codecbench.core.results.intervals import intervals
+from codecbench.core.results.notes import caveats
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.style import PALETTE, STROKES
 from codecbench.core.results.views import Map, bars_views, curve_views, map_views
@@ -98,8 +99,8 @@ def _rounded(value: float) -> float:
 
 
 def maps(run: RunResult) -> list[dict[str, Any]]:
-    """The drawings of each map view, first repeats; paths that are the same are kept once."""
-    return [_map(view) for view in map_views(run)]
+    """The drawings of each map view, first repeats, and what is to be known of them; equal paths are kept once."""
+    return [_map(view) | {"caveats": caveats(run, [view.name])} for view in map_views(run)]
 
 
 def _map(view: Map) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any, Final
@@ -13,8 +13,9 @@ import jinja2
 
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.results.answers import answers, judged_column
-from codecbench.core.results.notes import notes
-from codecbench.core.results.ranking.words import verdicts
+from codecbench.core.results.columns import Column
+from codecbench.core.results.notes import caveats, sequence_notes, setting_notes
+from codecbench.core.results.ranking.words import successes, verdicts
 from codecbench.core.results.report.page_data import page_data
 from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.run_result import RunResult
@@ -50,6 +51,8 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     decided = verdicts(run)
     judged = judged_column(run)
     ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
+    others = [verdict for verdict in decided if verdict is not ranked]
+    succeeded = successes(run)
     courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
     return template.render(
         name=run.plan.name,
@@ -69,9 +72,14 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         cards=_cards(run),
         answers=answers(run),
         ranked=ranked,
-        decided=[verdict for verdict in decided if verdict is not ranked],
+        decided=others,
         verdicts=tables,
-        notes=notes(run),
+        sequence_notes=sequence_notes(run),
+        notes=[*caveats(run), *setting_notes(run)],
+        answer_caveats=_caveats(run, [judged, *(column for columns in succeeded[:1] for column in columns)]),
+        verdict_caveats=_caveats(
+            run, [*(verdict.about for verdict in others), *(column for columns in succeeded for column in columns)]
+        ),
         anchor=anchor,
         failures=failures,
         failures_left_out=sum(result.status != "ok" for result in run.results) - len(failures),
@@ -93,6 +101,11 @@ def _trusted(text: str) -> Any:
     import markupsafe
 
     return markupsafe.Markup(text)
+
+
+def _caveats(run: RunResult, columns: Iterable[Column | None]) -> list[str]:
+    """What is to be known of the evaluators of some columns: their figures rest on the same."""
+    return caveats(run, {column.evaluator.title for column in columns if column is not None})
 
 
 def _subtitle(run: RunResult) -> str:
@@ -149,12 +162,14 @@ def _counted(count: int, noun: str) -> str:
 def _failures(run: RunResult) -> list[dict[str, str]]:
     """What is told of each cell without a result, as far as the page shows them."""
     told = []
+    repeated = {cell.evaluator.title for cell in run.plan.cells if cell.repeat}
     for result in [result for result in run.results if result.status != "ok"][:_MOST_FAILURES]:
         cell = result.cell
         setting = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+        repeat = f", repeat {cell.repeat}" if cell.evaluator.title in repeated else ""
         told.append(
             {
-                "title": f"{cell.sequence.name}, {setting}, {cell.evaluator.title}: {result.status}",
+                "title": f"{cell.sequence.name}, {setting}, {cell.evaluator.title}{repeat}: {result.status}",
                 "reason": result.reason,
                 "traceback": result.traceback[-_TRACEBACK_LETTERS:],
                 "cell": cell.id[:12],

@@ -10,6 +10,8 @@ import numpy as np
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import Limit, limits
+from codecbench.core.results.ranking.ranking import Ranking, rankings
+from codecbench.core.results.ranking.words import beside_ranking
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import (
     SequenceCurve,
@@ -52,6 +54,7 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     heads += [f"{column.label} down to" for column in judged.limits]
     heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
+    ranked = {(found.column, found.sequence): found for found in rankings(run)}
     tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
     for entry in run.plan.sequences:
         wide = run.wide[run.wide["sequence"] == entry.name]
@@ -75,12 +78,14 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
             row += [found[key].words(run.rate) if key in found else "–" for found in judged.limits.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
-        words = _in_words(entry.name, own, judged, run.rate)
+        words = _in_words(entry.name, own, judged, run.rate, ranked)
         tables.append({"sequence": entry.name, "heads": heads, "rows": rows, "note": note, "words": words})
     return tables, " and ".join(anchors) if judged.rates else ""
 
 
-def _in_words(sequence: str, own: str, judged: _Judged, rate: Column | None) -> list[str]:
+def _in_words(
+    sequence: str, own: str, judged: _Judged, rate: Column | None, ranked: dict[tuple[Column, str], Ranking]
+) -> list[str]:
     """Who needs least rate on a sequence, for each thing held equal, and who holds down to the least."""
     words = []
     for (column, named), found in judged.rates.items():
@@ -90,7 +95,9 @@ def _in_words(sequence: str, own: str, judged: _Judged, rate: Column | None) -> 
             best = min(here, key=lambda curve: here[curve].percent)
             ahead = here[best].percent < 0.0
             text = f"{best} needs least rate: {here[best]} against {anchor}" if ahead else f"{anchor} needs least rate"
-            words.append(f"At equal {column.label}, {text}.")
+            ranking = ranked.get((column, sequence))
+            doubt = beside_ranking(ranking, best, anchor) if ranking else ""
+            words.append(f"At equal {column.label}, {text}{f' ({doubt})' if doubt else ''}.")
     for column, limited in judged.limits.items():
         held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and limit.lowest}
         if held and rate is not None:

@@ -115,7 +115,8 @@ class BagSequence(Sequence):
             found.source,
             params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
         )
-        self.notes = (*self._recording.damage, described(self._recording, self._topic), *of_picture, *said)
+        part = params.notes_of_part(len(numbers))
+        self.notes = (*self._recording.damage, described(self._recording, self._topic), *part, *of_picture, *said)
         self.notes += (*found.notes, *of_truth)
         self._check(image, int(self._numbers[0]))
 

@@ -91,6 +91,19 @@ def test_codecs_in_between_share_a_letter_with_both(rng: np.random.Generator) ->
     assert places(found) == {"better": (1, 2), "between": (1, 3), "plain": (2, 3)}
 
 
+def test_rows_are_in_order_of_their_places_and_then_of_names(rng: np.random.Generator) -> None:
+    cells = [cell for name, factor in (("plain", 1.0), ("alias", 1.0), ("late", 0.4)) for cell in
+             starts(name, falling(factor, rng, 0.3))]  # fmt: skip
+    cells += starts("costly", falling(30.0, rng), rates=(2.0, 32.0, 64.0))
+    cells += starts("aside", falling(1.0, rng), rates=(32.0, 64.0, 128.0))
+    found = only(run_of(*cells))
+    ordered = [(ranked.first, ranked.last, ranked.curve) for ranked in found.ranked]
+    assert ordered == sorted(ordered)
+    assert found.not_compared("aside") == tuple(name for *_, name in ordered if name not in ("aside", "costly"))
+    assert found.not_compared("costly") == ()
+    assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.taken.curve
+
+
 @pytest.mark.parametrize("trial", range(20))
 def test_equal_codecs_under_other_names_are_never_ordered(trial: int) -> None:
     """Runs that differ by chance alone, as from another machine."""
@@ -152,7 +165,8 @@ def test_a_codec_that_loses_runs_does_not_win_by_the_rest(rng: np.random.Generat
     found = only(run_of(*cells))
     assert row(found, "mine").ahead_of == ()
     assert (row(found, "mine").missing, row(found, "mine").values) == (STARTS // 2 * 4, STARTS * 4)
-    assert found.ranked[0].curve == "plain"
+    assert row(found, "plain").score > row(found, "mine").score
+    assert found.taken.curve == "plain"
 
 
 def test_a_codec_that_gives_nothing_is_last(rng: np.random.Generator) -> None:
@@ -187,7 +201,7 @@ def test_a_codec_whose_rate_is_not_known_has_no_place(rng: np.random.Generator) 
     unknown = [cell for cell in cells if not (cell.cell.codec.name == "free" and cell.cell.evaluator.name == "size")]
     found = only(run_of(*unknown))
     assert set(places(found)) == {"plain", "mine"}
-    assert found.left_out == {"free": "a setting has no rate"}
+    assert found.left_out == {"free": "no rate is known of q=0.25, q=0.5, q=1.0, q=2.0"}
 
 
 def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Generator) -> None:

@@ -9,7 +9,9 @@ import pytest
 from measured_runs import cell_result, run_of
 
 from codecbench.cli.rank import show_found
+from codecbench.core.results.answers import answers
 from codecbench.core.results.ranking.words import verdicts, verdicts_at
+from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.table import CellResult
 
 
@@ -86,7 +88,7 @@ def test_several_sequences_come_together_first_and_alone_in_brief() -> None:
 def test_codecs_that_cannot_be_told_apart_are_said_to_be_so() -> None:
     cells = [*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001)]
     ranking, held = verdicts(run_of(*cells))
-    assert ranking.sentences == ("No two of these codecs can be told apart.",)
+    assert ranking.sentences == ("No two of these codecs can be told apart with 99 % confidence.",)
     assert held.sentences[0].startswith("plain: cannot tell of q=1.0 (2/2 runs; at least 2 more would tell)")
 
 
@@ -105,3 +107,53 @@ def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:
     alike = run_of(*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001))
     (undecided,) = verdicts_at(alike, 1.0)
     assert undecided.sentences[0] == "At 1 bpp take mine q=1.0, or plain, which cannot be told from it."
+
+
+def level_over(codec: str, rates: tuple[float, ...], gain: float, count: int) -> list[CellResult]:
+    """Settings whose score in dB rises with the rate; of frames that vary a little."""
+    found = []
+    for rate in rates:
+        noise = np.random.default_rng(round(100 * (rate + gain))).normal(0.0, 0.5, count)
+        values = {("bits", ""): [rate] * count, ("score", ""): (30 + 6 * np.log2(rate) + gain + noise).tolist()}
+        found.append(cell_result(codec, rate, "look", values, count=count))
+    return found
+
+
+def test_codecs_without_a_common_rate_are_not_compared_which_is_said_beside_the_rate_that_equal_values_take() -> None:
+    cells = level_over("plain", (4.0, 8.0, 16.0), 0.0, 64) + level_over("thrifty", (0.25, 0.5, 1.0), 24.0, 64)
+    run = run_of(*cells, *level_over("between", (0.5, 2.0, 8.0), 12.0, 64))
+    (ranking,) = verdicts(run)
+    assert ranking.rows[0][1:] == ("thrifty", "a", "-94 %", "between")
+    assert ranking.sentences == (
+        "Codecs that share a letter cannot be told apart.",
+        "thrifty was not compared with plain: no common rate to compare at.",
+        "The rate beside plain is for equal values, which codecs may reach without a common rate.",
+    )
+    said = {answer.curve: answer.sentence for answer in answers(run).answers}
+    assert "better than between; not compared with plain (no common rate to compare at); " in said["thrifty"]
+    assert "told apart" not in said["plain"]
+    (table,), _ = verdict_tables(run)
+    assert table["words"][0].endswith("(the ranking does not compare them: no common rate to compare at).")
+
+
+@pytest.mark.parametrize(
+    ("count", "gain", "sentence", "doubt"),
+    [
+        (4, 6.0, "confidence: so few frames cannot tell.", "so few frames cannot tell them apart in the ranking"),
+        (
+            64,
+            0.2,
+            "confidence.",
+            "not told apart in the ranking, which asks for 99 % confidence over all pairs together",
+        ),
+    ],
+)
+def test_a_saving_that_the_ranking_does_not_stand_by_says_so(
+    count: int, gain: float, sentence: str, doubt: str
+) -> None:
+    run = run_of(*(cell for name, more in (("plain", 0.0), ("mine", gain)) for cell in
+                   level_over(name, (0.25, 0.5, 1.0), more, count)))  # fmt: skip
+    (ranking,) = verdicts(run)
+    assert ranking.sentences == (f"No two of these codecs can be told apart with 99 % {sentence}",)
+    (table,), _ = verdict_tables(run)
+    assert table["words"][0].endswith(f"({doubt}).")
