@@ -52,11 +52,15 @@ def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
     for cell, record in found:
         if cell.codec.name in meaning.baselines and record.status == "ok":
             baselines[_group(cell)].append(_outcome(store, cell, record))
+    measured: dict[str, set[str]] = defaultdict(set)
+    for cell, record in found:
+        measured[cell.evaluator.title] |= _measured(record)
     results = []
     for cell, record in found:
-        evaluator = evaluators.get(cell.evaluator.title)
-        metrics = dict(meaning.metrics[cell.evaluator.title])
-        results.append(_result(store, cell, record, evaluator, metrics, baselines[_group(cell)]))
+        title = cell.evaluator.title
+        metrics = dict(meaning.metrics[title])
+        added = [name for name in metrics if name not in measured[title]]
+        results.append(_result(store, cell, record, evaluators.get(title), metrics, baselines[_group(cell)], added))
     return RunResult(store.folder, plan, tuple(results), store.environments.read(), meaning)
 
 
@@ -106,10 +110,12 @@ def _result(
     evaluator: ResultsEvaluator | None,
     metrics: dict[str, Metric],
     baseline: list[Outcome],
+    added: list[str],
 ) -> CellResult:
+    """added: the metrics that no cell of this evaluator measured, so that only a comparison can give them."""
     outcome = _outcome(store, cell, record)
     if evaluator is not None and record.status == "ok":
-        measured = (*record.measurements, *evaluator.compare(outcome, baseline))
+        measured = (*record.measurements, *_compared(evaluator, outcome, baseline, added))
         outcome = replace(outcome, measurements=(*measured, *_declared_later(cell, metrics, record, measured)))
     return CellResult(
         cell,
@@ -127,6 +133,21 @@ def _result(
         record.notes,
         record.traceback,
     )
+
+
+def _measured(record: Record) -> set[str]:
+    """The metrics that a cell measured, of frames or of none."""
+    return {measurement.metric for measurement in record.measurements} | {name for name, _, _ in record.summaries}
+
+
+def _compared(
+    evaluator: ResultsEvaluator, outcome: Outcome, baseline: list[Outcome], added: list[str]
+) -> list[Measurement]:
+    """What the evaluator says beside the baseline; where it fails, a missing value of each of `added`."""
+    try:
+        return list(evaluator.compare(outcome, baseline))
+    except CodecbenchError as error:
+        return [Measurement(name, math.nan, reason=f"not compared: {error}") for name in added]
 
 
 def _declared_later(

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from codecbench.core.contracts.errors import CodecbenchError, PluginError
+from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.description import describe
 from codecbench.core.engine.planning.model import PluginSetting
@@ -33,29 +35,26 @@ ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
 
 class HostedEvaluator:
-    """Has the members of an Evaluator that results use. Raises the CodecbenchErrors of `planning.describe`."""
+    """Has the members of an Evaluator that results use. Raises the CodecbenchErrors of `planning.describe`.
+
+    One whose host fails declares nothing, which the plan of its run has done; what it is asked for next says why.
+    """
 
     def __init__(self, registry: Registry, setting: PluginSetting) -> None:
-        description = describe(registry, "evaluator", setting.name, setting.params)
-        if description.missing is not None:
-            raise PluginError(description.missing)
         self._registry, self._setting = registry, setting
-        declared = description.declared
+        declared: dict[str, Any] = {"metrics": (), "views": ()}
+        with suppress(PluginFault):
+            description = describe(registry, "evaluator", setting.name, setting.params)
+            if description.missing is not None:
+                raise PluginError(description.missing)
+            declared = description.declared
         self.metrics: tuple[Metric, ...] = tuple(filter(None, (read_declared(Metric, m) for m in declared["metrics"])))
         self.views: tuple[View, ...] = tuple(filter(None, (read_declared(View, v) for v in declared["views"])))
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        """What the plugin yields; where it fails, missing values of what the cell did not measure, with the reason."""
-        try:
-            rows = self._ask(compared, _plain(outcome), [_plain(other) for other in baseline])
-            found = [measurement_from_json(row) for row in rows]
-        except CodecbenchError as error:
-            measured = {measurement.metric for measurement in outcome.measurements}
-            for metric in self.metrics:
-                if metric.name not in measured:
-                    yield Measurement(metric.name, math.nan, reason=f"not compared: {error}")
-        else:
-            yield from found
+        """What the plugin yields. Raises CodecbenchError where it fails."""
+        rows = self._ask(compared, _plain(outcome), [_plain(other) for other in baseline])
+        return iter([measurement_from_json(row) for row in rows])
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
         """What the plugin draws of a cell. Raises CodecbenchError where it fails."""

@@ -111,6 +111,25 @@ def test_cells_that_failed_are_neither_compared_nor_a_baseline(tmp_path: Path, r
     assert [result.drawing() for result in run.results if result.status != "ok"] == [None, None]
 
 
+def test_a_comparison_that_fails_takes_away_nothing_that_was_measured(
+    tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether a cell measured a metric of its frames or of none, and also where another cell of the evaluator did."""
+
+    def compare(self: Any, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        raise PluginError("it ended its process")
+
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "compare", compare)
+    of_frames = replace(record(CELLS[0], 0.0), measurements=(), summaries={("max_error", "", "mean"): 3.0})
+    nothing = replace(of_frames, cell_id=CELLS[1].id, summaries={})
+    run = open_run(folder_of(tmp_path, of_frames, nothing, record(CELLS[2], 2.0)), registry)
+    for result in run.results:
+        (missing,) = (measured for measured in result.measurements if measured.metric == "ratio")
+        assert (math.isnan(missing.value), missing.reason) == (True, "not compared: it ended its process")
+    assert run.wide["error.max_error.mean"].tolist() == [3.0, 2.0]
+    assert run.wide["error.ratio.mean"].isna().all()
+
+
 def test_everything_of_a_record_is_in_its_result(tmp_path: Path, registry: Registry) -> None:
     samples = parquet_from_samples([Measurement("max_error", 3.0, 1)])
     kept = replace(

@@ -347,7 +347,7 @@ def test_text_is_cleaned_without_confusing_what_differs() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("kind", "words"), [("whole", "1,000,000 measurements of frames"), ("stages", "1,000 stages")])
+@pytest.mark.parametrize(("kind", "words"), [("whole", "more than 3,000 measurements"), ("stages", "more than 1,000")])
 def test_a_cell_that_measures_without_end_fails_with_the_bound(
     kind: str, words: str, place: Path, tmp_path: Path
 ) -> None:
@@ -355,7 +355,7 @@ def test_a_cell_that_measures_without_end_fails_with_the_bound(
     (place / "many.yaml").write_text(text)
     done = command(place, "run", "many.yaml", "--out", tmp_path / "many", "--quiet")
     assert done.returncode == 1
-    assert f"value: more than {words}" in done.stderr
+    assert f"value: {words}" in done.stderr
 
 
 def test_a_run_says_which_plugins_were_left_out(place: Path, tmp_path: Path) -> None:

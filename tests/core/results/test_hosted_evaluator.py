@@ -1,4 +1,4 @@
-"""An evaluator that is asked elsewhere says what it would say here, and where it fails its values are missing."""
+"""An evaluator that is asked elsewhere says what it would say here, and where it fails it says why."""
 
 from __future__ import annotations
 
@@ -68,26 +68,26 @@ def test_it_compares_as_the_plugin_does(evaluator: HostedEvaluator, monkeypatch:
     ],
     ids=["undeclared", "no measurement", "no reason"],
 )
-def test_what_breaks_the_contract_is_missing_with_the_reason(
+def test_what_breaks_the_contract_is_said(
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch, yielded: list[Any], said: str
 ) -> None:
     answering(monkeypatch, "compare", lambda *_: yielded)
-    (missing,) = evaluator.compare(OUTCOME, BASELINE)
-    assert (missing.metric, math.isnan(missing.value)) == ("ratio", True)
-    assert said in missing.reason
+    with pytest.raises(PluginError, match=said):
+        evaluator.compare(OUTCOME, BASELINE)
 
 
-def test_a_host_that_ends_costs_values_and_drawings(
+def test_a_host_that_ends_costs_comparisons_drawings_and_declarations(
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone(*_: Any, **__: Any) -> None:
         raise PluginFault("it ended its process with status 3")
 
     monkeypatch.setattr(Elsewhere, "ask", gone)
-    (missing,) = evaluator.compare(OUTCOME, BASELINE)
-    assert missing.reason == "not compared: it ended its process with status 3"
-    with pytest.raises(PluginFault):
-        evaluator.drawing(OUTCOME)
+    for asked in (lambda: evaluator.compare(OUTCOME, BASELINE), lambda: evaluator.drawing(OUTCOME)):
+        with pytest.raises(PluginFault, match="it ended its process with status 3"):
+            asked()
+    again = HostedEvaluator(evaluator._registry, SETTING)
+    assert (again.metrics, again.views) == ((), ())
 
 
 def test_a_drawing_arrives_as_it_was_drawn(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,10 +21,11 @@ class MeasurementError(CodecbenchError):
 
 
 MOST_WITHOUT_FRAME: Final = 5_000
+MOST_A_FRAME: Final = 1_000
 MOST_OF_FRAMES: Final = 1_000_000
 MOST_STAGES: Final = 1_000
-"""Measurements of one cell that belong to no frame, and to frames; stages of one metric. With more, tables would take
-minutes, and what there is to say is better said by fewer."""
+"""Measurements of one cell that belong to no frame; to frames, for each frame that the sequence has, and in all; stages
+of one metric. With more, tables would take minutes, and what there is to say is better said by fewer."""
 
 
 class MeasurementCheck:
@@ -34,6 +35,7 @@ class MeasurementCheck:
         self._metrics = {metric.name for metric in evaluator.metrics}
         self._stages: dict[str, set[str | None]] = {name: set() for name in self._metrics}
         self._frames = frames
+        self._most_of_frames = min(MOST_A_FRAME * frames, MOST_OF_FRAMES)
         self._without_frame = self._of_frames = 0
 
     def checked(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
@@ -71,8 +73,11 @@ class MeasurementCheck:
         self._stages[name].add(stage)
         if self._without_frame > MOST_WITHOUT_FRAME:
             raise MeasurementError(f"{name}: more than {MOST_WITHOUT_FRAME:,} measurements that belong to no frame")
-        if self._of_frames > MOST_OF_FRAMES:
-            raise MeasurementError(f"{name}: more than {MOST_OF_FRAMES:,} measurements of frames in one cell")
+        if self._of_frames > self._most_of_frames:
+            raise MeasurementError(
+                f"{name}: more than {self._most_of_frames:,} measurements of frames in one cell; at most "
+                f"{MOST_A_FRAME:,} for each of its {self._frames:,} frames, and {MOST_OF_FRAMES:,} in all"
+            )
         if len(self._stages[name]) > MOST_STAGES:
             raise MeasurementError(f"{name}: more than {MOST_STAGES:,} stages")
 

@@ -26,7 +26,8 @@ from codecbench.core.engine.storage.samples import (
 
 def checked(*measurements: Any, frame: int | None = None) -> list[Measurement]:
     """What passes the check of an evaluator of two metrics on three frames."""
-    evaluator = SimpleNamespace(metrics=[Metric("size", "B", "lower", ""), Metric("error", "1", "lower", "")])
+    metrics = [Metric("size", "B", "lower", ""), Metric("error", "1", "lower", "")]
+    evaluator = SimpleNamespace(metrics=metrics)
     return list(MeasurementCheck(evaluator, 3).checked(measurements, frame))  # type: ignore[arg-type]
 
 
@@ -76,14 +77,17 @@ def test_measurements_pass_with_their_frame_and_as_plain_numbers() -> None:
 def test_there_is_an_end_to_what_a_cell_may_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each bound is reached and then passed by one; what belongs to frames and to none is counted apart."""
     monkeypatch.setattr(samples, "MOST_WITHOUT_FRAME", 4)
-    monkeypatch.setattr(samples, "MOST_OF_FRAMES", 3)
+    monkeypatch.setattr(samples, "MOST_A_FRAME", 1)
     monkeypatch.setattr(samples, "MOST_STAGES", 2)
     alone, framed = Measurement("size", 1.0), Measurement("size", 1.0, 0)
     assert len(checked(*[alone] * 4, *[framed] * 3)) == 7
     with pytest.raises(MeasurementError, match="size: more than 4 measurements that belong to no frame"):
         checked(*[alone] * 5)
-    with pytest.raises(MeasurementError, match="size: more than 3 measurements of frames in one cell"):
+    with pytest.raises(MeasurementError, match="size: more than 3 measurements of frames in one cell; at most 1 for"):
         checked(*[framed] * 4)
+    monkeypatch.setattr(samples, "MOST_OF_FRAMES", 2)
+    with pytest.raises(MeasurementError, match=r"more than 2 .* 1 for each of its 3 frames, and 2 in all"):
+        checked(*[framed] * 3)
     stages = [Measurement("size", 1.0, stage=stage) for stage in ("encode", "decode", "encode")]
     assert len(checked(*stages, Measurement("error", 1.0))) == 4
     with pytest.raises(MeasurementError, match="size: more than 2 stages"):
@@ -92,6 +96,7 @@ def test_there_is_an_end_to_what_a_cell_may_measure(monkeypatch: pytest.MonkeyPa
 
 def test_the_bounds_are_those_that_the_documentation_names() -> None:
     assert (samples.MOST_WITHOUT_FRAME, samples.MOST_OF_FRAMES, samples.MOST_STAGES) == (5_000, 1_000_000, 1_000)
+    assert samples.MOST_A_FRAME == 1_000
 
 
 @pytest.mark.parametrize(
