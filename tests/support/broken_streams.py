@@ -195,6 +195,33 @@ class CallsWholeWhatIsNot(Delta):
             return pictures
 
 
+class JoinsUnsaid(Delta):
+    """Begins anywhere, with gray for what it does not have, as if that were a start."""
+
+    class Decoding(DeltaDecoder):
+        def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+            if isinstance(packet, Packet) and self.before is None and self.next == 0 and packet.frame > 0:
+                self.before = np.full_like(_opened(packet.data)[1], 128)
+            return super().push(packet)
+
+
+class ForgivesTheSecondLoss(Delta):
+    """Comes back to the picture before a gap where that is of two packets."""
+
+    class Decoding(DeltaDecoder):
+        kept: Image | None = None
+
+        def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+            before = self.before
+            pictures = super().push(packet)
+            if packet is LOST:
+                self.before = self.kept
+                self.kept = before
+            else:
+                self.kept = None
+            return pictures
+
+
 class DoublesAFrame(Delta):
     """Shows the third picture once more when the stream ends."""
 
@@ -267,6 +294,8 @@ BROKEN: dict[type[Any], str] = {
     HidesStateInAGlobal: "interleaved",
     StartsWhereNoneIs: "starts",
     CallsWholeWhatIsNot: "loss",
+    JoinsUnsaid: "loss",
+    ForgivesTheSecondLoss: "loss",
     DoublesAFrame: "flush",
     LiesAboutItsSize: "self_contained",
     SendsAnAttachment: "bytes",

@@ -5,6 +5,7 @@ Each packet is lost in turn; damaged streams are decoded in a process that may d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -55,20 +56,33 @@ def _require_the_rest(
 
 
 def losses_are_told(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:
-    """Each packet is lost in turn: what is called whole is, and from the next start on all is."""
+    """What is called whole is, and from the next start on all is, whatever is missing.
+
+    Each packet is lost in turn, alone and with the one behind it; and each is the first that a new decoder gets, which
+    nobody tells that there were others.
+    """
     codec = codec_class(params)
     for sequence in sequences:
         packets = packets_of(codec, sequence.pictures)
         expected = whole_images(f"decoding {sequence.name}", pictures_of(codec, packets))
         for lost, packet in enumerate(packets):
             where = f"decoding {sequence.name} without packet {lost}, of frame {packet.frame}"
-            starts = [later.frame for later in packets[lost + 1 :] if later.starts]
-            received = [*packets[:lost], LOST, *packets[lost + 1 :]]
-            _require_honesty(where, codec, received, packet.frame, min(starts, default=len(packets)), expected)
+            rest = packets[lost + 1 :]
+            _require_honesty(where, codec, [*packets[:lost], LOST, *rest], packet.frame, _start_of(rest), expected)
+            if rest:
+                received = [*packets[:lost], LOST, LOST, *rest[1:]]
+                _require_honesty(f"{where} and the next", codec, received, packet.frame, _start_of(rest[1:]), expected)
+            where = f"joining {sequence.name} behind packet {lost}, of frame {packet.frame}"
+            _require_honesty(where, codec, rest, packet.frame, _start_of(rest), expected)
+
+
+def _start_of(packets: Sequence[Packet]) -> float:
+    """The first frame at which decoding can start."""
+    return min((packet.frame for packet in packets if packet.starts), default=math.inf)
 
 
 def _require_honesty(
-    where: str, codec: StreamCodec[Any], received: Sequence[Any], lost: int, start: int, expected: dict[int, Image]
+    where: str, codec: StreamCodec[Any], received: Sequence[Any], lost: int, start: float, expected: dict[int, Image]
 ) -> None:
     """lost: the frame that is. start: the frame from which all is whole again."""
     try:

@@ -48,6 +48,7 @@ class Encoder:
     intra_refresh: bool = False
     recovers: bool = False
     looks_ahead: bool = True
+    bounds_any: bool = True
     least_side: int = 2
     hardware: bool = False
 
@@ -66,7 +67,7 @@ class Encoder:
                 " (gray pictures with neutral chroma, and they come back gray)"
             )
         if params.intra_refresh and not self.intra_refresh:
-            yield f"{self.name} has no intra_refresh; libx264 and libx265 have"
+            yield f"{self.name} has no intra_refresh after which pictures are whole; libx264 has"
         if params.intra_refresh and params.latency != "low":
             yield "intra_refresh is for pictures that are sent in order; latency is low with it"
         if self.intra_only and params.gop != 1:
@@ -75,8 +76,10 @@ class Encoder:
             yield "intra_refresh refreshes pictures over `gop` frames; gop has to be 2 or more"
         if params.latency == "any" and not self.looks_ahead:
             yield f"{self.name} never holds a picture back; latency is low"
-        if params.bitrate_kbps is None and params.vbv_ms != type(params).model_fields["vbv_ms"].default:
+        if params.bitrate_kbps is None and _names_vbv(params):
             yield "vbv_ms bounds a bitrate; give bitrate_kbps with it"
+        elif params.latency == "any" and not self.bounds_any and _names_vbv(params):
+            yield f"{self.name} keeps to no vbv_ms where it looks ahead; leave it out, or latency is low"
 
     def _rate_faults(self, name: str, value: float) -> Iterator[str]:
         if name not in self.rates:
@@ -111,6 +114,10 @@ def _listed(values: tuple[str | int, ...]) -> str:
     return ", ".join(map(str, values)) if values else "none"
 
 
+def _names_vbv(params: VideoParams) -> bool:
+    return bool(params.vbv_ms != type(params).model_fields["vbv_ms"].default)
+
+
 def _quality(params: VideoParams) -> Options:
     return {name: f"{value:g}" for name in ("crf", "qp") if (value := getattr(params, name)) is not None}
 
@@ -127,7 +134,7 @@ def _x264_options(params: VideoParams) -> Options:
 def _x265_options(params: VideoParams) -> Options:
     """Without the note about its settings, with which x265 lengthens every start by 2 kB."""
     own = {"frame-threads": 1, "pools": "none", "log-level": "none", "info": 0, "open-gop": 0, "scenecut": 0}
-    own |= {"min-keyint": params.gop} | ({"intra-refresh": 1} if params.intra_refresh else {})
+    own |= {"min-keyint": params.gop}
     options = {"preset": str(params.preset), "chroma_sample_location": "center"}
     options["x265-params"] = ":".join(f"{name}={value}" for name, value in own.items())
     if params.latency == "low":
@@ -177,7 +184,7 @@ def _bitrate_only(params: VideoParams) -> Options:
 
 _SVT_AV1: Final = Encoder(
     "libsvtav1", "libdav1d", _svt_av1_options, {"crf": (1, 63), "qp": (1, 63), "bitrate_kbps": _ANY_BITRATE},
-    {"crf": 35, "preset": 8}, tuple(range(14)), ("yuv420p",), integral=True, least_side=64,
+    {"crf": 35, "preset": 8}, tuple(range(14)), ("yuv420p",), integral=True, bounds_any=False, least_side=64,
 )  # fmt: skip
 
 ENCODERS: Final = {
@@ -189,12 +196,13 @@ ENCODERS: Final = {
         ),
         Encoder(
             "libx265", "hevc", _x265_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
-            {"crf": 28, "preset": "veryfast"}, _X26X_PRESETS, intra_refresh=True, least_side=72,
+            {"crf": 28, "preset": "veryfast"}, _X26X_PRESETS, least_side=72,
         ),
         _SVT_AV1,
         Encoder(
             "libvpx-vp9", "vp9", _vp9_options, {"crf": (0, 63), "qp": (0, 63), "bitrate_kbps": _ANY_BITRATE},
             {"crf": 32, "preset": 7}, tuple(range(10)), ("yuv420p", "yuv444p"), integral=True,
+            bounds_any=False,
         ),
         Encoder(
             "mjpeg", "mjpeg", _mjpeg_options, {"qp": (1, 31)}, {"qp": 5}, (), ("yuv420p", "yuv444p"), intra_only=True,

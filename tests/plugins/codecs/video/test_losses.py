@@ -100,13 +100,6 @@ def test_a_decoder_that_joins_an_intra_refreshed_stream_gets_whole_pictures_in_t
     assert all(np.array_equal(shown.image, expected[shown.frame]) for shown in pictures if shown.frame >= first)
 
 
-def test_x265_refreshes_without_saying_where_so_nothing_is_called_whole() -> None:
-    codec = Hevc.create(intra_refresh=True, gop=6)
-    packets = packets_of(codec, gliding_pictures(24, 96, 128, 1))
-    pictures = pictures_of(codec, [packets[0], LOST, *packets[2:]])
-    assert {picture.state for picture in pictures[1:]} <= {"concealed", "missing"}
-
-
 @EVERY_CODEC
 def test_bytes_that_a_decoder_cannot_read_are_refused_and_the_next_start_is_whole(codec_class: Any) -> None:
     codec = codec_class.create(gop=1 if codec_class is Mjpeg else 4)
