@@ -57,7 +57,7 @@ class Ranked:
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    ranked: by place, first and last, then by name. left_out: curves without a place, and why. anchors: whom BD-rates
+    ranked: by place, first and last, then by score. left_out: curves without a place, and why. anchors: whom BD-rates
     are against. rate: at which codecs are compared; None for all rates that they share. pairs: what is known of two
     curves that share a rate, of the first over the second. foretold: by sequence, Kendall's tau-b of the order there
     and the order of all other sequences together; empty for a single sequence.
@@ -248,7 +248,7 @@ def _placed(
 ) -> list[Ranked]:
     better = matrices.better
     first, last = 1 + better.sum(axis=0), len(curves) - better.sum(axis=1)
-    order = sorted(range(len(curves)), key=lambda at: (first[at], last[at], curves[at]))
+    order = sorted(range(len(curves)), key=lambda at: (first[at], last[at], -matrices.scores[at], curves[at]))
     apart = (better | better.T)[np.ix_(order, order)]
     groups = joined_groups(apart)
     placed = []

@@ -18,7 +18,7 @@ from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.decoding import checked_decoding
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
-from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache, cache_limit_bytes
+from codecbench.core.engine.running.frame_cache import MOST_BYTES, CachedSequence, FrameCache, cache_limit_bytes
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 
 
@@ -132,7 +132,7 @@ def test_frames_are_read_once_while_they_fit_and_the_rest_every_time() -> None:
 
 def test_the_cache_leaves_codecs_most_of_the_memory() -> None:
     assert cache_limit_bytes(256) == 64 << 20
-    assert cache_limit_bytes(1 << 20) == 160 << 20
+    assert cache_limit_bytes(1 << 20) == MOST_BYTES
 
 
 def test_writing_into_a_frame_harms_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
