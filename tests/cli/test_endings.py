@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -78,6 +79,14 @@ def place(tmp_path: Path) -> Place:
     (tmp_path / "weighing.yaml").write_text(TINY.replace("tiny", "weighing").replace("[error]", "[weighing]"))
     (tmp_path / "temporary").mkdir()
     return place
+
+
+@pytest.fixture(autouse=True)
+def not_under_nohup() -> Iterator[None]:
+    """SIGHUP is heard, also where the tests themselves are run with nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 def begun(place: Place, *words: str) -> tuple[subprocess.Popen[str], list[int]]:
