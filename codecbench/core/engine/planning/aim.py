@@ -4,46 +4,15 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
-
-from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
 
 from codecbench.core.contracts.metric import AGGREGATES, Metric
 from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
-
-if TYPE_CHECKING:
-    from codecbench.core.engine.planning.entry import Entry
-
-Bound = Literal["min", "max", "equal"]
-
-_BOUNDS: Final[tuple[Bound, ...]] = ("min", "max", "equal")
-_Number = Annotated[StrictInt | StrictFloat, Field(allow_inf_nan=False)]
-
-
-class AimSection(BaseModel):
-    """A metric and the value that it is to have: `metric` with one of `min`, `max` and `equal`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    metric: str = Field(description="[EVALUATOR.]METRIC[.STAGE][.AGGREGATE], as a column of the table is called")
-    min: _Number | None = Field(default=None, description="the least value that will do")
-    max: _Number | None = Field(default=None, description="the greatest value that will do")
-    equal: _Number | None = Field(default=None, description="the value that is to be reached as nearly as can be")
-
-    @model_validator(mode="after")
-    def _one_bound(self) -> AimSection:
-        given = [name for name in _BOUNDS if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"needs one of min, max and equal; got {' and '.join(given) or 'none'}")
-        return self
-
-    @property
-    def bound(self) -> Bound:
-        return next(name for name in _BOUNDS if getattr(self, name) is not None)
+from codecbench.core.engine.planning.search_section import AimSection, Bound
+from codecbench.core.engine.planning.yaml_file import Problems, Where
 
 
 @dataclass(frozen=True)
@@ -78,26 +47,6 @@ class Aim:
         """The metric with what distinguishes it: its stage, and its aggregate where that is not the usual one."""
         parts = [self.metric.name, self.stage, "" if self.aggregate == self.metric.aggregates[0] else self.aggregate]
         return ".".join(filter(None, parts))
-
-
-def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) -> Any:
-    """A section as its model; None, and problems, where it is not one."""
-    if not isinstance(value, Mapping):
-        example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
-        problems.add(where, f"must be a mapping such as {example}; got {plain(value)}")
-        return None
-    problems.unknown(where, value, kind.model_fields)
-    if any(key not in kind.model_fields for key in value):
-        return None
-    try:
-        return kind.model_validate(plain(value))
-    except ValidationError as error:
-        for detail in error.errors():
-            message = str(detail["msg"]).removeprefix("Value error, ")
-            got = "" if isinstance(detail["input"], Mapping) else f"; got {shown(detail['input'])}"
-            known = [part for part in detail["loc"] if part in kind.model_fields]
-            problems.add((*where, *known), message + got)
-        return None
 
 
 def find_aim(section: AimSection, evaluators: Sequence[Entry], where: Where, problems: Problems) -> Aim | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from codecbench.core.engine.planning.description import Description
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.planning.search import Wanted
+from codecbench.core.engine.planning.search_section import Wanted
 from codecbench.core.engine.planning.yaml_file import Where
 
 

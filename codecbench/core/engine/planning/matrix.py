@@ -20,7 +20,8 @@ from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.entry import Entry, distinct, labelled
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
 from codecbench.core.engine.planning.plan_bounds import require_plannable
-from codecbench.core.engine.planning.search import Search, made_searches, read_wanted
+from codecbench.core.engine.planning.search import Search, made_searches
+from codecbench.core.engine.planning.search_section import read_wanted
 from codecbench.core.engine.planning.until import UntilSection, decided_aim
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
 from codecbench.core.engine.registry import Registry, installed

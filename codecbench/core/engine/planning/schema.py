@@ -8,7 +8,7 @@ from typing import Any, Final
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.matrix import RunSection
-from codecbench.core.engine.planning.search import SearchSection
+from codecbench.core.engine.planning.search_section import SearchSection
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import Registry
 

@@ -18,31 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.util import find_spec
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
-
-from pydantic import Field
+from typing import Final
 
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.planning.aim import Aim, AimSection, find_aim, metrics_of, read_section
+from codecbench.core.engine.planning.aim import Aim, find_aim, metrics_of
 from codecbench.core.engine.planning.axes import Axis
+from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.planning.yaml_file import Problems, Where, shown
-
-if TYPE_CHECKING:
-    from codecbench.core.engine.planning.entry import Entry
+from codecbench.core.engine.planning.yaml_file import Problems, Where
 
 EVERY: Final = 1 << 30
 """More repeats than an evaluator can have."""
-_MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
-
-
-class SearchSection(AimSection):
-    """The `search:` of a codec entry."""
-
-    within: float = Field(default=0.0, ge=0, description="how far from `equal` is near enough, in the metric's unit")
-    budget: int = Field(default=50, ge=1, le=100_000, description="the most settings that are tried on a sequence")
 
 
 @dataclass(frozen=True)
@@ -70,15 +56,6 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """The `search` or `at` of an entry, before its metric is looked up. where: in the file."""
-
-    where: Where
-    section: SearchSection
-    axes: tuple[Axis, ...]
-
-
-@dataclass(frozen=True)
 class Extent:
     """Which cells belong to the plan where not all do.
 
@@ -94,46 +71,6 @@ class Extent:
         """How many repeats are in the plan. searched: the codec setting is one that a search may try."""
         begun = 0 if searched else self.begun.get(evaluator, EVERY)
         return max(begun, self.repeats.get((sequence, codec, evaluator), 0))
-
-
-def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems) -> Wanted | None:
-    """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
-    word = "search" if "search" in item else "at"
-    place = (*where, word)
-    if "search" in item and "at" in item:
-        problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
-        return None
-    value = _spelled_out(item[word]) if word == "at" else item[word]
-    section = read_section(SearchSection, value, place, problems)
-    varied = tuple(axis for axis in axes if len(axis) > 1)
-    if not varied:
-        message = "there is nothing to choose from; give a parameter `{range: [first, last, step]}` or `{grid: [...]}`"
-        problems.add(place, message)
-        return None
-    for axis in varied:
-        _require_ordered(axis, (*where, "params", axis.name), problems)
-    if len(varied) > 1 and find_spec("optuna") is None:
-        problems.add(place, _MISSING_EXTRA)
-    return None if section is None else Wanted(place, section, varied)
-
-
-def _spelled_out(value: Any) -> Any:
-    """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
-    if isinstance(value, Mapping) and len(value) == 1:
-        ((metric, number),) = value.items()
-        return {"metric": metric, "equal": number}
-    return shown(value)
-
-
-def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
-    """Note a problem with numbers that neither rise nor fall, and with values that come twice."""
-    values = [value for _, value in axis.choices]
-    numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
-    steps = list(pairwise(numbers))
-    if not (all(a < b for a, b in steps) or all(a > b for a, b in steps)):
-        problems.add(where, "a search needs values in order, from one end to the other; these go up and down")
-    elif len({repr(value) for value in values}) < len(values):
-        problems.add(where, "a search needs values in order; one of these comes twice")
 
 
 def made_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems: Problems) -> tuple[Search, ...]:

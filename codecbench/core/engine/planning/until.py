@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from codecbench.core.engine.planning.aim import Aim, AimSection, find_aim
+from codecbench.core.engine.planning.aim import Aim, find_aim
+from codecbench.core.engine.planning.search_section import AimSection
 from codecbench.core.engine.planning.yaml_file import Problems, plain
 
 if TYPE_CHECKING:

@@ -84,35 +84,6 @@ class Bitstream:
     payload: bytes = field(repr=False)
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """Where the bytes of a bitstream go. header: fixed fields, custom table, section sizes, checksum."""
-
-    header: int
-    tables: tuple[int, ...]
-    keys: tuple[int, ...]
-    payload: int
-    entries: tuple[int, ...]
-
-    @property
-    def total(self) -> int:
-        return self.header + sum(self.tables) + sum(self.keys) + self.payload
-
-
-def describe(bitstream: bytes) -> Sizes:
-    """Bytes of header, tables and keys by level, and payload; raises BitstreamError as decoding would."""
-    if version_of(bitstream) == CONTEXT_VERSION:
-        from codecbench.plugins.codecs.multilevel.context.bitstream import unpack as unpack_context
-
-        payload = sum(map(len, unpack_context(bitstream)[1]))
-        return Sizes(len(bitstream) - payload, (), (), payload, ())
-    parts = unpack(bitstream)
-    tables = tuple(len(level.table) for level in parts.levels)
-    keys = tuple(level.keys.nbytes for level in parts.levels)
-    header = len(bitstream) - sum(tables) - sum(keys) - len(parts.payload)
-    return Sizes(header, tables, keys, len(parts.payload), tuple(level.entries for level in parts.levels))
-
-
 def least_size(items: int) -> int:
     """Bytes that a section needs at the least to stand for so many items."""
     return max(0, -(-(items - FREE_ITEMS) // ITEMS_PER_BYTE))

@@ -9,7 +9,7 @@ import pytest
 from search_bench import SearchBench, registry_of_searches
 
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.engine.planning import plan_bounds, search
+from codecbench.core.engine.planning import plan_bounds, search_section
 from codecbench.core.engine.planning.model import SearchFinding, plan_from_json
 from codecbench.core.engine.planning.plan import make_plan, make_sampled_plan
 from codecbench.core.engine.planning.schema import matrix_schema
@@ -102,7 +102,7 @@ def test_several_parameters_without_the_extra_say_what_mends_it(
     bench: SearchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entry = "{use: dial, params: {level: {range: [0, 9]}, share: {grid: [0, 1]}}, at: {weight_bytes: 3}}"
-    monkeypatch.setattr(search, "find_spec", lambda name: None)
+    monkeypatch.setattr(search_section, "find_spec", lambda name: None)
     said = "codecs[0].at: a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
     assert said in problems(bench, text(entry))
     bench.matrix(text(DIAL % "at: {weight_bytes: 3}"))

@@ -1,0 +1,118 @@
+"""What a matrix says of a metric and its value, as it is written: before the metric is looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
+
+from codecbench.core.engine.planning.axes import Axis
+from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
+
+Bound = Literal["min", "max", "equal"]
+
+_BOUNDS: Final[tuple[Bound, ...]] = ("min", "max", "equal")
+_Number = Annotated[StrictInt | StrictFloat, Field(allow_inf_nan=False)]
+_MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
+
+
+class AimSection(BaseModel):
+    """A metric and the value that it is to have: `metric` with one of `min`, `max` and `equal`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    metric: str = Field(description="[EVALUATOR.]METRIC[.STAGE][.AGGREGATE], as a column of the table is called")
+    min: _Number | None = Field(default=None, description="the least value that will do")
+    max: _Number | None = Field(default=None, description="the greatest value that will do")
+    equal: _Number | None = Field(default=None, description="the value that is to be reached as nearly as can be")
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> AimSection:
+        given = [name for name in _BOUNDS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs one of min, max and equal; got {' and '.join(given) or 'none'}")
+        return self
+
+    @property
+    def bound(self) -> Bound:
+        return next(name for name in _BOUNDS if getattr(self, name) is not None)
+
+
+class SearchSection(AimSection):
+    """The `search:` of a codec entry."""
+
+    within: float = Field(default=0.0, ge=0, description="how far from `equal` is near enough, in the metric's unit")
+    budget: int = Field(default=50, ge=1, le=100_000, description="the most settings that are tried on a sequence")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The `search` or `at` of an entry, before its metric is looked up. where: in the file."""
+
+    where: Where
+    section: SearchSection
+    axes: tuple[Axis, ...]
+
+
+def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) -> Any:
+    """A section as its model; None, and problems, where it is not one."""
+    if not isinstance(value, Mapping):
+        example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
+        problems.add(where, f"must be a mapping such as {example}; got {plain(value)}")
+        return None
+    problems.unknown(where, value, kind.model_fields)
+    if any(key not in kind.model_fields for key in value):
+        return None
+    try:
+        return kind.model_validate(plain(value))
+    except ValidationError as error:
+        for detail in error.errors():
+            message = str(detail["msg"]).removeprefix("Value error, ")
+            got = "" if isinstance(detail["input"], Mapping) else f"; got {shown(detail['input'])}"
+            known = [part for part in detail["loc"] if part in kind.model_fields]
+            problems.add((*where, *known), message + got)
+        return None
+
+
+def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems) -> Wanted | None:
+    """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
+    word = "search" if "search" in item else "at"
+    place = (*where, word)
+    if "search" in item and "at" in item:
+        problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
+        return None
+    value = _spelled_out(item[word]) if word == "at" else item[word]
+    section = read_section(SearchSection, value, place, problems)
+    varied = tuple(axis for axis in axes if len(axis) > 1)
+    if not varied:
+        message = "there is nothing to choose from; give a parameter `{range: [first, last, step]}` or `{grid: [...]}`"
+        problems.add(place, message)
+        return None
+    for axis in varied:
+        _require_ordered(axis, (*where, "params", axis.name), problems)
+    if len(varied) > 1 and find_spec("optuna") is None:
+        problems.add(place, _MISSING_EXTRA)
+    return None if section is None else Wanted(place, section, varied)
+
+
+def _spelled_out(value: Any) -> Any:
+    """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
+    if isinstance(value, Mapping) and len(value) == 1:
+        ((metric, number),) = value.items()
+        return {"metric": metric, "equal": number}
+    return shown(value)
+
+
+def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
+    """Note a problem with numbers that neither rise nor fall, and with values that come twice."""
+    values = [value for _, value in axis.choices]
+    numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    steps = list(pairwise(numbers))
+    if not (all(a < b for a, b in steps) or all(a > b for a, b in steps)):
+        problems.add(where, "a search needs values in order, from one end to the other; these go up and down")
+    elif len({repr(value) for value in values}) < len(values):
+        problems.add(where, "a search needs values in order; one of these comes twice")
