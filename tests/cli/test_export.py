@@ -138,6 +138,28 @@ def test_the_file_shows_what_evaluators_see(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["table"],
+        ["table", "--all"],
+        *(["table", "--format", form] for form in ("csv", "json", "markdown", "latex")),
+        ["table", "--tidy", "--format", "csv"],
+        ["table", "--columns", "*psnr*", "--format", "csv"],
+        *(["report", "--format", form] for form in ("html", "markdown", "latex")),
+        ["rank", "--format", "markdown"],
+    ],
+    ids=" ".join,
+)
+def test_every_table_says_the_pixel_format(run: Path, words: list[str], tmp_path: Path) -> None:
+    command, *options = words
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli, [command, str(run), *options, *(["--out", str(out)] if command == "report" else [])])
+    assert done.exit_code == 0, done.output
+    assert "half size (yuv420p)" in (out.read_text() if command == "report" else " ".join(done.output.split()))
+
+
+@pytest.mark.thorough
 def test_bitstreams_of_pictures_become_a_file_each(run: Path, tmp_path: Path) -> None:
     assert export(run, "--codec", "jpeg", "--out", str(tmp_path / "jpeg")).exit_code == 0
     files = sorted((tmp_path / "jpeg").iterdir())
