@@ -21,7 +21,8 @@ pytest.importorskip("av", reason="the extra `video` is not installed")
 import av
 
 from codecbench import ImageError, Unsupported
-from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.conformance.moving_pictures import long_sequence
+from codecbench.core.conformance.stream_round_trip import no_frame_is_lost_or_doubled, packets_of, pictures_of
 from codecbench.plugins.codecs.video import library
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 
@@ -69,6 +70,16 @@ def test_look_ahead_holds_pictures_back_and_says_so(codec_class: Any) -> None:
     held_back = [packet.frame for packet in encoder.flush()]
     assert len(held_back) > 2
     assert sorted(frames + held_back) == list(range(len(GRAY)))
+
+
+@PREDICTING
+def test_verify_sees_a_stream_that_is_longer_than_the_look_ahead(codec_class: Any) -> None:
+    """Packets leave before the end, and none is lost there."""
+    codec = codec_class.create(latency="any")
+    encoder = codec.encoder(30)
+    film = long_sequence(1)
+    assert sum(len(encoder.push(picture)) for picture in film.pictures) > 0
+    no_frame_is_lost_or_doubled(codec_class, codec.params, [film])
 
 
 @pytest.mark.parametrize(
