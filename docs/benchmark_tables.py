@@ -58,6 +58,16 @@ def kernel_builds(found: Benchmarks, heads: Heads) -> Iterator[str]:
     yield table(heads, rows)
 
 
+def contract(found: Benchmarks, heads: Heads) -> Iterator[str]:
+    """What coding through the engine adds to bare calls of a codec, one row a way and kind of picture."""
+    rows = []
+    for benchmark in of_file(found, "test_contract"):
+        told = benchmark["extra_info"]
+        times = [f"{told[side]:.2f} ms" for side in ("bare_ms", "engine_ms")]
+        rows.append([what(benchmark), *times, f"{told['overhead_percent']:+.1f} %"])
+    yield table(heads, rows)
+
+
 def medians(file: str) -> Callable[[Benchmarks, Heads], Iterator[str]]:
     """One row a benchmark of a file, called as its test is."""
 

@@ -116,6 +116,10 @@ BLOCKS = {
     "kernels": Block(
         TIMES, "benchmarks", "", ("codec", "compiled", "counting", "ratio"), benchmark_tables.kernel_builds
     ),
+    "contract": Block(
+        TIMES, "benchmarks", "", ("a JPEG frame", "bare calls", "through the engine", "added"),
+        benchmark_tables.contract,
+    ),
     "evaluators": Block(
         TIMES, "benchmarks", "", ("evaluators", "median"), benchmark_tables.medians("test_evaluators")
     ),

@@ -59,13 +59,19 @@ def power(run: Path, power: float, format_: str) -> None:
 
 
 def show_found(result: RunResult, found: list[Verdict], format_: str) -> None:
-    """The verdicts on a run in one of the formats."""
+    """The verdicts on a run in one of the formats; for people, with what is noted of its settings below."""
+    from codecbench.core.results.notes import setting_notes
+
     if format_ == "json":
         about = [None if verdict.about is None else verdict.about.name for verdict in found]
         rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
         click.echo(json.dumps(rows, indent=1))
     elif format_ == "markdown":
+        from codecbench.core.results.markdown import escaped
+
         click.echo(markdown(found))
+        for note in setting_notes(result):
+            click.echo(f"- {escaped(note)}")
     else:
         show_verdicts(found)
         if not found:
@@ -73,6 +79,8 @@ def show_found(result: RunResult, found: list[Verdict], format_: str) -> None:
                 "nothing to rank: it takes a rate, and a headline of role task, quality or success; "
                 "with --rate, two codecs whose settings reach it"
             )
+        for note in setting_notes(result):
+            click.secho(note, fg="yellow")
     if result.missing:
         click.echo(f"{result.missing} cells of the plan have no record yet", err=True)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -84,14 +86,38 @@ def test_a_demuxer_finds_the_pictures_and_their_times(
         shown = image_from_frame(frame, channels)
         assert shown is not None
         assert np.array_equal(shown[:66, :98], picture.image)
-    times_s = [frame.time - frames[0].time for frame in frames]
-    assert times_s == pytest.approx([index / 20 for index in range(9)], abs=0.002)
+    assert [frame.time for frame in frames] == pytest.approx([index / 20 for index in range(9)], abs=0.002)
     sent = sum(map(len, payloads(packets, codec.magic)))
     with av.open(io.BytesIO(content)) as file:
         kept = sum(packet.size for packet in file.demux(video=0))
     assert kept == pytest.approx(sent, abs=4 * len(packets)), "containers spell start codes and delimiters otherwise"
     if codec_class in (Vp9, Mjpeg, Ffv1):
         assert kept == sent
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+@pytest.mark.parametrize("codec_class", [H264, Hevc], ids=lambda codec_class: codec_class.name)
+def test_a_file_with_pictures_sent_before_their_turn_begins_at_zero(codec_class: Any, suffix: str) -> None:
+    codec = codec_class.create(latency="any")
+    packets = packets_of(codec, gliding_pictures(24, 96, 128, 1))
+    assert [packet.frame for packet in packets] != list(range(24)), "B-frames are sent after what they lie before"
+    content = file_from_packets(codec, packets, 30, f"x{suffix}")
+    assert [frame.time for frame in frames_of(content)] == pytest.approx(np.arange(24) / 30, abs=0.001)
+    with av.open(io.BytesIO(content)) as file:
+        assert (file.start_time, file.streams.video[0].start_time) == (0, 0)
+        assert file.duration / 1e6 == pytest.approx(24 / 30, abs=0.04)
+    if ffprobe := shutil.which("ffprobe"):
+        asked = [ffprobe, "-v", "error", "-show_entries", "format=start_time", "-of", "csv=p=0", "-"]
+        said = subprocess.run(asked, input=content, capture_output=True, check=True).stdout
+        assert float(said) == 0.0
+
+
+@pytest.mark.parametrize("codec_class", [Av1, Vp9], ids=lambda codec_class: codec_class.name)
+def test_an_ivf_file_has_the_times_of_its_frame_rate(codec_class: Any) -> None:
+    codec = codec_class.create(latency="any")
+    packets = packets_of(codec, gliding_pictures(9, 66, 98, 1))
+    times_s = [frame.time for frame in frames_of(file_from_packets(codec, packets, 20, "x.ivf"))]
+    assert times_s == pytest.approx(np.arange(9) / 20, abs=0.001)
 
 
 def test_a_file_that_takes_no_such_codec_is_refused() -> None:
@@ -135,6 +161,28 @@ def test_the_file_shows_what_evaluators_see(run: Path, tmp_path: Path) -> None:
         assert float(file.streams.video[0].average_rate) == pytest.approx(sequence.frame_rate_hz, rel=0.01)
     capture = cv2.VideoCapture(str(out))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["table"],
+        ["table", "--all"],
+        *(["table", "--format", form] for form in ("csv", "json", "markdown", "latex")),
+        ["table", "--tidy", "--format", "csv"],
+        ["table", "--columns", "*psnr*", "--format", "csv"],
+        *(["report", "--format", form] for form in ("html", "markdown", "latex")),
+        ["rank", "--format", "markdown"],
+    ],
+    ids=" ".join,
+)
+def test_every_table_says_the_pixel_format(run: Path, words: list[str], tmp_path: Path) -> None:
+    command, *options = words
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli, [command, str(run), *options, *(["--out", str(out)] if command == "report" else [])])
+    assert done.exit_code == 0, done.output
+    assert "half size (yuv420p)" in (out.read_text() if command == "report" else " ".join(done.output.split()))
 
 
 @pytest.mark.thorough

@@ -202,9 +202,13 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
             "stats": {"median": median_s}, "extra_info": {"setting": "q=7"} if name.startswith("test_encode[") else {},
         }  # fmt: skip
 
+    coded = entry("test_contract", "test_encode[gray]", 0.1)
+    coded["extra_info"] = {"bare_ms": 1.0, "engine_ms": 1.01, "overhead_percent": 1.04}
+
     found = [
         entry("test_slam_solvers", "test_pose_graph[150]", 0.0781),
         entry("test_evaluators", "test_ms_ssim", 0.002),
+        coded,
     ]
     for number, (way, picture) in enumerate([(w, p) for w in ("encode", "decode") for p in ("gray", "rgb")]):
         found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), picture=picture, codec="x"))
@@ -221,6 +225,7 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
     page = root / "docs" / "performance.md"
     assert table_rows(block(page, "solvers"))[1:] == [["pose graph, 150", "78.1 ms"]]
     assert table_rows(block(page, "evaluators"))[1:] == [["ms ssim", "2 ms"]]
+    assert table_rows(block(page, "contract"))[1:] == [["encode, gray", "1.00 ms", "1.01 ms", "+1.0 %"]]
     assert table_rows(block(page, "codecs"))[1:] == [["`x`, q=7", "1 / 3", "2 / 4"]]
     assert table_rows(block(page, "multilevel"))[2] == ["gray, levels 2", "10.0 ms", "40.0 ms", "200.0 ms"]
     assert table_rows(block(page, "kernels"))[1:] == [["`x`", "3.0 ms", "9.0 ms", "3.0"]]

@@ -160,6 +160,25 @@ class ForgetsAtFlush(Delta):
         return False
 
 
+class ForgetsWhatItHeldLong(Delta):
+    """Looks 25 pictures ahead, and gives 20 of them at the end: no shorter stream misses any."""
+
+    class Encoding(DeltaEncoder):
+        def __init__(self) -> None:
+            super().__init__()
+            self.held: list[Packet] = []
+
+        def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+            self.held += super().push(image)
+            return [self.held.pop(0)] if len(self.held) > 25 else []
+
+        def flush(self) -> list[Packet]:
+            return self.held[:20]
+
+    def is_low_delay(self) -> bool:
+        return False
+
+
 class HidesStateInAGlobal(Delta):
     """The picture before is one for all sessions."""
 
@@ -237,6 +256,15 @@ class DoublesAFrame(Delta):
             return [] if self.third is None else [self.third]
 
 
+class DoublesALateFrame(Delta):
+    """Shows picture 30 twice, which a short stream does not have."""
+
+    class Decoding(DeltaDecoder):
+        def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
+            pictures = super().push(packet)
+            return pictures * 2 if pictures[0].frame == 30 else pictures
+
+
 class LiesAboutItsSize(Delta):
     """Sends four bytes a picture and leaves the rest where only this process finds it."""
 
@@ -287,18 +315,32 @@ class AnswersLate(Delta):
             return self.held
 
 
+class AnswersLateLater(AnswersLate):
+    """The same, but from picture 30 on."""
+
+    class Encoding(AnswersLate.Encoding):
+        def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+            ready = super().push(image)
+            if self.pushed <= 30:
+                ready, self.held = ready + self.held, []
+            return ready
+
+
 BROKEN: dict[type[Any], str] = {
     PeeksAtTheFuture: "future",
     ChangesWhatItSent: "future",
     ForgetsAtFlush: "flush",
+    ForgetsWhatItHeldLong: "flush",
     HidesStateInAGlobal: "interleaved",
     StartsWhereNoneIs: "starts",
     CallsWholeWhatIsNot: "loss",
     JoinsUnsaid: "loss",
     ForgivesTheSecondLoss: "loss",
     DoublesAFrame: "flush",
+    DoublesALateFrame: "flush",
     LiesAboutItsSize: "self_contained",
     SendsAnAttachment: "bytes",
     AnswersLate: "one_in_one_out",
+    AnswersLateLater: "one_in_one_out",
 }
 """Each with the check that is meant to catch it."""

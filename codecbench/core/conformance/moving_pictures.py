@@ -11,6 +11,8 @@ from codecbench.core.contracts.image import Image
 
 FRAME_RATE_HZ: Final = 30.0
 _FRAMES: Final = 14
+_LONG: Final = 120
+"""Frames of a stream that is longer than encoders look ahead: by 16 to 80 frames, as far as we know."""
 _SIZES: Final = ((48, 64), (33, 17))
 
 
@@ -28,14 +30,24 @@ def moving_pictures(channels: int, seed: int = 1) -> list[MovingPictures]:
     The same seed gives the same pictures everywhere; another one gives another motion, too.
     """
     rng = np.random.default_rng(seed)
-    return [MovingPictures(f"{width}x{height}", _sequence(height, width, channels, rng)) for height, width in _SIZES]
+    return [
+        MovingPictures(f"{width}x{height}", _sequence(height, width, channels, _FRAMES, rng))
+        for height, width in _SIZES
+    ]
 
 
-def _sequence(height: int, width: int, channels: int, rng: np.random.Generator) -> list[Image]:
+def long_sequence(channels: int) -> MovingPictures:
+    """A sequence of 1 or 3 channels that no encoder can hold back to its end; small, so that it costs little."""
+    height, width = _SIZES[-1]
+    pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(3))
+    return MovingPictures(f"{width}x{height}", pictures)
+
+
+def _sequence(height: int, width: int, channels: int, frames: int, rng: np.random.Generator) -> list[Image]:
     speed = rng.uniform(0.5, 3, 2)
     rows, columns = np.mgrid[0:height, 0:width]
-    film = np.zeros((_FRAMES, height, width, channels))
-    for index in range(_FRAMES):
+    film = np.zeros((frames, height, width, channels))
+    for index in range(frames):
         down, across = speed * index
         texture = 100 + 50 * np.sin((columns + across) / 5) + 40 * np.cos((rows + down) / 4)
         disc = (rows - height / 2) ** 2 + (columns - width / 4 - 2 * index) ** 2 < (min(height, width) / 4) ** 2

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 
 from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
-from codecbench.core.conformance.moving_pictures import FRAME_RATE_HZ, MovingPictures, moving_pictures
+from codecbench.core.conformance.moving_pictures import (
+    FRAME_RATE_HZ,
+    MovingPictures,
+    long_sequence,
+    moving_pictures,
+)
 from codecbench.core.conformance.round_trip import require_equal
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, channel_count
@@ -68,9 +73,10 @@ def packets_are_bytes(codec_class: StreamClass, params: Params, sequences: Seque
 
 
 def no_frame_is_lost_or_doubled(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:
-    """Sessions of several lengths, so that pictures are held back in each way when they end."""
-    for sequence in sequences:
-        for length in (*_LENGTHS, len(sequence.pictures)):
+    """Sessions of several lengths, so that pictures are held back in each way when they end; one is longer."""
+    film = long_sequence(channel_count(sequences[0].pictures[0]))
+    for sequence, lengths in [*((sequence, _LENGTHS) for sequence in sequences), (film, ())]:
+        for length in (*lengths, len(sequence.pictures)):
             codec = codec_class(params)
             packets = packets_of(codec, sequence.pictures[:length])
             where = f"{length} frames of {sequence.name}"
@@ -164,7 +170,7 @@ def one_in_gives_one_out(codec_class: StreamClass, params: Params, sequences: Se
     codec = codec_class(params)
     if not codec.is_low_delay():
         raise NotClaimed("this setting does not claim low delay")
-    for sequence in sequences:
+    for sequence in (*sequences, long_sequence(channel_count(sequences[0].pictures[0]))):
         encoder, decoder = codec.encoder(FRAME_RATE_HZ), codec.decoder()
         for frame, picture in enumerate(sequence.pictures):
             where = f"{sequence.name}, push of frame {frame}"

@@ -55,7 +55,10 @@ class AnyCodec(Configured[P]):
         return self.capabilities.lossless
 
     def remark(self) -> str:
-        """What readers of results are to know of this setting beside all numbers, in a few words; empty for nothing."""
+        """What readers of results are to know of this setting beside all numbers, in a few words; empty for nothing.
+
+        Every table says it, so it is for properties without which numbers cannot be compared, such as the pixel format.
+        """
         return ""
 
     def libraries(self) -> dict[str, str]:

@@ -13,6 +13,7 @@ import pandas as pd
 
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import foreign_table
+from codecbench.core.results.table import NOTES
 
 if TYPE_CHECKING:
     from codecbench.core.results.columns import Column
@@ -55,6 +56,7 @@ def exported(frame: pd.DataFrame, format_: str) -> bytes:
 def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
     """The identifying columns and those that match one of the comma-separated patterns, in the patterns' order.
 
+    What is noted of settings stays too: numbers are not to be read without it.
     Raises ParamsError where a pattern matches nothing.
     """
     names = [str(name) for name in frame.columns]
@@ -65,6 +67,7 @@ def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
             near = difflib.get_close_matches(pattern, names, n=5, cutoff=0.3)
             raise ParamsError(f"no column matches {pattern!r}; near it: {', '.join(near) or 'none'}")
         chosen += [name for name in found if name not in chosen]
+    chosen += [NOTES] if NOTES in names and NOTES not in chosen else []
     return frame[chosen]
 
 

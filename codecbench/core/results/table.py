@@ -25,8 +25,10 @@ TIDY_COLUMNS: Final = (
     "sequence", "codec", "setting", "evaluator", "metric", "unit",
     "frame", "stage", "repeat", "value", "status", "reason",
 )  # fmt: skip
+NOTES: Final = "notes"
+"""The last column of both tables, where a setting has notes: a run in which none has any keeps the columns it had."""
 
-_TEXT: Final = ("sequence", "codec", "setting", "evaluator", "metric", "unit", "stage", "status", "reason")
+_TEXT: Final = ("sequence", "codec", "setting", "evaluator", "metric", "unit", "stage", "status", "reason", NOTES)
 _OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
 """What becomes of a per-repeat aggregate over frames when there are several repeats; the median otherwise."""
 
@@ -65,16 +67,21 @@ class CellResult:
 
 
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
-    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS.
+    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS, and NOTES where there are any.
 
     A cell that gave none is one row with its status and reason and no metric. Missing values are NaN with a
     reason. Text columns are categorical, so that millions of samples fit in memory.
     """
+    results = list(results)
+    noted = _notes(results)
     parts = [_rows(result) for result in results]
     if not parts:
         return pd.DataFrame({name: pd.Series(dtype="object") for name in TIDY_COLUMNS})
     columns: dict[str, Any] = {}
-    for name in TIDY_COLUMNS:
+    if noted:
+        for result, part in zip(results, parts, strict=True):
+            part[NOTES] = (np.zeros(len(part["value"]), np.int32), [noted.get(_row_of(result), "")])
+    for name in (*TIDY_COLUMNS, NOTES) if noted else TIDY_COLUMNS:
         values = [part[name] for part in parts]
         columns[name] = _joined_text(values) if name in _TEXT else np.concatenate(values)
     table = pd.DataFrame(columns)
@@ -87,19 +94,36 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
 
     An aggregate is taken over the frames of each repeat, and over repeats the median is taken (the mean for
     `mean` and `sum`); a metric measured once a repeat is aggregated over the repeats. `status` is `ok` where
-    every cell of the row is, else it counts those that are not; `reason` is the first of their reasons.
+    every cell of the row is, else it counts those that are not; `reason` is the first of their reasons. `notes` is what
+    is to be known of the row's setting beside its numbers, a column only where there is anything.
     """
     rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
     for result in results:
-        cell = result.cell
-        rows[cell.sequence.name, cell.codec.name, cell.codec.label].append(result)
+        rows[_row_of(result)].append(result)
+    noted = _notes(result for members in rows.values() for result in members)
     table = []
     for (sequence, codec, setting), members in rows.items():
         row: dict[str, Any] = {"sequence": sequence, "codec": codec, "setting": setting}
         row |= _verdict(members)
         row |= _summarised(members)
+        if noted:
+            row[NOTES] = noted.get((sequence, codec, setting), "")
         table.append(row)
     return pd.DataFrame(table, columns=_column_order(table))
+
+
+def _row_of(result: CellResult) -> tuple[str, str, str]:
+    """The row of the wide table that a cell belongs to."""
+    return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
+
+
+def _notes(results: Iterable[CellResult]) -> dict[tuple[str, str, str], str]:
+    """What is noted of each row of the wide table by any of its cells, each note once; only rows with notes."""
+    noted: dict[tuple[str, str, str], dict[str, None]] = defaultdict(dict)
+    for result in results:
+        if result.notes:
+            noted[_row_of(result)] |= dict.fromkeys(result.notes)
+    return {row: "; ".join(notes) for row, notes in noted.items()}
 
 
 def _rows(result: CellResult) -> dict[str, Any]:
@@ -220,6 +244,6 @@ def _column(metric: str, stage: str, how: str) -> str:
 
 def _column_order(rows: list[dict[str, Any]]) -> list[str]:
     """Every column of any row, in order of first appearance, with the verdict last."""
-    tail = ("status", "reason")
     seen = dict.fromkeys(("sequence", "codec", "setting", *(name for row in rows for name in row)))
+    tail = ("status", "reason", NOTES) if NOTES in seen else ("status", "reason")
     return [*(name for name in seen if name not in tail), *tail]

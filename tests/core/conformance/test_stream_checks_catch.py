@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import broken_streams
 import numpy as np
 import pytest
 
-from codecbench.core.conformance.moving_pictures import moving_pictures
+from codecbench.core.conformance.moving_pictures import long_sequence, moving_pictures
 from codecbench.core.conformance.suite import CHECKS, STREAM_CHECKS, run_checks
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.pytesting import CodecSuite
@@ -59,3 +60,11 @@ def test_moving_pictures_are_the_same_everywhere_and_move() -> None:
                 assert picture.ndim == (2 if channels == 1 else 3)
                 assert picture.flags.c_contiguous
             assert not np.array_equal(sequence.pictures[0], sequence.pictures[1])
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_long_sequence_moves_to_its_end(channels: int) -> None:
+    pictures = long_sequence(channels).pictures
+    assert len(pictures) > 100, "SVT-AV1 holds back 78 pictures"
+    assert not any(np.array_equal(*pair) for pair in pairwise(pictures))
+    assert pictures[0].shape == moving_pictures(channels)[-1].pictures[0].shape

@@ -11,8 +11,9 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.results.columns import Column, columns_of
-from codecbench.core.results.export import exported, short_table
+from codecbench.core.results.export import chosen_columns, exported, short_table
 from codecbench.core.results.meaning import Meaning
+from codecbench.core.results.report.write import write_report
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.table import CellResult, wide
 
@@ -110,6 +111,19 @@ def test_the_short_table_is_in_units_and_words_for_people() -> None:
         "sequence", "codec", "setting", "kept (n=2) [%]", "size (n=2) [B]", "encode work done (n=2) [Mops]", "status",
     ]  # fmt: skip
     assert table.iloc[0].tolist() == ["room", "a", "", 7.0, 100.0, 3.0, "ok"]
+
+
+def test_every_table_in_a_file_says_what_is_noted_of_a_setting(tmp_path: Path) -> None:
+    """In the terminal and on pages it stands below; a file is read without what stood around it."""
+    run = run_of(replace(ONE, notes=("half the colour",)), result("b", {}, size=3.0))
+    assert list(chosen_columns(run.wide, "*size*").columns)[3:] == ["test(n=2).size.mean", "test.size.mean", "notes"]
+    tables = [replace(run, results=run.results[1:]).wide, run.wide]
+    for form in ("csv", "json", "markdown", "latex"):
+        assert [exported(table, form).count(b"half the colour") for table in tables] == [0, 1]
+    for form in ("markdown", "latex"):
+        write_report(run, tmp_path / form, form)
+        assert (tmp_path / form).read_text().count("half the colour") == 1
+    assert run._repr_html_().count("half the colour") == 1
 
 
 def test_two_columns_under_one_head_are_both_shown() -> None:

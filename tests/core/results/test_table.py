@@ -85,6 +85,23 @@ def test_no_cells_give_an_empty_table_with_the_columns() -> None:
     assert len(wide([])) == 0
 
 
+def test_what_is_noted_of_a_setting_is_the_last_column_of_both_tables() -> None:
+    """Of a setting, not of a cell: an evaluator that noted nothing measured the same setting."""
+    noted = [replace(result(psnr=(30.0,)), notes=("half the colour", "waits")), result(repeat=1, psnr=(31.0, 32.0))]
+    cells = [*noted, result(codec="raw", label="", psnr=(math.inf,)), result(codec="slow", status="crashed")]
+    tables = tidy(cells), wide(cells)
+    assert [table.columns[-1] for table in tables] == ["notes", "notes"]
+    assert tables[0]["notes"].tolist() == ["half the colour; waits"] * 3 + ["", ""]
+    assert tables[1]["notes"].tolist() == ["half the colour; waits", "", ""]
+
+
+def test_where_nothing_is_noted_there_is_no_column_of_notes() -> None:
+    plain, noted = [result(psnr=(30.0,))], [replace(result(psnr=(30.0,)), notes=("half the colour",))]
+    for table in (tidy, wide):
+        assert "notes" not in table(plain)
+        pd.testing.assert_frame_equal(table(noted).drop(columns="notes"), table(plain))
+
+
 def test_wide_aggregates_over_frames_and_then_over_repeats() -> None:
     cells = [result(repeat=0, psnr=(30.0, 32.0, 40.0)), result(repeat=1, psnr=(20.0, 21.0, 25.0))]
     row = wide(cells).iloc[0]

@@ -214,21 +214,22 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
     position.at("construct evaluator")
     evaluator: Evaluator[Any] = bench.create(cell.evaluator)
     check = MeasurementCheck(evaluator, len(sequence))
-    notes: tuple[str, ...] = ()
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
         rng, plugins = np.random.default_rng(cell.seed), DeclaredPlugins(bench.registry, evaluator.uses)
         context = Context(rng, cell.repeat, Path(folder), plugins)
         if isinstance(evaluator, CodecEvaluator):
             position.at("evaluate")
             found = list(check.checked(evaluator.evaluate(codec, sequence, context)))
+            noted: tuple[str, ...] = ()
         else:
             assert order.bitstreams is not None
             assert cell.job_id is not None
             file = BitstreamFile(order.bitstreams, cell.job_id)
             coded = CodedFrames(sequence, codec, file, position, bench.pictures(file, order.cache_bytes))
             found = list(_of_coded(evaluator, coded, context, check, position))
-            position.at("remark")
-            notes = (*_remarks(codec), *coded.notes)
+            noted = coded.notes
+        position.at("remark")
+        notes = (*_remarks(codec), *noted)
         position.at("artifacts")
         contents = _artifacts(Path(folder))
     position.at("libraries")

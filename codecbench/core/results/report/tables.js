@@ -44,8 +44,8 @@ function bars(view, id) {
 
 /* The table: sortable, searchable, downloadable. What is missing always stands last. */
 function table() {
-  const fixed = ["sequence", "codec", "setting"], text = new Set([...fixed, "status", "reason"]);
-  const columns = [...fixed, ...Object.keys(DATA.columns), "status", "reason"];
+  const fixed = ["sequence", "codec", "setting"], last = ["status", "reason", "notes"].filter((name) => name in DATA.table);
+  const text = new Set([...fixed, ...last]), columns = [...fixed, ...Object.keys(DATA.columns), ...last];
   let order = columns.includes(STATE.sort) ? STATE.sort : null, up = STATE.down !== "1";
   const compare = (a, b) => {
     if (text.has(order)) return (up ? 1 : -1) * String(a[order]).localeCompare(String(b[order]), undefined, { numeric: true });
@@ -70,7 +70,7 @@ function table() {
     $("table-body").replaceChildren(...rows.map((row) => {
       const line = document.createElement("tr");
       for (const name of shownNames) {
-        line.append(element("td", name === "reason" ? "text wrap" : text.has(name) ? "text" : "", text.has(name) ? row[name] ?? "" : shown(measured(row, name))));
+        line.append(element("td", ["reason", "notes"].includes(name) ? "text wrap" : text.has(name) ? "text" : "", text.has(name) ? row[name] ?? "" : shown(measured(row, name))));
       }
       return line;
     }));

@@ -33,7 +33,8 @@ class Encoder:
     it has no such thing. integral: whether `crf` has to be a whole number. intra_only: no picture refers to another.
     recovers: marks where intra refresh has made pictures whole. looks_ahead: whether it can hold pictures back to
     code them better. least_side: smaller pictures are padded; with one block in a row x265 writes other bytes each
-    time, and below one it writes past its memory. hardware: whether only opening it tells that it is there.
+    time, and below one it writes past its memory. hardware: what it needs of the machine, in words, where only opening
+    it tells that it is there.
     """
 
     name: str
@@ -50,7 +51,7 @@ class Encoder:
     looks_ahead: bool = True
     bounds_any: bool = True
     least_side: int = 2
-    hardware: bool = False
+    hardware: str = ""
 
     def faults(self, params: VideoParams) -> Iterator[str]:
         """What of a setting this encoder cannot do, each with what it can."""
@@ -214,15 +215,15 @@ ENCODERS: Final = {
         Encoder(
             "h264_nvenc", "h264", _nvenc_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
             {"crf": 23, "preset": "p4"}, tuple(f"p{effort}" for effort in range(1, 8)), ("yuv420p", "yuv444p"),
-            least_side=146, hardware=True,
+            least_side=146, hardware="an NVIDIA GPU and its driver",
         ),
         Encoder(
             "h264_v4l2m2m", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
-            ("yuv420p",), looks_ahead=False, least_side=64, hardware=True,
+            ("yuv420p",), looks_ahead=False, least_side=64, hardware="a V4L2 encoder of the board, as /dev/video*",
         ),
         Encoder(
             "h264_vaapi", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
-            ("yuv420p",), looks_ahead=False, least_side=64, hardware=True,
+            ("yuv420p",), looks_ahead=False, least_side=64, hardware="a GPU with a VA-API driver, as /dev/dri",
         ),
     )
 }  # fmt: skip

@@ -21,6 +21,10 @@ _FULL_RANGE: Final = 2
 _BT601: Final = 5
 _MARGIN: Final = 128  # what padding and the blocks of a format add at the most
 _RATE_DENOMINATOR: Final = 1001
+_SOFTWARE: Final = "encoder: libx264, which needs no hardware"
+_REINSTALLING: Final = (
+    "run: pip install --upgrade --force-reinstall 'av>=16', whose wheels carry the encoders in software"
+)
 _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
 
 
@@ -42,9 +46,9 @@ def require(encoder: Encoder) -> None:
         try:
             av.Codec(name, mode)
         except ValueError as error:
+            remedy = f"its wheels may lack it: set {_SOFTWARE}" if encoder.hardware else _REINSTALLING
             raise Unsupported(
-                f"this build of PyAV has no {name}; run: pip install --upgrade --force-reinstall 'av>=16', whose wheels"
-                " carry the encoders in software, or build PyAV against an FFmpeg that has it"
+                f"this build of PyAV has no {name}; {remedy}, or build PyAV against an FFmpeg that has it"
             ) from error
 
 
@@ -61,9 +65,13 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
     try:
         context.open()
     except (av.FFmpegError, ValueError) as error:
-        advice = "it needs its hardware and driver; encoder: libx264 needs neither" if encoder.hardware else ""
-        reason = f"{encoder.name} cannot be opened for {width}x{height}: {error}; {advice}".rstrip("; ")
-        raise Unsupported(reason) from error
+        what = f"{encoder.name} cannot be opened for {width}x{height}"
+        if encoder.hardware:  # FFmpeg's own words, which repeat every option, say less than what is missing
+            why = getattr(error, "strerror", None) or "refused"
+            raise Unsupported(
+                f"{what} ({why}): it needs {encoder.hardware}; if there is none, set {_SOFTWARE}"
+            ) from error
+        raise Unsupported(f"{what}: {error}") from error
     return context
 
 

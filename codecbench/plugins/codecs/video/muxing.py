@@ -66,15 +66,15 @@ def _stream_of(container: Any, codec: VideoCodec[Any], header: Header, first: by
         container.start_encoding()
         return stream
     elementary = _ELEMENTARY[traits.decoder]
-    content = _ivf(first, size) if elementary == "ivf" else first
+    content = _ivf(first, size, frame_rate(frame_rate_hz)) if elementary == "ivf" else first
     with load_av().open(io.BytesIO(content), format=elementary) as source:
         return container.add_stream_from_template(source.streams.video[0], opaque=True)
 
 
-def _ivf(packet: bytes, size: tuple[int, int]) -> bytes:
+def _ivf(packet: bytes, size: tuple[int, int], rate: Fraction) -> bytes:
     """A file of one VP9 packet."""
     return (
-        _IVF_FILE.pack(b"DKIF", 0, _IVF_FILE.size, b"VP90", *size, 30, 1, 1, 0)
+        _IVF_FILE.pack(b"DKIF", 0, _IVF_FILE.size, b"VP90", *size, rate.numerator, rate.denominator, 1, 0)
         + _IVF_FRAME.pack(len(packet), 0)
         + packet
     )
@@ -83,12 +83,16 @@ def _ivf(packet: bytes, size: tuple[int, int]) -> bytes:
 def _mux(
     container: Any, stream: Any, packets: Sequence[Packet], payloads: Sequence[bytes], frame_rate_hz: float
 ) -> None:
-    """Packets are decoded in the order in which they come, and shown in that of their frames."""
+    """Packets are decoded in the order in which they come, and shown in that of their frames, the first at 0.
+
+    Where pictures wait for later ones, decoding begins before 0, as FFmpeg's encoders count; what a container does not
+    take of that its muxer turns into what it does, MP4's into an edit list.
+    """
     held_back = max(place - packet.frame for place, packet in enumerate(packets))
     interval_s: Fraction = 1 / frame_rate(frame_rate_hz)
     for place, (packet, payload) in enumerate(zip(packets, payloads, strict=True)):
-        muxed = packet_for(payload, packet.frame + held_back)
-        muxed.dts, muxed.duration = place, 1
+        muxed = packet_for(payload, packet.frame)
+        muxed.dts, muxed.duration = place - held_back, 1
         muxed.time_base, muxed.stream = interval_s, stream
         muxed.is_keyframe = packet.starts
         container.mux(muxed)

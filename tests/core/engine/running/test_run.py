@@ -79,10 +79,15 @@ def test_what_a_sequence_notes_is_said_before_anything_is_computed(bench: Bench)
 
 
 def test_what_a_codec_remarks_of_a_setting_is_noted(bench: Bench) -> None:
-    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [1, 6]}}}", "wandering"))
+    """Also where the evaluator runs the codec itself, as `alone` does."""
+    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [1, 6]}}}", "wandering, alone"))
     bench.run(plan)
-    noted = {cell.codec.label: record.notes for cell, record in bench.records(plan).values()}
-    assert noted == {"step=1": (), "step=6": ("keeps little",)}
+    noted = {(cell.evaluator.name, cell.codec.label): record.notes for cell, record in bench.records(plan).values()}
+    assert noted == {
+        (evaluator, label): said
+        for evaluator in ("wandering", "alone")
+        for label, said in {"step=1": (), "step=6": ("keeps little",)}.items()
+    }
 
 
 def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:

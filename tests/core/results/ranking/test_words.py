@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,16 @@ def test_programs_read_the_same_and_which_column_it_is_about(capsys: pytest.Capt
     assert [tuple(row) for row in ranking["rows"]] == list(found[0].rows)
     assert ranking["about"] in run.wide
     assert held["about"] is None or held["about"] in run.wide
+
+
+@pytest.mark.parametrize("form", ["text", "markdown"])
+def test_people_read_what_is_noted_of_a_setting_below_verdicts(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = [
+        replace(cell, notes=("half the colour",)) if cell.cell.codec.name == "mine" else cell for cell in example()
+    ]
+    run = run_of(*cells)
+    show_found(run, verdicts(run), form)
+    assert capsys.readouterr().out.count("mine: half the colour.") == 1
 
 
 def test_what_is_missing_is_said() -> None:

@@ -69,6 +69,8 @@ def test_nothing_is_empty_overlaps_or_is_cut_off_and_every_control_works(
     for width in WIDTHS:
         page = opened(chromium, address, width)
         assert page.evaluate(PROBE) == []
+        heads = page.evaluate("[...document.querySelectorAll('#table-head th')].map((head) => head.dataset.name)")
+        assert ("notes" in heads) == ("noted" in RUNS[name])
         page.screenshot(tmp_path / f"{width}.png", whole=True)
         assert (tmp_path / f"{width}.png").stat().st_size > 10_000
         tried = page.evaluate(EVERYTHING)

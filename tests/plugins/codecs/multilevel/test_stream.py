@@ -69,6 +69,16 @@ def test_pictures_are_missing_from_a_loss_to_the_next_start() -> None:
             assert picture.image is None or np.array_equal(picture.image, whole[picture.frame].image)
 
 
+def test_each_packet_of_sixty_frames_may_be_lost() -> None:
+    codec = MultilevelStream.create(gop=15)
+    packets = packets_of(codec, gliding_pictures(60, 40, 56, 1))
+    for lost in range(60):
+        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        restart = (lost // 15 + 1) * 15
+        assert [picture.frame for picture in pictures] == list(range(60))
+        assert [picture.frame for picture in pictures if picture.state != "whole"] == list(range(lost, restart))
+
+
 def test_a_packet_does_not_decode_on_another_memory() -> None:
     """Even where nobody told of the loss."""
     packets = packets_of(MultilevelStream.create(), gliding_pictures(4, 40, 56, 1))
