@@ -36,10 +36,10 @@ def moving_pictures(channels: int, seed: int = 1) -> list[MovingPictures]:
     ]
 
 
-def long_sequence(channels: int) -> MovingPictures:
+def long_sequence(channels: int, seed: int = 3) -> MovingPictures:
     """A sequence of 1 or 3 channels that no encoder can hold back to its end; small, so that it costs little."""
     height, width = _SIZES[-1]
-    pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(3))
+    pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(seed))
     return MovingPictures(f"{width}x{height}", pictures)
 
 

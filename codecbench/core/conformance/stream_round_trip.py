@@ -24,6 +24,8 @@ from codecbench.core.counting.trace import CountingTrace
 StreamClass = type[StreamCodec[Any]]
 _LENGTHS = (1, 2, 5)
 _SHARED = 6
+_SHARED_OF_LONG = 100
+"""More than encoders hold back, so that packets have left of which something can be said."""
 
 
 def packets_of(codec: StreamCodec[Any], pictures: Sequence[Image]) -> list[Packet]:
@@ -186,20 +188,21 @@ def one_in_gives_one_out(codec_class: StreamClass, params: Params, sequences: Se
 
 def what_was_sent_is_final(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:
     """Packets that have left say nothing of later pictures: not if these differ, nor if they lie beside in memory."""
-    futures = zip(sequences, moving_pictures(channel_count(sequences[0].pictures[0]), seed=2), strict=True)
-    for sequence, other in futures:
+    channels = channel_count(sequences[0].pictures[0])
+    futures = [(*pair, _SHARED) for pair in zip(sequences, moving_pictures(channels, seed=2), strict=True)]
+    for sequence, other, shared in [*futures, (long_sequence(channels), long_sequence(channels, 4), _SHARED_OF_LONG)]:
         film = np.stack(sequence.pictures)
-        twin = np.stack([*sequence.pictures[:_SHARED], *other.pictures[_SHARED:]])
-        left, right = (_sent_early(codec_class(params), list(pictures)) for pictures in (film, twin))
+        twin = np.stack([*sequence.pictures[:shared], *other.pictures[shared:]])
+        left, right = (_sent_early(codec_class(params), list(pictures), shared) for pictures in (film, twin))
         require_same_packets(f"{sequence.name} before another future", left, right)
 
 
-def _sent_early(codec: StreamCodec[Any], pictures: Sequence[Image]) -> list[Packet]:
-    """Packets that left with the first pictures, as they are when the session is over; fails if they changed."""
+def _sent_early(codec: StreamCodec[Any], pictures: Sequence[Image], first: int) -> list[Packet]:
+    """Packets that left with the `first` pictures, as they are when the session is over; fails if they changed."""
     session = codec.encoder(FRAME_RATE_HZ)
-    packets = [packet for picture in pictures[:_SHARED] for packet in session.push(picture)]
+    packets = [packet for picture in pictures[:first] for packet in session.push(picture)]
     sent = [Packet(bytes(packet.data), packet.frame, packet.starts) for packet in packets]
-    for picture in pictures[_SHARED:]:
+    for picture in pictures[first:]:
         session.push(picture)
     session.flush()
     require_same_packets("packets after later pictures", packets, sent)
