@@ -82,7 +82,11 @@ def compare(
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     _print(found, format_, everything)
     unequal = any(comparison.verdict in _FAILING[fail_on] for comparison in found)
-    if unequal or (not found and fail_on != "never"):
+    common = {series.key for series in first.series} & {series.key for series in second.series}
+    nothing = not any(comparison.key in common for comparison in found)
+    if found and nothing:
+        click.echo("the runs have nothing in common: no sequence with the same setting, evaluator and metric", err=True)
+    if unequal or (nothing and fail_on != "never"):
         raise click.exceptions.Exit(ExitStatus.FOUND)
 
 

@@ -63,7 +63,7 @@ def try_(
     from codecbench.trial.recording import counted
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
-    click.echo(f"{work}: about {about} min, some of it to compile at first")
+    click.echo(f"{work}: about {about} min{', some of it to compile kernels, once' if made.compiles else ''}")
     from codecbench.cli.run import run_and_report
     from codecbench.core.engine.planning.matrix import matrix_from
 

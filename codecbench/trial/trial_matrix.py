@@ -11,8 +11,10 @@ from typing import Any, Final, Literal, get_args
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.engine.planning.estimate import estimate
 from codecbench.core.engine.planning.matrix import matrix_from
+from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.running.warm_up import kernels_to_compile
 from codecbench.trial.recording import Recording, counted
 from codecbench.trial.wanted_codecs import WantedCodec, read_codec
 
@@ -34,13 +36,17 @@ _MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2
 
 @dataclass(frozen=True)
 class TrialMatrix:
-    """The text of a matrix, and what its user is told of how it was chosen."""
+    """The text of a matrix, and what its user is told of how it was chosen.
+
+    estimated_s: wall time; `compiles` where that of compiling kernels is in it, which the cache does not have.
+    """
 
     text: str
     aim: Aim
     frames: int
     settings: int
     estimated_s: float
+    compiles: bool
     choices: tuple[str, ...]
 
 
@@ -98,7 +104,9 @@ def trial_matrix(
         else:
             chosen.append(f"all {counted(draft.frames, 'frame')} are needed, which may take more than {about}")
     settings = 1 + sum(len(codec) for codec in wanted)
-    return TrialMatrix(draft.text(), aim, draft.frames, settings, seconds + _COMPILE_S[aim], tuple(chosen))
+    compiles = len(kernels_to_compile(draft.plan(registry).cells, registry)) > 0
+    estimated_s = seconds + (_COMPILE_S[aim] if compiles else 0.0)
+    return TrialMatrix(draft.text(), aim, draft.frames, settings, estimated_s, compiles, tuple(chosen))
 
 
 def _why(aim: Aim, recording: Recording) -> str:
@@ -134,13 +142,17 @@ class _Draft:
 
     def seconds(self, registry: Registry) -> float:
         """How long it can be expected to take. Typical costs are of frames of 640x480."""
-        plan = make_plan(matrix_from(self.text(), registry), registry)
+        plan = self.plan(registry)
         cells = [cell for cell in plan.cells if cell.unsupported is None]
         if not cells:
             reasons = "; ".join(dict.fromkeys(str(cell.unsupported) for cell in plan.cells))
             raise CodecbenchError(f"nothing of this can be run here: {reasons}")
         pixels = self.recording.width * self.recording.height
         return estimate(plan, cells, len(plan.jobs), {}).seconds * max(pixels / _TYPICAL_PIXELS, 0.2)
+
+    def plan(self, registry: Registry) -> Plan:
+        """The plan of the matrix."""
+        return make_plan(matrix_from(self.text(), registry), registry)
 
     def text(self) -> str:
         """The YAML text."""

@@ -66,6 +66,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     (folder / "better.json").write_text(
         re.sub(r'"values": \[[^]]*\]', '"values": [-1.0]', (folder / "base.json").read_text())
     )
+    elsewhere = re.sub(r'"sequence": "[^"]*"', '"sequence": "elsewhere"', (folder / "base.json").read_text())
+    (folder / "elsewhere.json").write_text(elsewhere)
     (folder / "empty").mkdir()
     shutil.copy(folder / "runs" / "tiny" / "plan.json", folder / "empty")
     (folder / "damaged").mkdir()
@@ -172,6 +174,8 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.FOUND, "compare better.json runs/tiny", "worse"),
     (ExitStatus.SUCCESS, "compare better.json runs/tiny --fail-on never", "worse"),
     (ExitStatus.FOUND, "compare empty empty", "nothing to compare"),
+    (ExitStatus.FOUND, "compare elsewhere.json runs/tiny", "the runs have nothing in common"),
+    (ExitStatus.SUCCESS, "compare elsewhere.json runs/tiny --fail-on never", "the runs have nothing in common"),
     (ExitStatus.WRONG_USE, "compare runs/tiny", "name a second run"),
     (ExitStatus.WRONG_USE, "compare nowhere runs/tiny", "neither a run folder nor a baseline file"),
     (ExitStatus.NOT_POSSIBLE, "compare damaged runs/tiny", "is damaged"),

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 
+import click
 from project import DOCS, ROOT
+
+from codecbench.cli import cli
 
 README = (ROOT / "README.md").read_text()
 
@@ -37,3 +41,15 @@ def test_the_first_screen_is_short() -> None:
     assert first.count("![") == 1
     assert len(first.splitlines()) < 40
     assert "|---" not in first
+
+
+def test_every_command_is_one_that_the_command_line_takes() -> None:
+    """Its name, options and values; what it names need not be there."""
+    commands = set(re.findall(r"(?:`|bin/)codecbench ((?:--confine )?[a-z-]+(?: [^`\n&]+)?)", README))
+    assert {"try PATH", "run examples/first.yaml", "verify-run BUNDLE"} <= commands
+    for words in commands:
+        name, *rest = shlex.split(words.removeprefix("--confine "))
+        context = click.Context(cli)
+        command = cli.get_command(context, name)
+        assert command is not None, words
+        command.make_context(name, rest, parent=context)

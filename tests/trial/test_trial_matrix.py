@@ -74,6 +74,20 @@ def test_a_long_recording_is_cut_to_the_minutes_and_that_is_said(tmp_path: Path)
     assert make_plan(matrix_from(cut.text)).sequences[0].frames == frames[1]
 
 
+def test_compiling_is_in_the_estimate_only_where_kernels_have_to_be_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures(tmp_path, ["1.png", "2.png"])
+    estimates: dict[bool, float] = {}
+    for cold in (False, True):
+        found = ["a kernel"] if cold else []
+        monkeypatch.setattr("codecbench.trial.trial_matrix.kernels_to_compile", lambda *_, found=found: found)
+        made = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
+        assert made.compiles == cold
+        estimates[cold] = made.estimated_s
+    assert estimates[True] - estimates[False] == pytest.approx(30.0)
+
+
 def test_what_the_pictures_are_for_says_what_is_measured(tmp_path: Path) -> None:
     recording = looked_at(tum(tmp_path / "walk"))
     for aim, evaluators in (

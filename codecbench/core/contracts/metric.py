@@ -32,7 +32,8 @@ class Metric:
     how well something that reads them does; `time` and `operations` what coding takes; `success` is 1 where a run
     succeeds and 0 where not; `behaviour` describes and ranks nothing.
     headline: shown first, and by its role in Pareto fronts, BD-rates and curves.
-    label: for people ("PSNR"), by default made from the name. brief: a narrow column head, by default the label.
+    label: for people ("PSNR"), by default made from the name. brief: a narrow column head, which
+    may have several lines, by default the label.
     scale: of its axis. display_unit, display_factor: what people are shown in place of `unit`, where that is unwieldy.
 
     confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.

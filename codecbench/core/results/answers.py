@@ -181,7 +181,7 @@ def _compared(run: RunResult, column: Column, ranking: Ranking | None, ranked: R
     if beyond:
         yield f"not compared with {', '.join(beyond)} ({NO_COMMON_RATE})"
     for anchor in ranking.anchors[:1]:
-        if anchor in level or anchor in beyond:
+        if anchor in level:
             continue
         yield from _beside(run, column, ranking, ranked, anchor)
 

@@ -22,10 +22,12 @@ def tracked(codec: str, rate: float, held: list[float], sequence: str = "s") -> 
     return [sized, *runs]
 
 
-def scored(codec: str, factor: float, rng: np.random.Generator, metric: str = "score") -> list[CellResult]:
+def scored(
+    codec: str, factor: float, rng: np.random.Generator, metric: str = "score", rates: tuple[float, ...] = RATES
+) -> list[CellResult]:
     """A codec that needs `factor` times the rate for the same score in dB, or drift; of frames that vary little."""
     found = []
-    for rate in RATES:
+    for rate in rates:
         level = 30 + 6 * np.log2(rate / factor) if metric == "score" else factor / rate
         noise = rng.normal(0, 0.2, 64) if metric == "score" else np.zeros(64)
         values = {("bits", ""): [rate] * 64, (metric, ""): (level + noise).tolist()}
@@ -84,6 +86,14 @@ def test_without_a_task_codecs_are_compared_by_quality_and_that_is_said(rng: np.
     assert said["bad"].startswith(
         "bad: worse than good, plain; 99 % more rate than plain for the same (95 %: 98 to 100 %)"
     )
+
+
+def test_the_rate_for_the_same_is_said_also_where_there_is_no_common_rate(rng: np.random.Generator) -> None:
+    """One codec reaches the scores of another at rates that this one never has; a third has rates of both."""
+    far = scored("far", 0.1, rng, rates=(0.03, 0.06, 0.12))
+    between = scored("between", 0.5, rng, rates=(0.06, 0.12, 0.25, 0.5))
+    said = sentences(answers(run_of(*scored("plain", 1.0, rng), *between, *far)))["far"]
+    assert "not compared with plain (no common rate to compare at); 90 % less rate than plain for the same" in said
 
 
 def test_codecs_that_are_the_same_are_not_told_apart(rng: np.random.Generator) -> None:

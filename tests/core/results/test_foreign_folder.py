@@ -150,6 +150,14 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
     assert pictures(run) == 0
 
 
+def test_without_bitstreams_no_sequence_is_asked_for(run: Path, place: Path, tmp_path: Path) -> None:
+    shutil.rmtree(run / "coded")
+    done = command(place, "report", run, CODECBENCH_CACHE=str(tmp_path / "cache"))
+    assert done.returncode == 0
+    assert "no images of pictures: the run folder holds no bitstreams" in done.stderr
+    assert "--sequences-from" not in done.stderr
+
+
 def test_the_name_of_an_own_folder_does_not_make_a_plan_ones_own(run: Path, place: Path) -> None:
     document = json.loads((run / "plan.json").read_text())
     document["plan"]["sequences"][0]["dataset"]["params"]["path"] = "/etc"

@@ -9,10 +9,11 @@ from typing import Final
 
 from codecbench.core.engine.planning.model import Cell, Plan
 
-TYPICAL_CELL_S: Final = 1.0
+TYPICAL_CELL_S: Final = 0.5
 """Evaluators that look at a few frames, whatever the length of the sequence."""
-_TYPICAL_CODING_MS: Final = 25.0
-_START_S: Final = 5.0
+TYPICAL_CODING_MS: Final = 25.0
+START_S: Final = 5.0
+"""What a worker takes at most for the first work of a kind: to import what it needs and to load its kernels."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,8 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
         else:
             shared += seconds
     frames = max((entry.frames for entry in plan.sequences), default=0)
-    shared += jobs * _TYPICAL_CODING_MS / 1000 * frames
-    total = _START_S + shared / plan.run.workers + alone if missing else 0.0
+    shared += jobs * TYPICAL_CODING_MS / 1000 * frames
+    total = START_S + shared / plan.run.workers + alone if missing else 0.0
     return Estimate(total, measured, len(missing) - measured)
 
 

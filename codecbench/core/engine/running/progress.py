@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from codecbench.core.engine.planning.estimate import TYPICAL_CELL_S
+from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S, TYPICAL_CODING_MS
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.storage.record import Record
@@ -68,13 +68,17 @@ class Pace:
     that has not been seen yet the estimate is that of the same evaluator under other codecs; of an evaluator that has
     not, what it declares as typical, in proportion to how the others did beside what they declare. An evaluator that
     declares nothing is taken, until it is seen, to look at a few frames of a sequence, as `estimate` takes it.
+
+    The first work of a task in a worker takes up to START_S longer: of what it took, what was expected is kept, as far
+    as that can be. So short runs are not taken for long ones, and long ones are hardly changed.
     """
 
     def __init__(self, workers: int, typical_ms: Mapping[str, float] | None = None) -> None:
         """typical_ms: milliseconds a frame, by the title of an evaluator's setting, where it declares them."""
         self._workers = workers
         self._typical_s = {title: ms / 1000 for title, ms in (typical_ms or {}).items() if ms > 0}
-        self._guessed_s: dict[str, float] = {}
+        self._guessed_s: dict[str, float] = {_ENCODING: TYPICAL_CODING_MS / 1000}
+        self._begun_by: set[tuple[Hashable, str]] = set()
         self._begun = time.monotonic()
         self._left: Counter[_Kind] = Counter()
         self._spent: dict[_Kind, _Spent] = defaultdict(_Spent)
@@ -94,13 +98,17 @@ class Pace:
     def elapsed_s(self) -> float:
         return time.monotonic() - self._begun
 
-    def ended(self, work: Work, duration_s: float | None = None) -> None:
-        """A job or cell has ended; `duration_s` is None where it was never computed."""
+    def ended(self, work: Work, duration_s: float | None = None, worker: Hashable = None) -> None:
+        """A job or cell has ended; `duration_s` is None where it was never computed, `worker` where it is not known."""
         kind, frames = _kind(work), work.sequence.frames
         self._left[kind] -= frames
-        if duration_s is not None and frames:
-            self._spent[kind].add(duration_s, frames)
-            self._of_task[kind[0]].add(duration_s, frames)
+        if duration_s is None or not frames:
+            return
+        if worker is not None and (worker, kind[0]) not in self._begun_by:
+            self._begun_by.add((worker, kind[0]))
+            duration_s = min(duration_s, max(duration_s - START_S, self._per_frame_s(kind) * frames))
+        self._spent[kind].add(duration_s, frames)
+        self._of_task[kind[0]].add(duration_s, frames)
 
     def again(self, work: Work) -> None:
         """A job or cell that has ended is to be done once more."""
@@ -127,10 +135,7 @@ class Pace:
             return self._typical_s[kind[0]] * sum(spent.seconds for spent in known.values()) / declared
         if kind[0] in self._typical_s:
             return self._typical_s[kind[0]]
-        if kind[0] in self._guessed_s:
-            return self._guessed_s[kind[0]]
-        tasks = self._of_task.values()
-        return sum(spent.seconds for spent in tasks) / sum(spent.frames for spent in tasks)
+        return self._guessed_s[kind[0]]
 
 
 _Kind = tuple[str, str]

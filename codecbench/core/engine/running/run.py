@@ -220,7 +220,7 @@ class _Run:
             self.schedule.ended(work)
 
     def _coded(self, job: CodingJob, record: Record) -> None:
-        self.pace.ended(job, record.duration_s)
+        self.pace.ended(job, record.duration_s, _process(record))
         self.jobs_done += 1
         if record.status == "ok":
             if BITSTREAMS in record.contents:
@@ -266,7 +266,7 @@ class _Run:
         self.statuses[cell.id] = record.status
         self.not_ok += record.status != "ok"
         if cell.unsupported is None:
-            self.pace.ended(cell, record.duration_s or None)
+            self.pace.ended(cell, record.duration_s or None, _process(record))
         if record.status not in ("ok", "unsupported"):
             name = f"{cell.sequence.name} | {cell.codec.name} {cell.codec.label}".strip()
             where = f"{name} | {cell.evaluator.name} {cell.evaluator.label}".strip()
@@ -295,3 +295,8 @@ class _Run:
                 record=record,
             )
         )
+
+
+def _process(record: Record) -> tuple[str, int] | None:
+    """The host and the number of the process that made a record; None where no worker did."""
+    return (record.worker["host"], record.worker["pid"]) if record.worker else None

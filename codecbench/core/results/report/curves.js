@@ -86,10 +86,11 @@ function curves() {
     const present = names.filter((curve) => rows.some((row) => row.curve === curve));
     const focused = document.activeElement && document.activeElement.dataset.toggle;
     $("legend").replaceChildren(...present.map((curve) => {
-      const button = element("button", "toggle", level.some((row) => row.curve === curve) ? `${curve} (level)` : curve);
+      const isLevel = level.some((row) => row.curve === curve);
+      const button = element("button", "toggle", isLevel ? `${curve} (level)` : curve);
       button.type = "button"; button.dataset.toggle = curve;
       button.setAttribute("aria-pressed", String(!off.has(curve)));
-      button.prepend(swatch(DATA.styles[curve]));
+      button.prepend(swatch(isLevel ? { colour: DATA.styles[curve].colour, dashes: [6, 4] } : DATA.styles[curve]));
       button.addEventListener("click", () => { if (!off.delete(curve)) off.add(curve); plot(); });
       return button;
     }));

@@ -61,10 +61,13 @@ def frame_pictures(
     share = budget_bytes // max(1, len(run.plan.sequences))
     marker = _marker(run)
     for entry in run.plan.sequences:
+        chosen = _chosen(run, entry)
+        if chosen and not _holds_bitstreams(run, entry, chosen):
+            log.warning("no images of %s: the run folder holds no bitstreams, as of a bundle without them", entry.name)
+            continue
         params = _dataset_params(run, entry, sequences_from)
         if params is None:
             continue
-        chosen = _chosen(run, entry)
         shape = _shape(entry.frames, len(chosen), len(run.plan.sequences), share, wanted)
         views = [
             (setting, rate, found)
@@ -147,6 +150,12 @@ def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, f
     known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
     picks = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SETTINGS_A_SEQUENCE)).round().astype(int))
     return [(known[pick][1], known[pick][0]) for pick in picks] if known else []
+
+
+def _holds_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[PluginSetting, float]]) -> bool:
+    """Whether there is anything to decode of a sequence."""
+    store = Store(run.folder)
+    return any(store.coded_path(coding_id(entry, setting)).exists() for setting, _ in chosen)
 
 
 def _spent(run: RunResult, rate: float) -> str:

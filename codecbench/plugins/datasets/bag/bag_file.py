@@ -41,6 +41,10 @@ class Channel:
         for numbers in (self.times_ns, self.blocks, self.offsets):
             numbers.pop()
 
+    def clear(self) -> None:
+        for numbers in (self.times_ns, self.blocks, self.offsets):
+            del numbers[:]
+
     def drop_block(self, block: int) -> None:
         """Forget the messages of a block that came last."""
         while self.blocks and self.blocks[-1] == block:

@@ -11,14 +11,15 @@ from typing import Any, Final
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets.bag.bag_file import BagFile, Channel, type_from_name
 from codecbench.plugins.datasets.bag.expansion import MOST_BYTES, ZSTD_MAGIC, expanded
+from codecbench.plugins.datasets.bag.sqlite_pages import BrokenRowError, Pages, page_bytes_of
 
 _MAGIC: Final = b"SQLite format 3\0"
-_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
+_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError, BrokenRowError)
 """What reading a damaged file raises; Python cannot spell every message of SQLite's."""
 
 
 class SqliteFile(BagFile):
-    """A `.db3` file. Blocks are always 0, offsets are rows."""
+    """A `.db3` file. Blocks are always 0; offsets are rows, or where these lie in a file whose tree is broken."""
 
     kind = "ROS 2 bag"
 
@@ -34,6 +35,7 @@ class SqliteFile(BagFile):
         if not head.startswith(_MAGIC):
             raise DatasetError(f"{file}: is not an SQLite file; fetch or copy it again")
         self._connection: tuple[int, sqlite3.Connection] | None = None
+        self._pages: Pages | None = None
         self._find_damage(head, size)
         try:
             self._read_index()
@@ -41,29 +43,34 @@ class SqliteFile(BagFile):
             raise DatasetError(f"{file}: is not a bag, or damaged where its topics are listed: {error}") from error
 
     def message(self, block: int, offset: int, most_bytes: int = MOST_BYTES) -> bytes:
+        where = f"the message of row {offset}" if self._pages is None else f"the message at byte {offset}"
         try:
-            with self._opened().blobopen("messages", "data", offset, readonly=True) as blob:
-                size = len(blob)
-                if size > MOST_BYTES:
-                    raise self.too_large(f"the message of row {offset}", size)
-                content = blob.read(min(size, most_bytes))
-                if content.startswith(ZSTD_MAGIC):
-                    return expanded(content + blob.read(), "zstd", most_bytes)
-                return content
+            size, content = self._stored(offset, most_bytes)
+            if size > MOST_BYTES:
+                raise self.too_large(where, size)
+            if content.startswith(ZSTD_MAGIC):
+                return expanded(self._stored(offset, MOST_BYTES)[1], "zstd", most_bytes)
+            return content
         except _ERRORS as error:
-            raise DatasetError(f"{self.file}: the message of row {offset} is damaged: {error}") from error
+            raise DatasetError(f"{self.file}: {where} is damaged: {error}") from error
 
-    @property
-    def _recovery(self) -> str:
-        return f"copy it again, or see what `sqlite3 {self.file.name} .recover` finds"
+    def _stored(self, offset: int, most_bytes: int) -> tuple[int, bytes]:
+        """The size of a message, and its first bytes, none of one that is too large."""
+        if self._pages is not None:
+            size = self._pages.size(offset)
+            return size, self._pages.message(offset, most_bytes) if size <= MOST_BYTES else b""
+        with self._opened().blobopen("messages", "data", offset, readonly=True) as blob:
+            size = len(blob)
+            return size, blob.read(min(size, most_bytes)) if size <= MOST_BYTES else b""
 
     def _find_damage(self, head: bytes, size_bytes: int) -> None:
-        page_bytes = int.from_bytes(head[16:18], "big")
-        wanted = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
-        if size_bytes < wanted:
-            self.damage = f"{self.file}: is cut short: {size_bytes} of {wanted} bytes; {self._recovery}"
+        wanted = int.from_bytes(head[28:32], "big") * page_bytes_of(head)
+        self._is_whole = size_bytes >= wanted
+        if not self._is_whole:
+            self.damage = f"{self.file}: is cut short: {size_bytes} of {wanted} bytes"
         elif self._wal_bytes:
-            self.damage = f"{self.file}: was not closed; what is only in {self.file.name}-wal is not read"
+            remedy = f"`sqlite3 {self.file.name} 'PRAGMA wal_checkpoint'` on a copy of both puts it in"
+            self.damage = f"{self.file}: was not closed; what is only in {self.file.name}-wal is not read: {remedy}"
 
     def _opened(self) -> sqlite3.Connection:
         """The connection of this process: a fork must not use its parent's."""
@@ -83,28 +90,40 @@ class SqliteFile(BagFile):
         connection = self._opened()
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not {"topics", "messages"} <= tables:
-            raise DatasetError(f"{self.file}: holds no tables `topics` and `messages`, as a ROS 2 bag does")
+            more = f"; {self.damage}" if self.damage else ""
+            raise DatasetError(f"{self.file}: holds no tables `topics` and `messages`, as a ROS 2 bag does{more}")
         by_id: dict[Any, Channel] = {}
         for number, topic, type_, encoding in connection.execute(
             "SELECT id, name, type, serialization_format FROM topics"
         ):
             by_id[number] = Channel(str(topic), type_from_name(str(type_)), str(encoding))
-        try:
-            for row, number, time_ns in connection.execute(
-                "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
-            ):
-                if number in by_id and isinstance(time_ns, int):
-                    by_id[number].add(time_ns, 0, row)
-        except _ERRORS as error:
-            self.damage = self.damage or f"{self.file}: is damaged: {error}; {self._recovery}"
         self.channels = list(by_id.values())
+        if self._is_whole:
+            try:
+                for row, number, time_ns in connection.execute(
+                    "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
+                ):
+                    if number in by_id and isinstance(time_ns, int):
+                        by_id[number].add(time_ns, 0, row)
+            except _ERRORS as error:
+                self.damage, self._is_whole = f"{self.file}: is damaged: {error}", False
+        if not self._is_whole:
+            self._find_what_is_left(by_id)
         if self.damage is not None:
             for channel in self.channels:
                 self._drop_unreadable(channel)
-            # SQLite fills a page that is cut with zeros, and the last message that is left may lie on it.
-            last = max(self.channels, key=lambda channel: max(channel.offsets, default=0), default=None)
-            if last is not None and last.offsets:
-                last.drop_last()
+
+    def _find_what_is_left(self, by_id: dict[Any, Channel]) -> None:
+        """The index of a file whose tree is broken, in place of what was read of it."""
+        self._pages = Pages(self.file)
+        for channel in self.channels:
+            channel.clear()
+        rows = {row.rowid: row for row in self._pages.messages() if row.topic in by_id}
+        kept = sorted(rows.values(), key=lambda row: row.rowid)
+        # The last message may lie on a page that is lost, or is left as zeros, which nothing shows.
+        for row in kept[:-1]:
+            by_id[row.topic].add(row.time_ns, 0, row.place)
+        self.damage = f"{self.damage}; what is left is read"
 
     def _drop_unreadable(self, channel: Channel) -> None:
         """Forget messages at the end whose pages are gone."""

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from codecbench.core.engine.planning.estimate import TYPICAL_CELL_S
+from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S
 from codecbench.core.engine.planning.model import Cell, CodingJob, PluginSetting, SequenceEntry
 from codecbench.core.engine.running.progress import Pace, Progress
 
@@ -86,6 +86,28 @@ def test_encoding_is_a_kind_of_its_own() -> None:
     assert pace.remaining_s() == 0.0
     pace.again(jobs[1])
     assert pace.remaining_s() == pytest.approx(100.0)
+
+
+def test_what_a_worker_takes_to_begin_does_not_make_a_short_run_a_long_one() -> None:
+    """Twenty frames at 20 ms: in each of two workers the first cell of an evaluator takes 3 s longer."""
+    pace = Pace(2, {"quality": 30.0, "features": 40.0})
+    cells = [cell(20, codec, task) for task in ("quality", "features") for codec in "abcdefgh"]
+    pace.expect([], cells)
+    truth = [0.4 + (3.0 if number % 8 < 2 else 0.0) for number in range(16)]
+    for number, each in enumerate(cells):
+        pace.ended(each, truth[number], worker=number % 2)
+        left = sum(truth[number + 1 :]) / 2
+        assert pace.remaining_s() <= 2 * left + 1.0, number
+        assert pace.remaining_s() >= left / 3 - 3.0, number
+    assert pace.remaining_s() == 0.0
+
+
+def test_a_long_first_cell_counts_but_for_the_time_that_beginning_takes() -> None:
+    pace = Pace(1, {"tracking": 30.0})
+    done, left = cell(1000, "raw", "tracking"), cell(1000, "other", "tracking")
+    pace.expect([], [done, left])
+    pace.ended(done, 200.0, worker="a")
+    assert pace.remaining_s() == pytest.approx(200.0 - START_S)
 
 
 def test_the_share_that_is_done() -> None:

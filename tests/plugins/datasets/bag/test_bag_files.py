@@ -40,7 +40,7 @@ def test_a_file_that_is_cut_reads_up_to_the_damage_and_says_so(whole, tmp_path):
     file, shape = whole
     content = file.read_bytes()
     counts = []
-    # SQLite keeps the first leaf of a table where the table first outgrew a page, here after a fifth.
+    # SQLite moves a table's first page of rows to where the table first outgrew a page, here after a fifth.
     kept = (99, 80, 50) if file.suffix == ".db3" else (99, 80, 50, 20)
     for percent in kept:
         cut = tmp_path / f"cut{percent}{file.suffix}"
@@ -56,18 +56,48 @@ def test_a_file_that_is_cut_reads_up_to_the_damage_and_says_so(whole, tmp_path):
         assert COUNT * percent / 100 - 12 <= count <= COUNT * percent / 100 + 1
 
 
-def test_a_cut_sqlite_file_whose_messages_cannot_be_reached_says_how_it_may_be_recovered(tmp_path):
-    """The first leaf of its table lies after the eighth picture: of twelve, 60 % reach none."""
+def test_a_cut_sqlite_file_reads_messages_that_its_tree_does_not_reach(tmp_path):
+    """The table has grown twice: what leads to its first messages lies after the 450th page of them, and is cut off."""
     with BagWriter(tmp_path / "a", "db3") as bag:
-        for number in range(12):
-            bag.write("/image", bag.image(picture(number, (150, 200, 3)), "rgb8", time_ns(number)), time_ns(number))
+        for number in range(600):
+            samples = picture(number, (46, 64))
+            bag.write("/image", bag.image(samples, "mono8", time_ns(number)), time_ns(number))
     content = bag_file(tmp_path / "a", "db3").read_bytes()
     cut = tmp_path / "cut.db3"
-    cut.write_bytes(content[: len(content) * 60 // 100])
-    with pytest.raises(DatasetError, match="is damaged, and no picture is left") as caught:
-        Bag.create(path=cut).open()
-    assert f"is cut short: {cut.stat().st_size} of {len(content)} bytes" in str(caught.value)
-    assert "see what `sqlite3 cut.db3 .recover` finds" in str(caught.value)
+    cut.write_bytes(content[: len(content) * 70 // 100])
+    with sqlite3.connect(cut) as connection:
+        connection.execute("PRAGMA writable_schema = ON")
+        with pytest.raises(sqlite3.Error):
+            connection.execute("SELECT rowid FROM messages ORDER BY rowid").fetchall()
+    sequence = Bag.create(path=cut).open()
+    assert 415 <= len(sequence) <= 420
+    for index in (0, 200, len(sequence) - 1):
+        np.testing.assert_array_equal(sequence.read(index).image, picture(index, (46, 64)))
+    assert f"is cut short: {cut.stat().st_size} of {len(content)} bytes; what is left is read" in sequence.notes[0]
+    assert f"/image: {len(sequence)} of sensor_msgs/msg/Image" in sequence.notes[1]
+
+
+def test_a_sqlite_file_that_ends_in_zeros_is_read_up_to_them(tmp_path):
+    """As a copy is that was given its room and then stopped."""
+    write_pictures(tmp_path / "a", "db3", 40, camera=False)
+    file = bag_file(tmp_path / "a", "db3")
+    content = file.read_bytes()
+    half = len(content) // 2
+    file.write_bytes(content[:half] + bytes(len(content) - half))
+    sequence = Bag.create(path=file).open()
+    assert 15 <= len(sequence) <= 20
+    for frame in sequence:
+        np.testing.assert_array_equal(frame.image, picture(frame.index))
+    assert "is damaged: " in sequence.notes[0]
+
+
+def test_a_sqlite_file_with_its_log_beside_it_is_read_without_it_and_says_how_to_put_it_in(tmp_path):
+    write_pictures(tmp_path / "a", "db3", 4, camera=False)
+    file = bag_file(tmp_path / "a", "db3")
+    (file.parent / f"{file.name}-wal").write_bytes(b"whatever")
+    sequence = Bag.create(path=file).open()
+    assert len(sequence) == 4
+    assert "what is only in a.db3-wal is not read: `sqlite3 a.db3 'PRAGMA wal_checkpoint'`" in sequence.notes[0]
 
 
 def test_a_file_that_is_cut_anywhere_gives_true_frames_or_an_error(whole, tmp_path):
