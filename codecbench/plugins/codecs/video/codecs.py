@@ -23,7 +23,7 @@ V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
 _REMARKS = {
     "gray": "colour is not coded (gray)",
-    "yuv420p": "colour is coded at half size (yuv420p)",
+    "yuv420p": "colour, if any, is coded at half size (yuv420p)",
     "yuv444p": "colour is coded at full size (yuv444p)",
     "rgb": "",
 }

@@ -86,5 +86,5 @@ def test_padding_repeats_the_edge() -> None:
 
 def test_results_say_what_becomes_of_colour() -> None:
     said = {pixel_format: H264.create(pixel_format=pixel_format).remark() for pixel_format in ("gray", "yuv420p")}
-    assert said == {"gray": "colour is not coded (gray)", "yuv420p": "colour is coded at half size (yuv420p)"}
+    assert said == {"gray": "colour is not coded (gray)", "yuv420p": "colour, if any, is coded at half size (yuv420p)"}
     assert Ffv1.create().remark() == ""
