@@ -80,7 +80,7 @@ class SearchBench:
 def _record(cell: Cell, value: float | str) -> Record:
     if isinstance(value, str):
         return Record(cell.id, "failed", value, cell=cell_description(cell))
-    name = {"scales": "weight_bytes", "toss": "caught"}[cell.evaluator.name]
+    name = {"scales": "weight_bytes", "toss": "caught", "lag": "lag_ms", "waiter": "paused_ms"}[cell.evaluator.name]
     found = Record(cell.id, "ok", metrics=(name,), cell=cell_description(cell))
     if name == "weight_bytes" and not math.isnan(value):
         return replace(found, summaries={(name, "", how): value for how in ("mean", "max")})

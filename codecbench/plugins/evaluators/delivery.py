@@ -18,7 +18,7 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.view import Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
 from codecbench.core.simulation.receiver import Fate
@@ -100,6 +100,10 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     @property
     def uses(self) -> tuple[PluginUse, ...]:
         return self.params.link_uses
+
+    @property
+    def awaits(self) -> dict[str, Need]:
+        return self.params.awaits
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         """All parameters but `repeats`: more of them recompute nothing."""

@@ -24,6 +24,7 @@ from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.localization.evaluator import _measured
 from codecbench.plugins.evaluators.localization.survey import Sighting
 from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.ideal import Ideal
 from codecbench.plugins.slam_backends.orb import Orb
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
@@ -195,6 +196,21 @@ def test_frames_that_do_not_come_are_not_located(tmp_path: Path) -> None:
             assert here.value == 0.0
         elif metric == "tracked_position_error_mm":
             assert here.reason == "the frame is not located"
+
+
+@pytest.mark.thorough
+def test_frames_that_come_while_another_is_located_are_not(tmp_path: Path) -> None:
+    """One of a reader that takes two and a half frames for each: 0, 2, 5, 7 and so on."""
+    film = Film()
+    where = Plugins(orb=plugins().factories["orb"], ideal=lambda params: Ideal.create(**params))
+    interval_ms = 1e3 / film.frame_rate_hz
+    evaluator = Localization.create(link="ideal", slam_ms=1.25 * interval_ms, receiver_factor=2.0)
+    found = {m.frame: m.value for m in evaluator.evaluate(CodedInMemory(film), context(tmp_path, 0, where))
+             if m.metric == "tracked_located" and not math.isnan(m.value)}  # fmt: skip
+    located = [frame for frame, value in found.items() if frame is not None and value == 1.0]
+    assert located
+    assert {frame % 5 for frame in located} <= {0, 2}
+    assert {frame % 5 for frame in found if frame is not None and frame not in located} >= {1, 3, 4}
 
 
 def test_without_a_link_a_cell_is_what_it_was() -> None:

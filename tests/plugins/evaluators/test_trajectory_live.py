@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ COUNT = 60
 
 
 def measured(
-    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, **params: Any
+    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, awaited: Any = None, **params: Any
 ) -> dict[str, Measurement]:
     """SLAM over frames of 48 bytes, ten a second."""
     images = [np.full((6, 8), index, np.uint8) for index in range(COUNT)]
@@ -35,7 +36,8 @@ def measured(
         constant=lambda given: Constant.create(**given),
     )
     evaluator = TrajectoryEvaluator.create(backend="told", **params)
-    return {m.metric: m for m in evaluator.evaluate(coded, context(folder, repeat, plugins))}
+    where = replace(context(folder, repeat, plugins), awaited=awaited or {})
+    return {m.metric: m for m in evaluator.evaluate(coded, where)}
 
 
 def constant(**params: Any) -> dict[str, Any]:
@@ -103,6 +105,13 @@ def test_slam_that_is_slower_than_the_camera_skips_frames(tmp_path: Path) -> Non
     truth = helix(COUNT)
     backend = Told(moved(truth))
     measured(backend, tmp_path, truth, link="ideal", slam_ms=250)
+    assert [frame.index for frame in backend.seen][:5] == [0, 2, 5, 7, 10]
+
+
+def test_slam_takes_the_time_that_was_measured_on_a_slower_machine(tmp_path: Path) -> None:
+    backend = Told(moved(helix(COUNT)))
+    awaited = {"slam_ms": 125.0}
+    measured(backend, tmp_path, link="ideal", slam_ms="measured", receiver_factor=2.0, awaited=awaited)
     assert [frame.index for frame in backend.seen][:5] == [0, 2, 5, 7, 10]
 
 
