@@ -148,6 +148,13 @@ class Toss(SequenceEvaluator[TossParams]):
         yield Measurement("caught", float(context.rng.random() < chance(size, self.params)))
 
 
+class Stray(Toss):
+    """How far something goes astray that reads what comes."""
+
+    name = "stray"
+    metrics = (Metric("stray_m", "m", "lower", "a distance", need="error"),)
+
+
 class LagParams(Params):
     runs: int = Field(default=1, ge=1)
 
@@ -224,6 +231,7 @@ def codecbench_evaluators() -> list[PluginSpec]:
     return [
         PluginSpec("scales", "search_plugins:Scales", "what a frame spends"),
         PluginSpec("toss", "search_plugins:Toss", "caught or not"),
+        PluginSpec("stray", "search_plugins:Stray", "goes astray"),
         PluginSpec("lag", "search_plugins:Lag", "times encoding"),
         PluginSpec("waiter", "search_plugins:Waiter", "awaits a time"),
     ]

@@ -82,8 +82,9 @@ def parsed(text: str, source: str) -> Any:
 
 def written(root: Any) -> str:
     """The YAML text of a content that `parsed` gave and that was changed, with its comments."""
-    stream = StringIO()
-    YAML(typ="rt").dump(root, stream)
+    stream, writer = StringIO(), YAML(typ="rt")
+    writer.width = MOST_CHARACTERS  # lines are not broken
+    writer.dump(root, stream)
     return stream.getvalue()
 
 
