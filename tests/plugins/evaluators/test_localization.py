@@ -203,8 +203,7 @@ def test_frames_that_come_while_another_is_located_are_not(tmp_path: Path) -> No
     """One of a reader that takes two and a half frames for each: 0, 2, 5, 7 and so on."""
     film = Film()
     where = Plugins(orb=plugins().factories["orb"], ideal=lambda params: Ideal.create(**params))
-    interval_ms = 1e3 / film.frame_rate_hz
-    evaluator = Localization.create(link="ideal", slam_ms=1.25 * interval_ms, receiver_factor=2.0)
+    evaluator = Localization.create(link="ideal", slam_ms=1.25e3 * STEP_S, receiver_factor=2.0)
     found = {m.frame: m.value for m in evaluator.evaluate(CodedInMemory(film), context(tmp_path, 0, where))
              if m.metric == "tracked_located" and not math.isnan(m.value)}  # fmt: skip
     located = [frame for frame, value in found.items() if frame is not None and value == 1.0]

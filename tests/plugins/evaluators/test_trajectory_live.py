@@ -137,6 +137,22 @@ def test_a_timeline_is_left_beside_the_record(tmp_path: Path) -> None:
     assert rows[-1]["x"] != ""
 
 
+def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    over = constant(delay_ms=250, loss=0.3)
+    found = measured(Told(moved(truth)), tmp_path, truth, start_offsets=[5], **over)
+    drawn = TrajectoryEvaluator.create(backend="told", start_offsets=[5], **over).drawing(
+        Outcome(0, tuple(found.values()), tmp_path)
+    )
+    assert drawn is not None
+    assert drawn.course is not None
+    assert drawn.course.frames.tolist() == list(range(5, COUNT))
+    errors_m = drawn.course.errors
+    assert np.isnan(errors_m[:3]).all(), "no picture was there yet"
+    known = errors_m[~np.isnan(errors_m)]
+    assert rms(known) == pytest.approx(found["live_position_error_m"].value, rel=1e-4)
+
+
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:
     found = measured(Told(moved(helix(COUNT))), tmp_path, link="ideal")
     assert found["live_position_error_m"].reason == "the sequence has no ground truth"
