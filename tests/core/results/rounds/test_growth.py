@@ -245,9 +245,10 @@ def test_a_live_error_is_decided_of_each_setting(bench: SearchBench) -> None:
 
     sweep = "{use: dial, params: {level: {grid: [0, 60, 200]}}}"
     evaluators, run = "scales, {use: stray, params: {runs: 40}}", "until: {decided: {metric: stray_m, max: 0.5}}"
-    bench.run(matrix(sweep, evaluators=evaluators, run=run), astray)
+    bench.run(matrix(sweep, evaluators=evaluators, run=run, fixed="{use: still, params: {level: 201}}"), astray)
     levels = bench.levels("stray")
     assert levels.count(200) == 8
+    assert 8 < levels.count(201) < 40, "the baseline is one of them"
     assert levels.count(0) == levels.count(60) > 8
 
 
