@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from codecbench.core.results.run_result import RunResult
     from codecbench.core.results.running import run
     from codecbench.core.results.verification.verifying import verify_run
+    from codecbench.trial.choosing import choose
     from codecbench.trial.trial import trial
 
 __version__ = "0.1.0"
@@ -101,6 +102,7 @@ _HOMES = {
     "codecbench.core.results.collect": ("open_run",),
     "codecbench.core.results.run_result": ("RunResult",),
     "codecbench.core.results.running": ("run",),
+    "codecbench.trial.choosing": ("choose",),
     "codecbench.trial.trial": ("trial",),
     "codecbench.core.results.verification.verifying": ("verify_run",),
 }  # fmt: skip

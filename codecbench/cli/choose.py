@@ -5,11 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from codecbench.cli.formats import Format
 from codecbench.cli.rank import show_found
+from codecbench.cli.screen import Screen
+
+if TYPE_CHECKING:
+    from codecbench.core.results.choosing.candidates import Demand
 
 
 def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
@@ -25,7 +30,7 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("source", metavar="RUN|MATRIX", type=click.Path(path_type=Path))
 @click.option("--link", required=True, metavar="LINK", help="The link over which pictures come.")
 @click.option("--deadline", type=quantity({"ms": 1.0, "s": 1000.0}), metavar="TIME",
               help="The oldest that a picture may be when it is there, such as 100ms.")  # fmt: skip
@@ -35,26 +40,69 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
               help="Of the pictures that are to be there in time.")  # fmt: skip
 @click.option("--device-factor", type=click.FloatRange(min=0, min_open=True), metavar="FACTOR",
               help="Count the time of encoding, on a device so many times slower than the one timed.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False),
+              help="Of a matrix: the run folder; default runs/NAME.")  # fmt: skip
+@click.option("--workers", type=click.IntRange(1), help="Of a matrix: worker processes.")
+@click.option("--minutes", type=click.FloatRange(min=0), show_default="10",
+              help="Of a matrix: more repeats, where they decide, begin only within that time.")  # fmt: skip
 @click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 def choose(
-    run: Path,
+    source: Path,
     link: str,
     deadline: float | None,
     error: float | None,
     share: float,
     device_factor: float | None,
+    out: Path | None,
+    workers: int | None,
+    minutes: float | None,
     format_: str,
 ) -> None:
-    """Say which settings of the RUN folder are good enough over a link, and what limits the others.
+    """Say which settings of a RUN folder are good enough over a link, and what limits the others.
 
-    They stand in order of rate, and the first that holds is the one to take. Of the deadline and the error at least one
-    is given. A setting holds where more than half of all runs that there could be would succeed, at 95 %.
+    Of a MATRIX is run first what that takes, in its run folder, going on where an earlier run stopped. Evaluators of
+    the link that it lacks are added, and repeats of what reads the pictures as far as they decide.
+
+    Settings stand in order of rate, and the first that holds is the one to take. Of the deadline and the error at
+    least one is given. A setting holds where more than half of all runs that there could be would succeed, at 95 %.
     """
     from codecbench.core.results.begun import begun_run
     from codecbench.core.results.choosing.candidates import Demand
     from codecbench.core.results.choosing.words import choices
+    from codecbench.trial.choosing import MINUTES, is_matrix
 
     if deadline is None and error is None:
         raise click.UsageError("say what is asked: --deadline, --error or both")
-    result = begun_run(run)
-    show_found(result, choices(result, Demand(link, deadline, error, share, device_factor)), format_)
+    demand = Demand(link, deadline, error, share, device_factor)
+    if is_matrix(source):
+        _run_and_choose(source, demand, out, workers, MINUTES if minutes is None else minutes, format_)
+        return
+    of_matrix = {"--out": out, "--workers": workers, "--minutes": minutes}
+    if given := [name for name, value in of_matrix.items() if value is not None]:
+        raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
+    result = begun_run(source)
+    show_found(result, choices(result, demand), format_)
+
+
+def _run_and_choose(
+    matrix: Path, demand: Demand, out: Path | None, workers: int | None, minutes: float, format_: str
+) -> None:
+    """Run what it takes to choose, told on standard error, choose, and end with the status that the run has earned."""
+    from codecbench.cli.display import Display
+    from codecbench.cli.run import end, show_cells
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.choosing.words import choices
+    from codecbench.core.results.running import run_matrix
+    from codecbench.trial.link_matrix import link_matrix
+
+    made = link_matrix(matrix, demand, installed())
+    for line in made.added:
+        click.echo(line, err=True)
+    with Display(Screen(stderr=True), True) as display:
+        summary = run_matrix(made.matrix, out, workers=workers, listener=display.show, minutes=minutes)
+    show_cells(summary, err=True)
+    if not summary.interrupted and "ok" in summary.statuses:
+        result = begun_run(summary.folder)
+        show_found(result, choices(result, made.demand), format_)
+    end(summary)

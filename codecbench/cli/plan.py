@@ -51,7 +51,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     for notice in code_notices(made, with_result, store, installed()):
         click.echo(f"  {clean_line(notice)}")
     if growth is not None:
-        click.echo("the plan grows as its searches and repeats need; this is its next round")
+        click.echo("the plan grows as its searches, repeats and awaited times need; this is its next round")
     for finding in made.searches:
         click.echo(f"  {clean_line(str(finding))}")
     if cells:

@@ -70,7 +70,7 @@ def run(
     if "ok" in summary.statuses:
         page = summary.folder / "report" / "report.html"
         click.echo(f"report: `codecbench report {summary.folder}` writes {page}, a page for your browser")
-    _end(summary)
+    end(summary)
 
 
 def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool) -> None:
@@ -89,7 +89,7 @@ def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, sho
         click.echo(f"the report: {page.as_uri()}")
         if show:
             click.launch(page.as_uri())
-    _end(summary)
+    end(summary)
 
 
 def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> None:
@@ -108,12 +108,17 @@ def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> No
         else:
             show_verdicts(verdicts(result, brief=True))
         show_summary(result)
+    show_cells(summary)
+
+
+def show_cells(summary: RunSummary, *, err: bool = False) -> None:
+    """What became of the cells of a run, and where it is; err: all of it on standard error."""
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
     kept = f", {summary.kept} of them from before" if summary.kept else ""
-    click.echo(f"cells: {counts or 'none'}{kept}")
+    click.echo(f"cells: {counts or 'none'}{kept}", err=err)
     for reason, count in Counter(_unsupported(summary)).items():
         click.echo(f"unsupported ({count}): {reason}", err=True)
-    click.echo(f"run folder: {summary.folder}")
+    click.echo(f"run folder: {summary.folder}", err=err)
     if summary.damaged:
         click.echo(f"damaged and computed again: {len(summary.damaged)} cells; run.log says why", err=True)
 
@@ -130,7 +135,7 @@ def _unsupported(summary: RunSummary) -> list[str]:
     return [entry.reason for entry in found if entry.status == "unsupported"]
 
 
-def _end(summary: RunSummary) -> None:
+def end(summary: RunSummary) -> None:
     """End with the exit status that the run has earned."""
     if summary.interrupted:
         before = "" if "ok" in summary.statuses else " before a cell had a result"

@@ -145,6 +145,13 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "choose runs/linked --link ideal", "--deadline, --error or both"),
     (ExitStatus.WRONG_USE, "choose runs/linked --link ideal --deadline 10", "is not a positive number"),
     (ExitStatus.WRONG_USE, "choose nowhere --link ideal --deadline 10ms", "is not a run folder"),
+    (ExitStatus.SUCCESS, "choose tiny.yaml --link ideal --deadline 10ms --out chosen", "take shift"),
+    (ExitStatus.FOUND, "choose absent.yaml --link ideal --deadline 10ms --out unchosen", "every cell is unsupported"),
+    (ExitStatus.WRONG_USE, "choose wrong.yaml --link ideal --deadline 10ms", "did you mean 'shift'"),
+    (ExitStatus.WRONG_USE, "choose nowhere.yaml --link ideal --deadline 10ms", "no such file"),
+    (ExitStatus.WRONG_USE, "choose tiny.yaml --link lite --deadline 10ms", "no link is called 'lite'"),
+    (ExitStatus.WRONG_USE, "choose runs/linked --link ideal --deadline 10ms --workers 2", "--workers is for a matrix"),
+    (ExitStatus.NOT_POSSIBLE, "choose tiny.yaml --link ideal --deadline 10ms --out file/run", "a file is where"),
     (ExitStatus.NOT_POSSIBLE, "choose damaged --link ideal --deadline 10ms", "is damaged"),
     (ExitStatus.SUCCESS, "rank runs/tiny", "nothing to rank"),
     (ExitStatus.SUCCESS, "rank runs/tiny --rate 0.5", "nothing to rank"),
@@ -321,11 +328,12 @@ def test_an_interrupted_command_says_so(place: Place, tmp_path: Path, words: str
 
 @pytest.mark.parametrize("to_all", [False, True], ids=["to the program", "to its group, as timeout(1) does"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("words", ["run slow.yaml", "choose slow.yaml --link ideal --deadline 10ms"])
 def test_an_interrupted_run_keeps_what_it_has(
-    place: Place, tmp_path: Path, number: signal.Signals, to_all: bool
+    place: Place, tmp_path: Path, words: str, number: signal.Signals, to_all: bool
 ) -> None:
     out = tmp_path / "run"
-    running = place.start("run", "slow.yaml", "--out", str(out))
+    running = place.start(*words.split(), "--out", str(out))
     deadline = time.monotonic() + 60
     while not (out / "plan.json").exists() and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -22,6 +22,11 @@ Measure = Callable[[Cell], "float | str"]
 """The value of a cell, or why it failed."""
 
 
+_METRICS = {
+    "scales": "weight_bytes", "toss": "caught", "stray": "stray_m", "lag": "lag_ms", "waiter": "paused_ms"
+}  # fmt: skip
+
+
 def registry_of_searches() -> Registry:
     ours = EntryPoint("executors", "codecbench.plugins.executors", "codecbench")
     return Registry([EntryPoint("search", "search_plugins", "codecbench"), ours])
@@ -80,7 +85,7 @@ class SearchBench:
 def _record(cell: Cell, value: float | str) -> Record:
     if isinstance(value, str):
         return Record(cell.id, "failed", value, cell=cell_description(cell))
-    name = {"scales": "weight_bytes", "toss": "caught"}[cell.evaluator.name]
+    name = _METRICS[cell.evaluator.name]
     found = Record(cell.id, "ok", metrics=(name,), cell=cell_description(cell))
     if name == "weight_bytes" and not math.isnan(value):
         return replace(found, summaries={(name, "", how): value for how in ("mean", "max")})

@@ -11,8 +11,10 @@ from pydantic import Field
 
 from codecbench import (
     NULL_TRACE,
+    AnyCodec,
     Capabilities,
     Codec,
+    CodecEvaluator,
     CodedFrame,
     CodedSequence,
     Context,
@@ -30,6 +32,7 @@ from codecbench import (
     Trace,
     hookimpl,
 )
+from codecbench.core.contracts.metric import Need
 
 HEIGHT, WIDTH = 4, 8
 
@@ -145,6 +148,64 @@ class Toss(SequenceEvaluator[TossParams]):
         yield Measurement("caught", float(context.rng.random() < chance(size, self.params)))
 
 
+class Stray(Toss):
+    """How far something goes astray that reads what comes."""
+
+    name = "stray"
+    metrics = (Metric("stray_m", "m", "lower", "a distance", need="error"),)
+
+
+class LagParams(Params):
+    runs: int = Field(default=1, ge=1)
+
+
+class Lag(CodecEvaluator[LagParams]):
+    """Times encoding."""
+
+    name = "lag"
+    version = "1"
+    params_type = LagParams
+    metrics = (Metric("lag_ms", "ms", "lower", "a time", repeatable=False, need="encoding"),)
+
+    @property
+    def repeats(self) -> int:
+        return self.params.runs
+
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        return {}
+
+    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+        yield Measurement("lag_ms", 1.5)
+
+
+class WaiterParams(Params):
+    pause_ms: float | Literal["measured"] = "measured"
+    runs: int = Field(default=1, ge=1)
+
+
+class Waiter(SequenceEvaluator[WaiterParams]):
+    """Says how long the pause was that it was given."""
+
+    name = "waiter"
+    version = "1"
+    params_type = WaiterParams
+    metrics = (Metric("paused_ms", "ms", "lower", "the pause", headline=True, role="task"),)
+
+    @property
+    def repeats(self) -> int:
+        return self.params.runs
+
+    def repeat_identity(self, repeat: int) -> dict[str, Any]:
+        return {"pause_ms": self.params.pause_ms}
+
+    @property
+    def awaits(self) -> dict[str, Need]:
+        return {"pause_ms": "encoding"} if self.params.pause_ms == "measured" else {}
+
+    def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        yield Measurement("paused_ms", context.awaited["pause_ms"])
+
+
 def chance(size_bytes: float, params: TossParams) -> float:
     """That a frame of this size is caught; all or nothing where the chance is not steep."""
     if params.steep == 0.0:
@@ -170,4 +231,7 @@ def codecbench_evaluators() -> list[PluginSpec]:
     return [
         PluginSpec("scales", "search_plugins:Scales", "what a frame spends"),
         PluginSpec("toss", "search_plugins:Toss", "caught or not"),
+        PluginSpec("stray", "search_plugins:Stray", "goes astray"),
+        PluginSpec("lag", "search_plugins:Lag", "times encoding"),
+        PluginSpec("waiter", "search_plugins:Waiter", "awaits a time"),
     ]

@@ -8,7 +8,7 @@ Measurements of metrics that the class declared; an undeclared one fails the cel
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,7 @@ from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.contracts.view import Drawing, Marks, View
@@ -128,13 +128,15 @@ class Context:
     """What a cell may use besides what it measures.
 
     rng: seeded from the cell's identity. repeat: 0-based. artifacts: an existing folder; files written there
-    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`.
+    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`. awaited: for each
+    parameter that it declared in `awaits`, the median of what was measured.
     """
 
     rng: np.random.Generator
     repeat: int
     artifacts: Path
     plugins: PluginSource
+    awaited: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,15 @@ class Evaluator(Configured[P]):
     def uses(self) -> tuple[PluginUse, ...]:
         """Other plugins that the result depends on."""
         return ()
+
+    @property
+    def awaits(self) -> dict[str, Need]:
+        """Parameters for which stands what another evaluator of the matrix measures, with the `need` of its metric.
+
+        It is measured of the same codec setting on the same sequence. The cells are computed after those, their
+        identity depends on the values, and these are kept with the record.
+        """
+        return {}
 
     @property
     def counts_operations(self) -> bool:

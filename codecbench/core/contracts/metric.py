@@ -10,7 +10,7 @@ from codecbench.core.contracts.errors import PluginError
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
 Scale = Literal["linear", "log"]
-Need = Literal["", "delay", "error", "cause", "encoding"]
+Need = Literal["", "delay", "error", "cause", "encoding", "decoding", "reading"]
 Aggregate = Literal[
     "mean", "std", "median", "p95", "iqr", "min", "max", "sum", "infinite", "ci95_low", "ci95_high"
 ]  # fmt: skip
@@ -39,8 +39,10 @@ class Metric:
     confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.
     in_units_of: another metric, timed beside this one, by which two runs are compared whatever the machine's pace.
     caveat: what a reader must know beside every number of it; it stands below the tables that show the metric.
-    need: what `codecbench choose` judges by it: a frame's `delay`, missing where it never came; the `error` of what
-    reads the frames; the `cause` for which a share of the frames did not come in time; or the time of `encoding` one.
+    need: what others look for in it, whichever evaluator measures it. `codecbench choose` judges by a frame's `delay`,
+    missing where it never came, by the `error` of what reads the frames, and by the `cause` for which a share of them
+    did not come in time; the times, in milliseconds, of `encoding`, `decoding` and `reading` a frame are for whoever
+    awaits them (`Evaluator.awaits`).
     """
 
     name: str

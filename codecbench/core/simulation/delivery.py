@@ -77,6 +77,7 @@ class Delivery:
 
 def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
     """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
+    settings = settings.timed(context.awaited)
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
     encoder = None if settings.adapt is None else AdaptiveEncoder(coded, settings.adapt)
     encode = None if encoder is None else encoder.encode

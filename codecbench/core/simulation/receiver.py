@@ -84,7 +84,7 @@ def _decoded(
         begun_s = max(free_s, decodable_s[frame])
         if math.isinf(begun_s) or (stands_alone and begun_s - captured_s[frame] > settings.deadline_s):
             continue
-        free_s = given_s[frame] = begun_s + 1e-3 * settings.decode_ms
+        free_s = given_s[frame] = begun_s + settings.decode_s
     frames = [unit.frame for unit in units]
     if frames != sorted(frames):
         present = np.flatnonzero(np.isfinite(given_s))

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic_core import PydanticCustomError
 
 from codecbench.core.contracts.evaluator import PluginSource, PluginUse
 from codecbench.core.contracts.link import Link
+from codecbench.core.contracts.metric import Need
 from codecbench.core.contracts.params import Params
 
 Transport = Literal["datagrams", "fec", "arq", "reliable"]
 QueuePolicy = Literal["latest_only", "fifo", "drop_late"]
 Time = Annotated[float, Field(ge=0.0)]
+
+
+def _time_or_word(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+    """One sentence for what is neither."""
+    try:
+        return handler(value)
+    except ValidationError:
+        raise PydanticCustomError("time", "must be milliseconds, 0 or more, or `measured`") from None
+
+
+MeasuredTime = Annotated[Time | Literal["measured"], WrapValidator(_time_or_word)]
+"""Milliseconds, or `measured`: those that another evaluator of the matrix has measured of the same setting."""
 
 
 class Adaptation(Params):
@@ -31,8 +46,12 @@ class LinkSettings(Params):
     queue_policy: which pictures a sender keeps that has to wait. deadline_ms: the age at which a picture is of no use.
     adapt: the parameter that the sender sets so that pictures fit what the link gives. concealed: whether pictures of a
     stream are handed on that depend on a lost one, as the decoder makes them up. encode_ms, decode_ms: what each
-    picture takes; device_factor: how much slower the device encodes. link_seed: of all chance on the way.
+    picture takes; device_factor, receiver_factor: how many times slower the two machines are. link_seed: of all chance
+    on the way.
     """
+
+    times: ClassVar[Mapping[str, Need]] = {"encode_ms": "encoding", "decode_ms": "decoding"}
+    """Parameters that may be `measured`, and what is measured then."""
 
     link: str | None = None
     link_params: dict[str, Any] = Field(default_factory=dict)
@@ -44,9 +63,10 @@ class LinkSettings(Params):
     deadline_ms: Annotated[float, Field(gt=0.0)] | None = None
     adapt: Adaptation | None = None
     concealed: bool = False
-    encode_ms: Time = 0.0
-    decode_ms: Time = 0.0
+    encode_ms: MeasuredTime = 0.0
+    decode_ms: MeasuredTime = 0.0
     device_factor: Annotated[float, Field(gt=0.0)] = 1.0
+    receiver_factor: Annotated[float, Field(gt=0.0)] = 1.0
     link_seed: Annotated[int, Field(ge=0)] = 0
 
     @model_validator(mode="after")
@@ -82,9 +102,23 @@ class LinkSettings(Params):
         return float("inf") if self.deadline_ms is None else 1e-3 * self.deadline_ms
 
     @property
+    def awaits(self) -> dict[str, Need]:
+        """The parameters that are `measured`, as an evaluator declares them."""
+        return {name: need for name, need in self.times.items() if getattr(self, name) == "measured"}
+
+    def timed(self, awaited: Mapping[str, float]) -> Self:
+        """The settings with what was measured."""
+        return self.model_copy(update={name: awaited[name] for name in self.awaits})
+
+    @property
     def encode_s(self) -> float:
         """On the device."""
-        return 1e-3 * self.encode_ms * self.device_factor
+        return _seconds(self.encode_ms) * self.device_factor
+
+    @property
+    def decode_s(self) -> float:
+        """At the receiver."""
+        return _seconds(self.decode_ms) * self.receiver_factor
 
     @property
     def is_repaired(self) -> bool:
@@ -95,3 +129,28 @@ class LinkSettings(Params):
     def is_paced(self) -> bool:
         """Whether the sender hands over only what the link's queue has room for."""
         return self.is_repaired or self.queue_policy != "fifo"
+
+
+class ReaderSettings(LinkSettings):
+    """How pictures get to a reader that takes `slam_ms` for each, and passes over those that come meanwhile."""
+
+    times: ClassVar[Mapping[str, Need]] = {**LinkSettings.times, "slam_ms": "reading"}
+
+    slam_ms: MeasuredTime = 0.0
+
+    @model_validator(mode="after")
+    def _reads_over_a_link(self) -> Self:
+        if self.link is None and self.slam_ms:
+            raise ValueError("slam_ms is about a link; name one, such as link: ideal")
+        return self
+
+    @property
+    def read_s(self) -> float:
+        """At the receiver."""
+        return _seconds(self.slam_ms) * self.receiver_factor
+
+
+def _seconds(time_ms: float | str) -> float:
+    if isinstance(time_ms, str):
+        raise TypeError(f"{time_ms!r} is no time yet; `timed` puts what was measured in its place")
+    return 1e-3 * time_ms

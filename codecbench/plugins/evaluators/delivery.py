@@ -18,7 +18,7 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.view import Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
 from codecbench.core.simulation.receiver import Fate
@@ -71,6 +71,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             "delay_ms", "ms", "lower", "from taking the picture until it is there", ("median", "p95", "max"),
             label="delay of pictures", scale="log", need="delay",
         ),
+        Metric("delivered_share", "1", "higher", "share of the pictures that came, however late", label="delivered"),
         Metric("concealed_share", "1", "lower", "share of those on time that were made up in part", label="concealed"),
         *(
             Metric(f"{fate}_share", "1", "lower", summary, label=label, need="cause")
@@ -101,6 +102,10 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     def uses(self) -> tuple[PluginUse, ...]:
         return self.params.link_uses
 
+    @property
+    def awaits(self) -> dict[str, Need]:
+        return self.params.awaits
+
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         """All parameters but `repeats`: more of them recompute nothing."""
         return {name: value for name, value in self.params.identity().items() if name != "repeats"}
@@ -110,6 +115,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         yield from _of_frames(found)
         for fate in _UNTIMELY:
             yield Measurement(f"{fate}_share", found.fates.count(fate) / len(found.fates))
+        yield Measurement("delivered_share", float(found.came.mean()))
         handed = found.handed
         concealed = found.fates.count("concealed")
         yield (

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.stats import binom
 
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
-from codecbench.core.simulation.settings import LinkSettings
+from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
 from codecbench.plugins.links.ideal import Ideal
@@ -58,6 +59,27 @@ def test_a_picture_takes_encoding_sending_travelling_and_decoding() -> None:
     link = Constant.create(rate_kbps=80, delay_ms=30)  # 10 ms for 100 bytes
     (picture,) = latencies_s(sent(link, [200], encode_ms=5, device_factor=4, decode_ms=7))
     assert picture == pytest.approx(0.020 + 0.020 + 0.030 + 0.007)
+
+
+def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
+    given = ReaderSettings(
+        link="given", encode_ms="measured", decode_ms="measured", slam_ms="measured", device_factor=4, receiver_factor=3
+    )
+    assert given.awaits == {"encode_ms": "encoding", "decode_ms": "decoding", "slam_ms": "reading"}
+    timed = given.timed({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
+    assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
+    assert timed.awaits == {}
+    with pytest.raises(TypeError, match="'measured' is no time yet"):
+        _ = given.encode_s
+    assert LinkSettings(link="given", encode_ms=5).awaits == {}
+
+
+@pytest.mark.parametrize("value", ["fast", -1, None])
+def test_a_time_is_milliseconds_or_the_word(value: Any) -> None:
+    with pytest.raises(ValidationError) as refused:
+        LinkSettings(link="given", encode_ms=value)
+    (error,) = refused.value.errors()
+    assert (error["loc"], error["msg"]) == (("encode_ms",), "must be milliseconds, 0 or more, or `measured`")
 
 
 def test_headers_are_sent_with_every_packet() -> None:

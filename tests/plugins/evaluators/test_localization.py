@@ -24,6 +24,7 @@ from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.localization.evaluator import _measured
 from codecbench.plugins.evaluators.localization.survey import Sighting
 from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.ideal import Ideal
 from codecbench.plugins.slam_backends.orb import Orb
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
@@ -195,6 +196,19 @@ def test_frames_that_do_not_come_are_not_located(tmp_path: Path) -> None:
             assert here.value == 0.0
         elif metric == "tracked_position_error_mm":
             assert here.reason == "the frame is not located"
+
+
+@pytest.mark.thorough
+def test_frames_that_come_while_another_is_located_are_not(tmp_path: Path) -> None:
+    """A reader that takes the time of 2.37 frames for each sees 0, 2, 4, 7 and so on."""
+    film = Film()
+    where = Plugins(orb=plugins().factories["orb"], ideal=lambda params: Ideal.create(**params))
+    evaluator = Localization.create(link="ideal", slam_ms=0.79e3 * STEP_S, receiver_factor=3.0)
+    found = {m.frame: m.value for m in evaluator.evaluate(CodedInMemory(film), context(tmp_path, 0, where))
+             if m.metric == "tracked_located" and not math.isnan(m.value)}  # fmt: skip
+    seen = {min(math.floor(2.37 * turn), FRAMES - 1) for turn in range(FRAMES)}
+    assert {frame for frame, value in found.items() if value == 1.0} == seen & found.keys()
+    assert found.keys() - seen
 
 
 def test_without_a_link_a_cell_is_what_it_was() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ COUNT = 60
 
 
 def measured(
-    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, **params: Any
+    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, awaited: Any = None, **params: Any
 ) -> dict[str, Measurement]:
     """SLAM over frames of 48 bytes, ten a second."""
     images = [np.full((6, 8), index, np.uint8) for index in range(COUNT)]
@@ -35,7 +36,8 @@ def measured(
         constant=lambda given: Constant.create(**given),
     )
     evaluator = TrajectoryEvaluator.create(backend="told", **params)
-    return {m.metric: m for m in evaluator.evaluate(coded, context(folder, repeat, plugins))}
+    where = replace(context(folder, repeat, plugins), awaited=awaited or {})
+    return {m.metric: m for m in evaluator.evaluate(coded, where)}
 
 
 def constant(**params: Any) -> dict[str, Any]:
@@ -106,6 +108,13 @@ def test_slam_that_is_slower_than_the_camera_skips_frames(tmp_path: Path) -> Non
     assert [frame.index for frame in backend.seen][:5] == [0, 2, 5, 7, 10]
 
 
+def test_slam_takes_the_time_that_was_measured_on_a_slower_machine(tmp_path: Path) -> None:
+    backend = Told(moved(helix(COUNT)))
+    awaited = {"slam_ms": 125.0}
+    measured(backend, tmp_path, link="ideal", slam_ms="measured", receiver_factor=2.0, awaited=awaited)
+    assert [frame.index for frame in backend.seen][:5] == [0, 2, 5, 7, 10]
+
+
 def test_a_start_offset_begins_in_the_middle(tmp_path: Path) -> None:
     truth = helix(COUNT)
     backend = Told(part(moved(truth), np.arange(20, COUNT)))
@@ -126,6 +135,22 @@ def test_a_timeline_is_left_beside_the_record(tmp_path: Path) -> None:
     assert all(float(row["delivered_s"]) == pytest.approx(float(row["taken_s"]) + 0.2, abs=1e-4) for row in came)
     assert rows[0]["x"] == ""
     assert rows[-1]["x"] != ""
+
+
+def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
+    truth = helix(COUNT)
+    over = constant(delay_ms=250, loss=0.3)
+    found = measured(Told(moved(truth)), tmp_path, truth, start_offsets=[5], **over)
+    drawn = TrajectoryEvaluator.create(backend="told", start_offsets=[5], **over).drawing(
+        Outcome(0, tuple(found.values()), tmp_path)
+    )
+    assert drawn is not None
+    assert drawn.course is not None
+    assert drawn.course.frames.tolist() == list(range(5, COUNT))
+    errors_m = drawn.course.errors
+    assert np.isnan(errors_m[:3]).all(), "no picture was there yet"
+    known = errors_m[~np.isnan(errors_m)]
+    assert rms(known) == pytest.approx(found["live_position_error_m"].value, rel=1e-4)
 
 
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:

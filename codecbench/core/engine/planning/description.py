@@ -56,7 +56,8 @@ class Description:
     params: complete, as JSON types. explicit: names of those that are not at their default. identities: what
     distinguishes each repeat, without parameters at their default; empty where `missing` says why there is no instance.
     inert: see PluginSetting. declared: what it says of its meaning, see `planning.declared`. channels: of a codec.
-    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator.
+    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator. awaits:
+    parameters for which stands what other evaluators measure, with the need of their metric.
     """
 
     version: str
@@ -71,6 +72,7 @@ class Description:
     exclusive: bool = False
     runs_codec: bool = False
     uses: list[tuple[Kind, str, dict[str, Any]]] = field(default_factory=list)
+    awaits: dict[str, str] = field(default_factory=dict)
 
     def setting(self, kind: Kind, name: str, distribution: str) -> PluginSetting:
         """The setting that is described. distribution: where the plugin is from, empty for codecbench's own."""
@@ -136,6 +138,7 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
         "exclusive": bool(evaluator.exclusive),
         "runs_codec": isinstance(evaluator, CodecEvaluator),
         "uses": [(use.kind, use.name, use.params) for use in evaluator.uses],
+        "awaits": dict(evaluator.awaits),
     }
 
 

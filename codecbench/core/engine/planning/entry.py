@@ -28,6 +28,11 @@ class Entry:
     faulty: bool = False
     wanted: Wanted | None = None
 
+    @property
+    def awaits(self) -> dict[str, str]:
+        """Parameters for which stands what other evaluators measure, with the need of their metric."""
+        return self.description.awaits if self.description else {}
+
 
 def distinct(entries: list[Entry]) -> list[Entry]:
     """The entries without those that validate to a setting that came before, but with all that a search may try."""

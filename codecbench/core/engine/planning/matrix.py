@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from codecbench.core.contracts.errors import CodecbenchError, MatrixError, Unsupported
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.aim import Aim
+from codecbench.core.engine.planning.awaited import require_sources
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.entry import Entry, distinct, labelled
@@ -79,16 +80,19 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     return _checked(path, text, root, path.resolve().parent, registry)
 
 
-def matrix_from(content: str | Mapping[str, Any], registry: Registry | None = None) -> Matrix:
-    """Check a matrix that is no file: its YAML text, or a mapping of JSON types and paths. Paths start here.
+def matrix_from(
+    content: str | Mapping[str, Any], registry: Registry | None = None, folder: Path | None = None
+) -> Matrix:
+    """Check a matrix that is no file: its YAML text, or a mapping of JSON types and paths.
 
-    Raises MatrixError as `read_matrix` does, with lines of the text, or of the mapping as JSON.
+    folder: where paths in it start, by default here. Raises MatrixError as `read_matrix` does, with lines of the text,
+    or of the mapping as JSON.
     """
     try:
         text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
     except TypeError as error:
         raise MatrixError(f"matrix: {error}; a matrix is made of mappings, lists, texts, numbers and paths") from None
-    return _checked(Path("matrix"), text, parsed(text, "matrix"), Path.cwd(), registry)
+    return _checked(Path("matrix"), text, parsed(text, "matrix"), folder or Path.cwd(), registry)
 
 
 def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
@@ -111,6 +115,7 @@ def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry 
     assert run is not None
     searches = made_searches(sections["codecs"], sections["evaluators"], problems)
     until = decided_aim(run[1], root, sections["evaluators"], problems)
+    require_sources(sections["evaluators"], reader.registry, problems)
     problems.raise_any()
     require_plannable(sections, searches, problems)
     named: Any = {**sections, "searches": searches, "until": until, "anchors": anchors}

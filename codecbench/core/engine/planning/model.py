@@ -91,7 +91,8 @@ class Cell:
     """One sequence x one codec setting x one evaluator x one repeat.
 
     id: hash of everything that can change the result. job_id: the coding job whose bitstreams it reads, or
-    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None.
+    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None. awaited: what
+    other cells have measured for it, by the parameter for which that stands.
     """
 
     id: str
@@ -103,6 +104,7 @@ class Cell:
     exclusive: bool
     job_id: str | None
     unsupported: str | None = None
+    awaited: dict[str, float] = field(default_factory=dict)
 
     @property
     def plugins(self) -> tuple[PluginSetting, ...]:
@@ -115,7 +117,7 @@ class Cell:
         return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
-        """What is the cell's own: its fields after the settings, in order."""
+        """What is the cell's own: its fields after the settings, in order, but what it awaited."""
         return self.repeat, self.seed, self.exclusive, self.job_id, self.unsupported
 
 
@@ -197,6 +199,7 @@ class Plan:
             "settings": [_json_from_setting(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
+            "awaited": {cell.id: cell.awaited for cell in self.cells if cell.awaited},
             "declared": self.declared,
             "searches": [asdict(finding) for finding in self.searches],
         }
@@ -222,6 +225,7 @@ class _PlanBody:
     cells: list[tuple[_Id, int, int, int, int, int, bool, _Id | None, str | None]]
     declared: _Declared = field(default_factory=dict)
     searches: list[SearchFinding] = field(default_factory=list)
+    awaited: dict[_Id, dict[str, float]] = field(default_factory=dict)
 
 
 _BODY: Final = TypeAdapter(_PlanBody)
@@ -239,7 +243,18 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
         sequences=tuple(sequences),
         jobs=tuple(CodingJob(id_, sequences[at], settings[codec]) for id_, at, codec in body.jobs),
         cells=tuple(
-            Cell(id_, sequences[at], settings[codec], settings[evaluator], repeat, seed, exclusive, job_id, unsupported)
+            Cell(
+                id_,
+                sequences[at],
+                settings[codec],
+                settings[evaluator],
+                repeat,
+                seed,
+                exclusive,
+                job_id,
+                unsupported,
+                body.awaited.get(id_, {}),
+            )
             for id_, at, codec, evaluator, repeat, seed, exclusive, job_id, unsupported in body.cells
         ),
         declared=clean_value(body.declared),

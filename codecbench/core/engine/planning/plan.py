@@ -75,7 +75,10 @@ def make_plan(
             for evaluator in evaluators:
                 of = sequence.name, codec.setting, evaluator.setting.title
                 repeats = extent.planned(*of, searched=codec.searched)
-                for cell in islice(_cells(job, codec, evaluator, matrix.run.seed), repeats):
+                awaited = _awaited(evaluator, extent.awaited.get(of))
+                if awaited is None and _unsupported(sequence, codec, evaluator) is None:
+                    continue
+                for cell in islice(_cells(job, codec, evaluator, matrix.run.seed, awaited), repeats):
                     cells.setdefault(cell.id, cell)
                     if cell.job_id is not None and cell.unsupported is None:
                         jobs.setdefault(job.id, job)
@@ -105,12 +108,21 @@ def _with_anchors(declared: dict[str, Any], name: str, anchors: tuple[str, ...] 
 
 
 def make_sampled_plan(matrix: Matrix) -> Plan:
-    """The plan with the first setting of each search under every evaluator, for who wants to know what a run calls."""
+    """The plan with the first setting of each search under every evaluator, for who wants to know what a run calls.
+
+    What evaluators await is taken to be 0.
+    """
     plan = make_plan(matrix)
     titles = [entry.setting.title for entry in matrix.evaluators]
     firsts = [search.settings[0] for search in matrix.searches]
     sampled = {(entry.name, first, title): EVERY for entry in plan.sequences for first in firsts for title in titles}
-    return make_plan(matrix, extent=Extent(sampled), sequences=plan.sequences) if sampled else plan
+    settings = [*(entry.setting for entry in matrix.codecs if entry.wanted is None), *firsts]
+    awaited: dict[tuple[str, PluginSetting, str], dict[str, float] | str] = {
+        (entry.name, codec, awaiting.setting.title): dict.fromkeys(awaiting.awaits, 0.0)
+        for entry in plan.sequences for codec in settings for awaiting in matrix.evaluators if awaiting.awaits
+    }  # fmt: skip
+    extent = Extent(sampled, awaited=awaited)
+    return make_plan(matrix, extent=extent, sequences=plan.sequences) if sampled or awaited else plan
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
@@ -219,12 +231,19 @@ def _used(
     return setting, [kind, name, description.version, description.identities[0]], description.missing
 
 
-def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int) -> Iterator[Cell]:
+def _awaited(evaluator: _Side, found: dict[str, float] | str | None) -> dict[str, float] | str | None:
+    """What the cells of an evaluator have been waiting for, or why it never comes; None while it is not there."""
+    return found if evaluator.description is not None and evaluator.description.awaits else {}
+
+
+def _cells(
+    job: CodingJob, codec: _Side, evaluator: _Side, seed: int, awaited: dict[str, float] | str | None
+) -> Iterator[Cell]:
     description = evaluator.description
-    unsupported = _unsupported(job.sequence, codec, evaluator)
+    unsupported = _unsupported(job.sequence, codec, evaluator) or (awaited if isinstance(awaited, str) else None)
     shared = ["cell", RECORD_FORMAT, job.sequence.fingerprint, *codec.identities]
     for repeat, identity in enumerate(evaluator.identities):
-        cell_id = digest([*shared, *identity, seed])
+        cell_id = digest([*shared, *identity, seed, *([awaited] if awaited else [])])
         yield Cell(
             id=cell_id,
             sequence=job.sequence,
@@ -235,6 +254,7 @@ def _cells(job: CodingJob, codec: _Side, evaluator: _Side, seed: int) -> Iterato
             exclusive=bool(description and description.exclusive),
             job_id=None if description and description.runs_codec else job.id,
             unsupported=unsupported,
+            awaited=awaited if isinstance(awaited, dict) else {},
         )
 
 

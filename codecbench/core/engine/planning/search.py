@@ -61,11 +61,13 @@ class Extent:
 
     repeats: how many of a sequence (by name), codec setting and evaluator (by title). begun: how many of an evaluator
     by title whose repeats are added as needed, where `repeats` does not say; all of the others. Of the settings of a
-    search there are none where `repeats` does not say.
+    search there are none where `repeats` does not say. awaited: what the cells of an evaluator that awaits something
+    have been waiting for, or why it will never be there; those of which it does not say do not belong to the plan yet.
     """
 
     repeats: Mapping[tuple[str, PluginSetting, str], int] = field(default_factory=dict)
     begun: Mapping[str, int] = field(default_factory=dict)
+    awaited: Mapping[tuple[str, PluginSetting, str], dict[str, float] | str] = field(default_factory=dict)
 
     def planned(self, sequence: str, codec: PluginSetting, evaluator: str, searched: bool) -> int:
         """How many repeats are in the plan. searched: the codec setting is one that a search may try."""

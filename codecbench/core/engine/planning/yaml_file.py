@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,6 +78,14 @@ def parsed(text: str, source: str) -> Any:
         raise MatrixError(f"{source}{where}: not valid YAML: {error.problem or error.context}") from None
     except (YAMLError, ValueError, OverflowError) as error:
         raise MatrixError(f"{source}: not valid YAML: {error}") from None
+
+
+def written(root: Any) -> str:
+    """The YAML text of a content that `parsed` gave and that was changed, with its comments."""
+    stream, writer = StringIO(), YAML(typ="rt")
+    writer.width = MOST_CHARACTERS  # lines are not broken
+    writer.dump(root, stream)
+    return stream.getvalue()
 
 
 def plain(value: Any) -> Any:

@@ -189,9 +189,10 @@ class _Run:
         computed = len(self.statuses) - len(self.kept)
         if any(found.damaged or found.outdated or found.retried for found in self.found) or self.damaged:
             self.store.rebuild_index()
-        counts: dict[str, int] = dict(Counter(self.statuses.values()))
+        planned = [cell.id for cell in self.plan.cells if cell.id in self.statuses]
+        counts: dict[str, int] = dict(Counter(self.statuses[id_] for id_ in planned))
         log.info("%s", ", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing recorded")
-        kept = len(self.kept)
+        kept = sum(id_ in self.kept for id_ in planned)
         jobs, notices = self.jobs_done, tuple(notice for found in self.found for notice in found.notices)
         return RunSummary(self.store.folder, counts, computed, kept, jobs, interrupted, self.damaged, notices)
 

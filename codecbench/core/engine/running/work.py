@@ -216,7 +216,7 @@ def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
     check = MeasurementCheck(evaluator, len(sequence))
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
         rng, plugins = np.random.default_rng(cell.seed), DeclaredPlugins(bench.registry, evaluator.uses)
-        context = Context(rng, cell.repeat, Path(folder), plugins)
+        context = Context(rng, cell.repeat, Path(folder), plugins, cell.awaited)
         if isinstance(evaluator, CodecEvaluator):
             position.at("evaluate")
             found = list(check.checked(evaluator.evaluate(codec, sequence, context)))

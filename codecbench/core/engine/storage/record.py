@@ -132,6 +132,7 @@ def cell_description(cell: Cell) -> dict[str, Any]:
         "uses": [{"kind": used.kind, **described(used)} for used in cell.evaluator.uses],
         "repeat": cell.repeat,
         "seed": cell.seed,
+        **({"awaited": cell.awaited} if cell.awaited else {}),
     }
 
 

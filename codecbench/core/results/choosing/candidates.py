@@ -107,10 +107,16 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
 
     Raises NotMeasured where none was, and where times of encoding are asked that the run does not have.
     """
+    over_link = [result for result in run.results if demand.link in _links(result.cell.evaluator)]
+    if demand.device_factor is not None and any(result.cell.evaluator.params.get("encode_ms") for result in over_link):
+        raise NotMeasured(
+            f"{run.folder}: over {demand.link} the time of encoding was simulated with encode_ms, on a device as slow "
+            "as device_factor of the matrix says; leave the factor away here"
+        )
     encode_ms = _encode_ms(run, demand)
     found: dict[_Setting, _Runs] = defaultdict(_Runs)
-    for result in run.results:
-        if result.status != "unsupported" and demand.link in _links(result.cell.evaluator):
+    for result in over_link:
+        if result.status != "unsupported":
             row = result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
             _collect(found[*row, _way(result.cell.evaluator)], result, demand, encode_ms.get(row, 0.0))
     if not found:

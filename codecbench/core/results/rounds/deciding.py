@@ -22,13 +22,15 @@ def repeats_to_decide(
     """How many repeats of an evaluator each setting on a sequence is to have, at most `most`.
 
     The baseline has all: others are judged beside it. Of a curve, from the most rate down, repeats are added as far as
-    the first setting that fails, because a limit is where all above it hold.
+    the first setting that fails, because a limit is where all above it hold. A live error has no such limit, for what
+    is too large for a link comes too late, and is judged by itself: so each setting is decided, the baseline too.
     """
+    each = aim.metric.need == "error"
     found: dict[CellKey, int] = {}
     curves: dict[tuple[str, str], list[tuple[float, CellKey]]] = defaultdict(list)
     for sequence, setting in settings:
         key = sequence, setting, aim.evaluator.title
-        if setting.name in run.meaning.baselines:
+        if setting.name in run.meaning.baselines and not each:
             found[key] = most
             continue
         place = (setting.name, setting.label)
@@ -40,7 +42,7 @@ def repeats_to_decide(
         for rate, key in sorted(members, key=lambda member: -member[0]):
             recorded = trials.recorded(*key)
             count, said = needed(recorded, aim, most)
-            below = rate < failed_at
+            below = rate < failed_at and not each
             found[key] = max(runs_to_make(0, 0, most), len(recorded)) if below else count
             if said == "fails" and math.isfinite(rate):
                 failed_at = max(failed_at, rate)

@@ -1,4 +1,4 @@
-"""The next round of a run: its plan with what the searches try next and the repeats that are to decide something."""
+"""The next round of a run: what searches try next, repeats that are to decide something, cells that awaited others."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from codecbench.core.engine.planning.until import repeats_of
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.collect import read_run
+from codecbench.core.results.rounds.awaiting import Awaited
 from codecbench.core.results.rounds.deciding import repeats_to_decide
 from codecbench.core.results.rounds.searching import Searching
 from codecbench.core.results.rounds.sequential import runs_to_make
@@ -32,6 +33,10 @@ class Growth:
         self._matrix, self._store, self._registry = matrix, Store(folder), registry
         self._totals = {entry.setting.title: repeats_of(entry.setting.title, matrix.evaluators)
                         for entry in matrix.evaluators}  # fmt: skip
+
+    @cached_property
+    def _awaited(self) -> Awaited:
+        return Awaited(self._matrix.evaluators, self._totals | self._begun)
 
     @cached_property
     def _begun(self) -> dict[str, int]:
@@ -62,6 +67,7 @@ class Growth:
     def _read_of(self, plan: Plan) -> Plan:
         """The plan with the cells alone that decide how it goes on."""
         needed = {evaluator.title for search in self._matrix.searches for evaluator in search.evaluators}
+        needed |= self._awaited.all_titles
         if self._matrix.until is not None:
             needed |= {self._matrix.until.evaluator.title}
             rates = plan.declared.get("evaluators", {}).items()
@@ -89,7 +95,9 @@ class Growth:
             repeats |= repeats_to_decide(run, trials, matrix.until, self._totals[title], decided)
         for key, count in trials.asked.items():
             repeats[key] = max(count, repeats.get(key, 0))
-        return Extent(repeats, self._begun), findings
+        for sequence_name, setting, title in list(repeats):
+            repeats |= {(sequence_name, setting, awaited): EVERY for awaited in self._awaited.titles(title)}
+        return Extent(repeats, self._begun, self._awaited.found(run)), findings
 
 
 def _measures_rate(declared: dict[str, object]) -> bool:

@@ -15,6 +15,7 @@ from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, RunSection
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.engine.planning.plan import make_plan
+from codecbench.core.engine.planning.search import Extent
 from codecbench.core.engine.registry import Registry
 from codecbench.core.results.relocation import SAME_PLACE, relocated
 
@@ -47,7 +48,13 @@ def replanned(found: Plan, cells: Sequence[Cell], sequences_from: str | None, re
         path=Path(found.name), text="", name=found.name, sequences=(), codecs=tuple(codecs), evaluators=tuple(judges),
         run=_run_settings(found.run.seed, registry), root={},
     )  # fmt: skip
-    plan = make_plan(matrix, registry, sequences=sequences) if sequences else replace(found, jobs=(), cells=())
+    awaited = {(cell.sequence.name, cell.codec, cell.evaluator.title): cell.awaited for cell in cells if cell.awaited}
+    extent = Extent(awaited=dict(awaited))
+    plan = (
+        make_plan(matrix, registry, extent=extent, sequences=sequences)
+        if sequences
+        else replace(found, jobs=(), cells=())
+    )
     made = {cell.id: cell for cell in plan.cells}
     reasons = {cell.id: reason for cell in cells if (reason := reader.reason(cell, made.get(cell.id)))}
     kept = tuple(made[cell.id] for cell in cells if cell.id not in reasons)

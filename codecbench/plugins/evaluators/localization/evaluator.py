@@ -17,11 +17,11 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.simulation.delivery import delivery_of
 from codecbench.core.simulation.pictures import DeliveredPictures
-from codecbench.core.simulation.settings import LinkSettings
+from codecbench.core.simulation.settings import ReaderSettings, Time
 from codecbench.plugins.evaluators.localization.metrics import METRICS
 from codecbench.plugins.evaluators.localization.survey import Sighting, Survey, Way, survey_of
 from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
@@ -29,18 +29,20 @@ from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
 _BACKEND = "orb"
 
 
-class LocalizationParams(LinkSettings):
+class LocalizationParams(ReaderSettings):
     """Settings of `localization`.
 
     backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
     limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing.
-    association_s: how far apart in time a frame and its ground truth may be. link and all about it: see LinkSettings;
-    a frame that is not delivered is not located.
+    association_s: how far apart in time a frame and its ground truth may be. link and all about it: see ReaderSettings;
+    a frame that is not delivered is not located, nor one that comes while another is being located, for slam_ms.
     """
 
     backend_params: dict[str, Any] = Field(default_factory=dict)
     limit_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+    slam_ms: Time = 0.0
+    """Nothing measures it: the SLAM that `trajectory` times does more than to locate."""
 
 
 class Localization(SequenceEvaluator[LocalizationParams]):
@@ -62,6 +64,10 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     def uses(self) -> tuple[PluginUse, ...]:
         return (PluginUse("slam_backend", _BACKEND, self.params.backend_params), *self.params.link_uses)
 
+    @property
+    def awaits(self) -> dict[str, Need]:
+        return self.params.awaits
+
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         sequence = coded.sequence
         backend = context.plugins.create("slam_backend", _BACKEND, self.params.backend_params)
@@ -70,7 +76,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             self.version,
             backend.version,
             backend.params.model_dump_json(),
-            self.params.model_dump_json(exclude=set(LinkSettings.model_fields)),
+            self.params.model_dump_json(exclude=set(ReaderSettings.model_fields)),
         )
         survey = sequence.read(0).cached(
             (*key, "survey"),
@@ -80,6 +86,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             yield from (Measurement(metric.name, math.nan, frame=index, reason=reason) for metric in METRICS)
         delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
         pictures = None if delivery is None else DeliveredPictures(coded, delivery)
+        read_at = {} if delivery is None else delivery.read_at(self.params.read_s)
         for index in survey.predictions:
             decoded: Image | None
             if delivery is None or pictures is None:
@@ -87,7 +94,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
                 original, decoded = frame.original, frame.decoded
             else:
                 original = sequence.read(index)
-                decoded = pictures.picture(index) if math.isfinite(delivery.handed_s[index]) else None
+                decoded = pictures.picture(index) if index in read_at else None
             raw = _raw_sightings(survey, original, key)
             found = _UNDELIVERED if decoded is None else survey.sightings(decoded, index)
             yield from _measured(survey, index, found, raw)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 import cv2
 from pydantic import Field
@@ -20,7 +20,7 @@ from pydantic import Field
 from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.stream import StreamCodec
@@ -30,6 +30,7 @@ from codecbench.plugins.evaluators.timing.in_order import times_in_order
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
+_NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
 
 class TimingParams(Params):
@@ -59,7 +60,7 @@ def _time(name: str, summary: str, label: str, brief: str = "", confirmed_by: st
     return Metric(
         name, "ms", "lower", summary, (*_AGGREGATES, "max"), False,
         role="time", headline=bool(brief), label=label, brief=brief, scale="log",
-        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, need="encoding" if name == "encode_wall_ms" else "",
+        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, need=_NEEDS.get(name, ""),
     )  # fmt: skip
 
 

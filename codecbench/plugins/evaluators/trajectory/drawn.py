@@ -17,7 +17,8 @@ from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
 NOTE: Final = (
     "Seen from the direction in which the true path spreads most; the estimate is aligned to ground truth by a "
-    "similarity. Estimated is as tracked, optimised is after loops were closed."
+    "similarity. Estimated is as tracked, optimised is after loops were closed. Over a link, the error of a frame is "
+    "of where the camera was thought to be when it was taken."
 )
 _SAME_S: Final = 1e-6
 """Files keep microseconds."""
@@ -43,23 +44,30 @@ def drawing(outcome: Outcome) -> Drawing | None:
     )
     success = outcome.value("success")
     holds = None if math.isnan(success) else success == 1.0
-    course = _course(folder / files.STATES, optimised, truth, centre, axes)
+    course = _course(folder, optimised, truth, centre, axes)
     return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds, course=course)
 
 
 def _course(
-    states: Path,
+    folder: Path,
     optimised: NDArray[np.float64],
     truth: NDArray[np.float64],
     centre: NDArray[np.float64],
     axes: NDArray[np.float64],
 ) -> Course | None:
-    """Where each frame that SLAM was given was thought to be in the end, and how far that is from the true path."""
-    if not states.exists():
+    """Where each frame that SLAM was given was thought to be in the end, and how far that is from the true path.
+
+    Over a link, of every frame that was taken, where the camera was thought to be at that moment.
+    """
+    if not (folder / files.STATES).exists():
         return None
-    with states.open(newline="") as stream:
+    with (folder / files.STATES).open(newline="") as stream:
         rows = [(int(row["frame"]), float(row["timestamp_s"])) for row in csv.DictReader(stream)]
     indices, stamps_s = np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows])
+    if rows and (folder / files.LIVE).exists():
+        frames, taken_s, places = files.read_live(folder / files.LIVE)
+        stamps_s = taken_s + (stamps_s[0] - taken_s[frames == indices[0]][0])
+        return Course(frames, (places - centre) @ axes.T, _distances(places, stamps_s, truth), "m")
     at = nearest_stamps(stamps_s, optimised[:, 0], _SAME_S)
     places = np.full((len(rows), 3), np.nan)
     places[at >= 0] = optimised[at[at >= 0], 1:]

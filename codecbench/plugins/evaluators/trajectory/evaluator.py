@@ -19,7 +19,7 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.sequence import Sequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
@@ -64,6 +64,10 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     def uses(self) -> tuple[PluginUse, ...]:
         return (PluginUse("slam_backend", self.params.backend, self.params.backend_params), *self.params.link_uses)
 
+    @property
+    def awaits(self) -> dict[str, Need]:
+        return self.params.awaits
+
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         offset, seed = self.params.repeat(repeat)
         listed = {"start_offsets", "seeds", *verdicts.THRESHOLDS}
@@ -78,8 +82,9 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
                 f"slam backend {self.params.backend} cannot run architecture {self.params.architecture}; "
                 f"it runs {', '.join(sorted(backend.architectures))}"
             )
-        delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
-        feed = Feed(coded, self.params.architecture, offset, delivery, 1e-3 * self.params.slam_ms)
+        params = self.params.timed(context.awaited)
+        delivery = None if params.link is None else delivery_of(coded, params, context)
+        feed = Feed(coded, params.architecture, offset, delivery, params.read_s)
         camera = coded.sequence.camera
         if camera is None:
             raise Unsupported(f"sequence {coded.sequence.name} has no camera; SLAM needs its calibration")
@@ -87,7 +92,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
             backend.run(feed.frames(), camera, seed=seed, keyframe_image=feed.keyframe_image) if len(feed) else _NOTHING
         )
         _check(run, feed.seen, self.params.backend)
-        params, stamps_s = self.params, feed.stamps_s
+        stamps_s = feed.stamps_s
         accuracy = Accuracy(run, coded.sequence, stamps_s, params.association_s, params.rpe_interval_s)
         yield from accuracy.measurements()
         yield from _behaviour(run, stamps_s)

@@ -94,3 +94,15 @@ def write_live(
             told = [f"{time_s:.6f}" if math.isfinite(time_s) else "" for time_s in times]
             where = ["" if math.isnan(value) else f"{value:.9g}" for value in position]
             writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.fates[frame], *told, *where])
+
+
+def read_live(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Frames (M,), when they were taken, and where the camera was thought to be then (M, 3), NaN where nobody knew."""
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    places = [[float(row[axis] or "nan") for axis in "xyz"] for row in rows]
+    return (
+        np.array([int(row["frame"]) for row in rows], np.int64),
+        np.array([float(row["taken_s"]) for row in rows]),
+        np.array(places, np.float64).reshape(-1, 3),
+    )

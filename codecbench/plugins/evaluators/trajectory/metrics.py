@@ -65,7 +65,7 @@ BEHAVIOUR: Final = (
     Metric("mean_inliers", "1", "higher", "map points that support a tracked frame's pose", _MIDDLE),
     Metric(
         "slam_ms_per_frame", "ms", "lower", "time that SLAM takes for a frame", _MIDDLE, False,
-        role="time", label="SLAM time", scale="log",
+        role="time", label="SLAM time", scale="log", need="reading",
     ),
     Metric(
         "sent_size_bytes", "bytes", "lower", "bytes that the architecture sends: all frames, or keyframes", _MIDDLE,

@@ -6,20 +6,20 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from codecbench.core.simulation.settings import LinkSettings
+from codecbench.core.simulation.settings import ReaderSettings
 
 Count = Annotated[int, Field(ge=0)]
 
 
-class TrajectoryParams(LinkSettings):
+class TrajectoryParams(ReaderSettings):
     """Settings of `trajectory`.
 
     backend, backend_params: the SLAM backend that runs. architecture: `cta` (compress then analyze: all of SLAM sees
     decoded frames) or `atc` (analyze then compress: tracking sees raw frames; mapping and loop closing see decoded
     keyframes). start_offsets, seeds: one repeat for each pair, with so many frames left out at the start.
     association_s: how far apart in time a frame and its ground truth may be. rpe_interval_s: over which relative
-    errors are taken. link and all about it: see LinkSettings; SLAM then gets what is delivered, and slam_ms is what it
-    takes for a frame.
+    errors are taken. link and all about it: see ReaderSettings; SLAM then gets what is delivered, and slam_ms is what
+    it takes for a frame.
 
     What a success is can be changed without computing anything again. tracked_to_raw: the least share of the raw runs'
     tracked share. ate_to_raw: the most times their error. ate_limit_m: an error in place of that multiple.
@@ -39,7 +39,6 @@ class TrajectoryParams(LinkSettings):
     ate_limit_m: Annotated[float, Field(gt=0.0)] | None = None
     raw_agrees_percent: Annotated[float, Field(gt=0.0)] = 5.0
     delay_frames: Count = 30
-    slam_ms: Annotated[float, Field(ge=0.0)] = 0.0
 
     @field_validator("start_offsets", "seeds")
     @classmethod
@@ -50,8 +49,6 @@ class TrajectoryParams(LinkSettings):
 
     @model_validator(mode="after")
     def _fits_a_link(self) -> Self:
-        if self.link is None and self.slam_ms:
-            raise ValueError("slam_ms is about a link; name one, such as link: ideal")
         if self.link is not None and self.architecture != "cta":
             raise ValueError(f"architecture {self.architecture} over a link is not simulated; give cta")
         return self

@@ -173,6 +173,13 @@ def test_a_slower_device_makes_pictures_older() -> None:
         judged(Demand("radio", **asked, device_factor=4.0), *cells[:-1])
 
 
+def test_what_was_simulated_is_not_added_again() -> None:
+    cells = [size(1.0), *delivered(1.0, 10, encode_ms="measured"), timed(1.0, 11.0)]
+    assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
+    with pytest.raises(NotMeasured, match="the time of encoding was simulated with encode_ms"):
+        judged(Demand("radio", deadline_ms=100, device_factor=4.0), *cells)
+
+
 def test_sequences_come_together_first() -> None:
     cells = [size(1.0), size(1.0, "t"), *delivered(1.0, 10), *delivered(1.0, 3, sequence="t")]
     verdicts = choices(run_of(*cells), Demand("radio", deadline_ms=100))

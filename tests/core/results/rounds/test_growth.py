@@ -235,6 +235,23 @@ def test_repeats_are_added_until_it_is_decided(bench: SearchBench) -> None:
     assert len(bench.computed) == 7 * 40 - sum(counts.values()), "a run without `until` makes the rest"
 
 
+def test_a_live_error_is_decided_of_each_setting(bench: SearchBench) -> None:
+    """What is too large for a link fails, and says nothing of what is smaller."""
+
+    def astray(cell: Cell) -> float:
+        if cell.evaluator.name == "scales":
+            return weigh(cell)
+        return 9.0 if cell.codec.params["level"] == 200 else float(cell.repeat % 5 == 0)
+
+    sweep = "{use: dial, params: {level: {grid: [0, 60, 200]}}}"
+    evaluators, run = "scales, {use: stray, params: {runs: 40}}", "until: {decided: {metric: stray_m, max: 0.5}}"
+    bench.run(matrix(sweep, evaluators=evaluators, run=run, fixed="{use: still, params: {level: 201}}"), astray)
+    levels = bench.levels("stray")
+    assert levels.count(200) == 8
+    assert 8 < levels.count(201) < 40, "the baseline is one of them"
+    assert levels.count(0) == levels.count(60) > 8
+
+
 def test_runs_without_a_value_decide_nothing_and_are_not_repeated(bench: SearchBench) -> None:
     def nothing(cell: Cell) -> float:
         return weigh(cell) if cell.evaluator.name == "scales" else math.nan

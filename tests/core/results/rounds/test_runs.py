@@ -52,6 +52,30 @@ def run(path: Path) -> RunSummary:
     return run_matrix(read_matrix(path), path.parent / "run")
 
 
+def test_times_that_are_measured_again_give_other_cells(tmp_path: Path) -> None:
+    path = tmp_path / "matrix.yaml"
+    path.write_text("""
+version: 1
+sequences: [{use: synthetic, params: {frames: 3, width: 64, height: 48}}]
+codecs: [jpeg]
+evaluators:
+  - {use: timing, params: {frames: 1, repeats: 1, warmup: 1, min_ms: 0}}
+  - {use: delivery, params: {encode_ms: measured, repeats: 2}}
+run: {workers: 1}
+""")
+    summaries, awaited = [], []
+    for recompute in ((), (), ("timing",)):
+        summaries.append(run_matrix(read_matrix(path), tmp_path / "run", recompute=recompute))
+        cells = Store(tmp_path / "run").read_plan().cells
+        awaited.append({cell.id: cell.awaited["encode_ms"] for cell in cells if cell.awaited})
+    assert [summary.statuses for summary in summaries] == [{"ok": 3}] * 3
+    assert summaries[1].computed == 0
+    assert awaited[0] == awaited[1]
+    assert not awaited[0].keys() & awaited[2].keys()
+    record = Store(tmp_path / "run").read_record(next(iter(awaited[2])))
+    assert record.cell["awaited"] == {"encode_ms": next(iter(awaited[2].values()))}
+
+
 def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place: Path) -> None:
     path = write(place, f"still, {ENTRY % ''}", "scales, {use: toss, params: {runs: 2}}")
     summary = run(path)

@@ -1,0 +1,58 @@
+"""Which settings are good enough over a link, of a run or of a matrix that is run for it: `codecbench.choose`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from codecbench.core.contracts.errors import ParamsError
+
+if TYPE_CHECKING:
+    from codecbench.core.results.choosing.candidates import Candidate
+
+MINUTES: Final = 10.0
+"""How long repeats are added that are to tell more."""
+_MATRICES: Final = (".yaml", ".yml", ".json")
+
+
+def is_matrix(source: str | Path | Mapping[str, Any]) -> bool:
+    """Whether something is a matrix and not a run folder."""
+    return isinstance(source, Mapping) or Path(source).is_file() or Path(source).suffix in _MATRICES
+
+
+def choose(
+    source: str | Path | Mapping[str, Any],
+    *,
+    link: str,
+    deadline_ms: float | None = None,
+    error_m: float | None = None,
+    share: float = 0.95,
+    device_factor: float | None = None,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    minutes: float = MINUTES,
+) -> list[Candidate]:
+    """Every codec setting over a link in order of rate, judged; with several sequences those of all come first.
+
+    source: a run folder, or a matrix, a file or as a dict, of which is run what it takes; evaluators that it lacks are
+    added. out, workers: as of `codecbench.run`. minutes: repeats that are to tell more begin only within that time.
+    What is asked: in at least `share` of the pictures an age of at most `deadline_ms`, and an error of at most
+    `error_m`; one of the two at least. device_factor: how many times slower the device encodes than the machine that
+    timed it. Raises ParamsError where nothing is asked, CodecbenchError where nothing was measured, PluginError for a
+    link that is not known, MatrixError and StoreError.
+    """
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.results.begun import begun_run
+    from codecbench.core.results.choosing.candidates import Demand, candidates
+    from codecbench.core.results.running import run_matrix
+    from codecbench.trial.link_matrix import link_matrix
+
+    if deadline_ms is None and error_m is None:
+        raise ParamsError("say what is asked: deadline_ms, error_m or both")
+    demand = Demand(link, deadline_ms, error_m, share, device_factor)
+    if not is_matrix(source):
+        return candidates(begun_run(Path(str(source))), demand)
+    made = link_matrix(source if isinstance(source, Mapping) else Path(source), demand, installed())
+    summary = run_matrix(made.matrix, out, workers=workers, minutes=minutes)
+    return candidates(begun_run(summary.folder), made.demand)
