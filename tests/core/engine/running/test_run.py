@@ -98,6 +98,7 @@ def test_a_further_evaluator_encodes_nothing(bench: Bench) -> None:
     assert (more.computed, more.kept, more.encoded) == (4, 4, 0)
 
 
+@pytest.mark.thorough
 def test_python_recomputes_by_name_too(bench: Bench) -> None:
     text = matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering, whole")
     plan = bench.plan(text)
@@ -161,6 +162,7 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert len(schedule) == 4
 
 
+@pytest.mark.thorough
 def test_a_clock_that_goes_backwards_harms_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(2_000_000_000, 0, -3600))
     monkeypatch.setattr(time, "time", lambda: float(next(clock)))
