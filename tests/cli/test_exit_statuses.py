@@ -238,7 +238,7 @@ def parametrized_rows() -> Iterator[Any]:
         seen.add(kind)
 
 
-@pytest.mark.parametrize(("status", "words", "said"), parametrized_rows())
+@pytest.mark.parametrize(("status", "words", "said"), list(parametrized_rows()))
 def test_a_row_of_the_table(place: Place, status: ExitStatus, words: str, said: str) -> None:
     done = spelled(place.call(*words.split()))
     assert done.status == status, done.output

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
-from project import DOCS, ROOT
+from project import DOCS, ROOT, TESTS
 
 PAGE = (DOCS / "architecture.md").read_text()
 NAMED = sorted(set(re.findall(r"`((?:codecbench|docs|tests|examples)/[\w./-]*|pyproject\.toml)`", PAGE)))
@@ -42,3 +43,9 @@ def test_functions_that_are_named_are_where_it_says() -> None:
 def test_the_usual_edits_are_in_the_table(edit: str) -> None:
     (row,) = re.findall(rf"^\| {edit} \|.*$", PAGE, re.MULTILINE)
     assert any(Path(ROOT / name).exists() for name in re.findall(r"`(codecbench/[\w./]+)`", row))
+
+
+def test_pytest_as_the_readme_gives_it_finds_every_folder_of_tests() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    with_tests = {path.relative_to(ROOT).parts[1] for path in TESTS.glob("*/**/test_*.py")}
+    assert set(settings["testpaths"]) == {f"tests/{folder}" for folder in with_tests - {"benchmarks"}}

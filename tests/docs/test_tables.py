@@ -1,12 +1,15 @@
-"""Tables of README.md and docs/ are made by docs/tables.py, from a run, in processes of their own."""
+"""Tables of README.md and docs/ are made by docs/tables.py, from a run."""
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import cv2
@@ -36,6 +39,20 @@ def command(*words: str | Path, status: int = 0) -> str:
     found = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, timeout=300)
     assert found.returncode == status, found.stdout + found.stderr
     return found.stdout
+
+
+def tables(*words: str | Path, status: int = 0) -> str:
+    """Standard output of docs/tables.py, run in this process, after checking its exit status."""
+    out, ended = io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(sys, "argv", ["tables.py", *map(str, words)])
+        patch.syspath_prepend(DOCS)
+        try:
+            runpy.run_path(str(DOCS / "tables.py"), run_name="__main__")
+        except SystemExit as error:
+            ended = int(error.code or 0)
+    assert ended == status, out.getvalue()
+    return out.getvalue()
 
 
 def table_rows(text: str) -> list[list[str]]:
@@ -76,15 +93,15 @@ def root(tmp_path: Path) -> Path:
 def written(run: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The first block of docs/real.md as made from the run."""
     root = copied_pages(tmp_path_factory.mktemp("written"))
-    out = command(DOCS / "tables.py", "--root", root, "--run", f"real={run}")
+    out = tables("--root", root, "--run", f"real={run}")
     assert "docs/real.md: real: written" in out
     assert "docs/real.md: sequences: written" in out
-    assert "differs" not in command(DOCS / "tables.py", "--check", "--root", root, "--run", f"real={run}")
+    assert "differs" not in tables("--check", "--root", root, "--run", f"real={run}")
     return block(root / "docs" / "real.md", "real")
 
 
 def test_a_block_that_differs_is_named(run: Path) -> None:
-    out = command(DOCS / "tables.py", "--check", "--run", f"real={run}", status=1)
+    out = tables("--check", "--run", f"real={run}", status=1)
     assert "docs/real.md: real: differs" in out
 
 
@@ -130,7 +147,7 @@ def test_the_claim_on_the_page_follows_from_its_table() -> None:
 
 
 def test_every_marked_block_has_a_generator_with_its_columns() -> None:
-    known = json.loads(command(DOCS / "tables.py", "--list"))
+    known = json.loads(tables("--list"))
     marked = {name: page for page in PAGES for name in re.findall(r"<!-- ([\w-]+): begin -->", page.read_text())}
     assert {name: str(page.relative_to(ROOT)) for name, page in marked.items()} == {
         name: entry["page"] for name, entry in known.items()
@@ -151,7 +168,7 @@ def test_campaigns_of_fuzzing_become_a_table(root: Path, tmp_path: Path) -> None
         'stat::number_of_executed_units: 23312\n{\n "codec": "png",\n "seconds": 60,\n "cpu_seconds": 55,\n'
         ' "seed": 1,\n "inputs": 14166,\n "pool": 3\n}\n'
     )
-    command(DOCS / "tables.py", "--root", root, "--printed", f"fuzz={log}")
+    tables("--root", root, "--printed", f"fuzz={log}")
     rows = table_rows(block(root / "docs" / "reliability.md", "fuzz"))[1:]
     assert rows == [
         ["`png`", "40 s, 1,900, 66", "60 s, 14,166"],
@@ -163,7 +180,7 @@ def test_campaigns_of_fuzzing_become_a_table(root: Path, tmp_path: Path) -> None
 def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) -> None:
     printed = tmp_path / "processes.txt"
     printed.write_text("begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n")
-    command(DOCS / "tables.py", "--root", root, "--printed", f"processes={printed}")
+    tables("--root", root, "--printed", f"processes={printed}")
     rows = table_rows(block(root / "docs" / "performance.md", "processes"))
     assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
 
@@ -173,7 +190,7 @@ def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_
     pictures = [np.random.default_rng(seed).integers(0, 256, (40, 56, 3), np.uint8) for seed in range(2)]
     for number, picture in enumerate(pictures):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.ascontiguousarray(picture[..., ::-1]))
-    command(DOCS / "tables.py", "--root", root, "--pictures", tmp_path)
+    tables("--root", root, "--pictures", tmp_path)
     heads, *rows = table_rows(block(root / "docs" / "multilevel.md", "sizes"))
     assert [row[0] for row in rows] == ["5", "10", "15", "20", "50", "75", "100"]
     for row in rows:
@@ -221,7 +238,7 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
             stage = ("x/encode/dct", "x/decode/idct")[number]
             found.append(entry("test_kernels", f"test_stage[{stage}-{build}]", seconds, build=build))
     (tmp_path / "found.json").write_text(json.dumps({"benchmarks": found}))
-    command(DOCS / "tables.py", "--root", root, "--benchmarks", tmp_path / "found.json")
+    tables("--root", root, "--benchmarks", tmp_path / "found.json")
     page = root / "docs" / "performance.md"
     assert table_rows(block(page, "solvers"))[1:] == [["pose graph, 150", "78.1 ms"]]
     assert table_rows(block(page, "evaluators"))[1:] == [["ms ssim", "2 ms"]]

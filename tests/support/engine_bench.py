@@ -35,10 +35,11 @@ def write_stack(path: Path, frames: int = FRAMES, seed: int = 0) -> Path:
 
 @dataclass
 class Bench:
-    """Runs matrices in one folder."""
+    """Runs matrices in one folder. workers: of a run that does not say how many; each costs a second to begin."""
 
     folder: Path
     site: Path
+    workers: int = 2
 
     def plan(self, text: str) -> Plan:
         path = self.folder / "matrix.yaml"
@@ -47,7 +48,7 @@ class Bench:
 
     def run(self, plan: Plan | str, name: str = "run", **options: Any) -> RunSummary:
         plan = self.plan(plan) if isinstance(plan, str) else plan
-        options.setdefault("workers", 2)
+        options.setdefault("workers", self.workers)
         return run_plan(plan, self.folder / name, **options)
 
     def store(self, name: str = "run") -> Store:
@@ -74,7 +75,7 @@ def contents(store: Store, plan: Plan) -> dict[str, Any]:
 
 
 @contextmanager
-def bench_in(folder: Path) -> Iterator[Bench]:
+def bench_in(folder: Path, workers: int = 2) -> Iterator[Bench]:
     """A bench in an empty folder, with the plugins that go wrong installed."""
     site = folder / "site"
     site.mkdir()
@@ -83,7 +84,7 @@ def bench_in(folder: Path) -> Iterator[Bench]:
     installed.cache_clear()
     write_stack(folder / "stack.npy")
     try:
-        yield Bench(folder, site)
+        yield Bench(folder, site, workers)
     finally:
         sys.path.remove(str(site))
         installed.cache_clear()

@@ -72,7 +72,7 @@ def test_the_best_is_a_sentence_a_codec_or_at_a_rate_the_codec(run: RunResult) -
         run.best(1e6)
 
 
-@pytest.mark.parametrize("wrong", ["quality.psnr_gray_db", True, -1.0, float("nan"), [0.5]])
+@pytest.mark.parametrize("wrong", ["quality.psnr_gray_db", True, 0.0, -1.0, float("nan"), float("inf"), [0.5]])
 def test_what_is_no_rate_is_answered_with_what_is(run: RunResult, wrong: Any) -> None:
     with pytest.raises(ParamsError, match=r"^best\(.*give a rate above 0 in bit/px, as a number"):
         run.best(wrong)

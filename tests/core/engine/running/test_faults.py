@@ -75,7 +75,7 @@ LIMITS = "workers: 2, timeout_s: 15, memory_mb: 300"
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with bench_in(tmp_path) as made:
+    with bench_in(tmp_path, workers=1) as made:
         yield made
 
 
@@ -91,7 +91,7 @@ def children_called_sleep() -> list[psutil.Process]:
 
 def test_every_codec_fault_costs_its_own_cells_alone(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     plan = bench.plan(matrix(grid("faulty", [*CODEC_FAULTS, "none"]), "wandering", LIMITS))
-    summary = bench.run(plan)
+    summary = bench.run(plan, workers=2)
     for cell, record in bench.records(plan).values():
         status, reason = CODEC_FAULTS.get(cell.codec.params["fault"], ("ok", ""))
         if cell.codec.params["fault"] == "drip" and record.status == "crashed":  # seen from outside before its limit
@@ -235,7 +235,7 @@ def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) 
     assert bench.run(plan).kept == 4
 
 
-@pytest.mark.parametrize("how", ["flip", "truncate"])
+@pytest.mark.parametrize("how", ["flip", pytest.param("truncate", marks=pytest.mark.thorough)])
 def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) -> None:
     plan = bench.plan(matrix("faulty", "wandering"))
     bench.run(plan)

@@ -28,14 +28,14 @@ MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with bench_in(tmp_path) as made:
+    with bench_in(tmp_path, workers=1) as made:
         yield made
 
 
 def test_a_run_computes_every_cell_once_and_reports_as_it_goes(bench: Bench) -> None:
     seen: list[Progress] = []
     plan = bench.plan(MANY)
-    summary = bench.run(plan, listener=seen.append)
+    summary = bench.run(plan, workers=2, listener=seen.append)
     assert summary.statuses == {"ok": len(plan.cells)} == {"ok": 24}
     assert (summary.computed, summary.kept, summary.encoded, summary.interrupted) == (24, 0, 4, None)
     assert [one.cell.id for one in seen if one.cell] != []
@@ -103,6 +103,7 @@ def test_a_further_evaluator_encodes_nothing(bench: Bench) -> None:
     assert (more.computed, more.kept, more.encoded) == (4, 4, 0)
 
 
+@pytest.mark.thorough
 def test_python_recomputes_by_name_too(bench: Bench) -> None:
     text = matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering, whole")
     plan = bench.plan(text)
@@ -123,7 +124,7 @@ def test_python_recomputes_by_name_too(bench: Bench) -> None:
 def test_exclusive_cells_come_last_alone_pinned_and_interleaved(bench: Bench) -> None:
     plan = bench.plan(matrix(STEPS, "alone, slow"))
     order: list[Cell] = []
-    bench.run(plan, listener=lambda one: order.append(one.cell) if one.cell else None)
+    bench.run(plan, workers=2, listener=lambda one: order.append(one.cell) if one.cell else None)
     alone = [cell for cell in order if cell.exclusive]
     assert order[-8:] == alone
     assert [cell.repeat for cell in alone] == [0] * 4 + [1] * 4
@@ -166,6 +167,7 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert len(schedule) == 4
 
 
+@pytest.mark.thorough
 def test_a_clock_that_goes_backwards_harms_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(2_000_000_000, 0, -3600))
     monkeypatch.setattr(time, "time", lambda: float(next(clock)))

@@ -10,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
+from codecbench.core.engine.storage.bitstream_file import (
+    BitstreamDamage,
+    BitstreamFile,
+    CodedPacket,
+    write_bitstreams,
+    write_stream,
+)
 
 JOB = "ab" * 16
 BITSTREAMS = [b"first", b"", b"\x00third\xff" * 40]
@@ -96,6 +102,21 @@ def test_whose_bitstreams_they_are_is_checked() -> None:
     with pytest.raises(BitstreamDamage, match="holds the bitstreams of job short, not of "):
         BitstreamFile(written(BITSTREAMS, "short"), JOB)
     assert BitstreamFile(written(BITSTREAMS, "short"), "short").read(0) == b"first"
+
+
+def stream_of(*frames: int) -> bytes:
+    stream = io.BytesIO()
+    write_stream(stream, [CodedPacket(bytes([frame]), frame, True, frame + 1) for frame in frames], JOB)
+    return stream.getvalue()
+
+
+def test_packets_of_a_stream_are_one_of_each_frame_in_any_order() -> None:
+    file = BitstreamFile(stream_of(0, 2, 1), JOB)
+    assert file.is_stream
+    assert [packet.frame for packet in file.packets] == [0, 2, 1]
+    for wrong in ((0, 0), (0, 2), (1,)):
+        with pytest.raises(BitstreamDamage, match="its packets are not one of each frame"):
+            BitstreamFile(stream_of(*wrong), JOB)
 
 
 def test_what_is_no_file_of_bitstreams_is_refused_with_its_name(tmp_path: Path) -> None:

@@ -72,12 +72,12 @@ def test_a_clear_difference_stands_and_a_small_one_says_what_would_tell(rng: np.
     assert not small.stands
     assert small.smallest > abs(small.difference)
     more = small.more_units
-    assert more is None or more > 0
-    if more is not None:
-        enough = times(small.evidence, (12 + more) / 12)
-        assert smallest_difference(enough, small.level, 0.8) <= abs(small.difference) * 1.0001
-        short = times(small.evidence, (12 + more - 1) / 12)
-        assert smallest_difference(short, small.level, 0.8) > abs(small.difference)
+    assert more is not None
+    assert more > 0
+    enough = times(small.evidence, (12 + more) / 12)
+    assert smallest_difference(enough, small.level, 0.8) <= abs(small.difference) * 1.0001
+    short = times(small.evidence, (12 + more - 1) / 12)
+    assert smallest_difference(short, small.level, 0.8) > abs(small.difference)
 
 
 def test_equal_codecs_differ_by_nothing_that_any_number_of_runs_would_show() -> None:

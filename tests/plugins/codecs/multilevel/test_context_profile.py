@@ -94,6 +94,7 @@ def test_a_lost_slice_leaves_the_others(color: str, lapped: bool, beyond: int) -
     assert not np.array_equal(result.image[40:56], whole[40:56])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("lapped", "transform"), [(True, "lapped_transform"), (False, "dct")])
 def test_counting_changes_nothing_and_names_the_stages(lapped: bool, transform: str) -> None:
     image, ours = photograph(32, 40, 3), codec(qf=2, restart=1, lapped=lapped)
