@@ -12,7 +12,7 @@ import pytest
 TIERS = ("thorough", "slow")
 """Marks of tests that take longer, and options that run them: a tier's option runs those of the shorter tiers too."""
 
-LONGEST = ("test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
+LONGEST = ("test_whole_run.py", "test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
 """Files that begin first, so that no process is left alone with one of them in the end."""
 
 
@@ -35,11 +35,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the tests of tiers that were not asked for, so that a skip means that something is missing."""
+    """Deselect the tests of tiers that were not asked for, so that a skip means that something is missing.
+
+    What needs real sequences or other people's tools is thorough: the quick tier asks for nothing but the install.
+    """
     asked = [place for place, tier in enumerate(TIERS) if config.getoption(f"--{tier}")]
     left_out = TIERS[max(asked) + 1 :] if asked else TIERS
     chosen, rest = [], []
     for item in items:
+        if "data_folder" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.thorough)
         (rest if any(item.get_closest_marker(tier) for tier in left_out) else chosen).append(item)
     chosen.sort(key=lambda item: item.path.name not in LONGEST)
     items[:] = chosen

@@ -44,6 +44,7 @@ def _opj_decompress(bitstream: bytes, folder: Path) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+@pytest.mark.thorough
 @IMAGES
 @pytest.mark.parametrize(
     "values", [{"ratio": 20}, {"lossless": True}, {"psnr_db": 35}, {"ratio": 10, "irreversible": False}]
@@ -54,6 +55,7 @@ def test_opj_decompress_reads_the_same_pixels(image: np.ndarray, values: dict[st
     np.testing.assert_array_equal(_opj_decompress(bitstream, tmp_path), codec.decode(bitstream))
 
 
+@pytest.mark.thorough
 @IMAGES
 @pytest.mark.parametrize("ratio", [8, 25, 60])
 def test_opj_compress_makes_files_of_the_same_size_and_quality(image: np.ndarray, ratio: int, tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ def _require_close(got: np.ndarray, expected: np.ndarray) -> None:
     assert np.abs(got.astype(int) - expected).max() <= (1 if got.ndim == 2 else 3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reader", ["opencv", "pillow", "djpeg"])
 @EVERY_SETTING
 @IMAGES
@@ -83,6 +84,7 @@ def test_other_decoders_read_the_same_picture(image: np.ndarray, setting: dict[s
     _require_close(codec.decode(bitstream), _read(reader, bitstream))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 6, 8, 15, 16, 17])
 def test_other_decoders_agree_on_small_colour_images(width: int, rng: np.random.Generator) -> None:
     image = rng.integers(0, 256, (width + 2, width, 3), dtype=np.uint8)
@@ -91,6 +93,7 @@ def test_other_decoders_agree_on_small_colour_images(width: int, rng: np.random.
     _require_close(codec.decode(bitstream), _read("opencv", bitstream))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "options",
     [
@@ -111,6 +114,7 @@ def test_other_encoders_files_are_read(options: list[str]) -> None:
     _require_close(JpegQf.create().decode(bitstream), _read("opencv", bitstream))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -127,6 +131,7 @@ def test_other_kinds_of_jpeg_are_refused_by_name(options: list[str], reason: str
         JpegQf.create().decode(bitstream)
 
 
+@pytest.mark.thorough
 def test_several_scans_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "scans").write_text("0;\n1;\n2;\n")
     bitstream = _run("cjpeg", "-scans", str(tmp_path / "scans"), data=_pnm(PICTURE))
@@ -134,6 +139,7 @@ def test_several_scans_are_refused_by_name(tmp_path: Path) -> None:
         JpegQf.create().decode(bitstream)
 
 
+@pytest.mark.thorough
 @IMAGES
 @pytest.mark.parametrize("color", ["ycbcr444", "ycbcr420"])
 def test_optimised_tables_are_those_of_libjpeg(image: np.ndarray, color: str) -> None:
@@ -145,6 +151,7 @@ def test_optimised_tables_are_those_of_libjpeg(image: np.ndarray, color: str) ->
     assert ours[ours.index(b"\xff\xda") :] == theirs[theirs.index(b"\xff\xda") :]
 
 
+@pytest.mark.thorough
 @IMAGES
 def test_example_tables_are_those_of_libjpeg(image: np.ndarray) -> None:
     theirs = _run("cjpeg", "-baseline", "-sample", "1x1", data=_pnm(image))
@@ -208,6 +215,7 @@ def test_no_damage_to_our_files_goes_unnoticed() -> None:
     assert found["refused"] > 9_900
 
 
+@pytest.mark.thorough
 def test_damage_to_files_without_a_checksum_neither_crashes_nor_hangs() -> None:
     options = (["-sample", "2x2"], ["-sample", "1x1", "-restart", "2B"], ["-grayscale", "-optimize"])
     bitstreams = [_run("cjpeg", *option, data=_pnm(PICTURE[:40, :40])) for option in options]
@@ -215,6 +223,7 @@ def test_damage_to_files_without_a_checksum_neither_crashes_nor_hangs() -> None:
     assert found["refused"] > 1_000
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [(65535, 65535), (8192, 8192), (0, 9), (9, 0)])
 def test_a_header_that_claims_too_much_is_refused(size: tuple[int, int]) -> None:
     bitstream = bytearray(_run("cjpeg", "-grayscale", data=_pnm(GRAY)))
