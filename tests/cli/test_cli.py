@@ -54,7 +54,7 @@ def call(place: Path, *words: str, status: int = 0, **variables: str) -> str:
     """Standard output of a command, after checking its exit status."""
     environment = {**os.environ, "PYTHONPATH": str(place / "site"), "COLUMNS": "200", **variables}
     command = [sys.executable, "-m", "codecbench", *words]
-    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == status, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout if status == 0 else done.stdout + done.stderr

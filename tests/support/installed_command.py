@@ -42,7 +42,7 @@ class Place:
         paths = os.pathsep.join([str(self.site), str(Path(__file__).parent)])
         return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "200", **variables}
 
-    def call(self, *words: str, timeout: float = 120, limits: Any = None, **variables: str) -> Done:
+    def call(self, *words: str, timeout: float = 300, limits: Any = None, **variables: str) -> Done:
         """Run `codecbench WORDS`. limits: called in the new process first."""
         done = subprocess.run(
             [str(COMMAND), *words],
