@@ -110,6 +110,9 @@ def deliver(
     units: in the order in which they came out. timestamps_s: (N,) of the frames. encode: codes them anew, as the link
     asks. salvage: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
     """
+    if settings.queue_policy == "auto":
+        stands_alone = all(unit.starts for unit in units)
+        settings = settings.model_copy(update={"queue_policy": "latest_only" if stands_alone else "fifo"})
     captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
     of_frames = captured_s.tolist()
     world = World()

@@ -12,7 +12,7 @@ from codecbench.core.contracts.link import Link
 from codecbench.core.contracts.params import Params
 
 Transport = Literal["datagrams", "fec", "arq", "reliable"]
-QueuePolicy = Literal["latest_only", "fifo", "drop_late"]
+QueuePolicy = Literal["latest_only", "fifo", "drop_late", "auto"]
 Time = Annotated[float, Field(ge=0.0)]
 
 
@@ -28,7 +28,8 @@ class LinkSettings(Params):
 
     link, link_params: the way; none where pictures are there at once. transport: what is done about lost packets.
     fec_share: redundant packets for each of data. mtu: bytes of a packet at most, of which header_bytes are headers.
-    queue_policy: which pictures a sender keeps that has to wait. deadline_ms: the age at which a picture is of no use.
+    queue_policy: which pictures a sender keeps that has to wait; `auto`: all where they depend on each other, else the
+    latest. deadline_ms: the age at which a picture is of no use.
     adapt: the parameter that the sender sets so that pictures fit what the link gives. concealed: whether pictures of a
     stream are handed on that depend on a lost one, as the decoder makes them up. partial: whether pictures that stand
     alone are handed on without their lost packets, by codecs that can decode the rest. encode_ms, decode_ms: what each

@@ -205,6 +205,20 @@ def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
     assert found.came.tolist() == [True, True, False, True, True, True]
 
 
+@pytest.mark.parametrize(("starts", "policy"), [([True] * 9, "latest_only"), ([True] + [False] * 8, "fifo")])
+def test_pictures_that_depend_on_each_other_all_wait_and_others_give_way(starts: list[bool], policy: Any) -> None:
+    link = Constant.create(rate_kbps=32)
+    found = [
+        deliver(
+            stream(*starts), np.arange(9) / 10, link, LinkSettings(link="given", queue_policy=name, **HEADERS),
+            np.random.default_rng(0),
+        )
+        for name in ("auto", policy)
+    ]  # fmt: skip
+    assert found[0].fates == found[1].fates
+    assert ("skipped" in found[0].fates) == (policy == "latest_only")
+
+
 def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
     units = stream(False, False, True, False)
     found = deliver(
@@ -305,7 +319,7 @@ UNITS = st.lists(st.tuples(st.integers(1, 6000), st.booleans()), min_size=1, max
     link=LINKS,
     drawn=UNITS,
     transport=st.sampled_from(["datagrams", "fec", "arq", "reliable"]),
-    policy=st.sampled_from(["latest_only", "fifo", "drop_late"]),
+    policy=st.sampled_from(["latest_only", "fifo", "drop_late", "auto"]),
     deadline_ms=st.one_of(st.none(), st.floats(20, 600)),
     encode_ms=st.sampled_from([0.0, 3.0, 60.0]),
     decode_ms=st.sampled_from([0.0, 45.0]),
