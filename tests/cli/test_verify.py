@@ -60,11 +60,12 @@ def broken(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_sound_codec_passes_every_check() -> None:
     done = verify("raw")
     assert done.exit_code == 0, done.output
+    claimed = [check for check in CHECKS if check.name != "partial"]
     assert [line.split()[1] for line in done.output.splitlines() if line.startswith("  pass")] == [
-        check.name for check in CHECKS if check.name != "partial"
+        check.name for check in claimed
     ]
     assert done.output.splitlines()[-1] == f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped"
-    for check in CHECKS:
+    for check in claimed:
         assert check.proves in done.output
 
 
