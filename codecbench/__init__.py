@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from warnings import warn
 
 if TYPE_CHECKING:
-    from codecbench.core.contracts.codec import AnyCodec, Capabilities, Codec
+    from codecbench.core.contracts.codec import AnyCodec, Capabilities, Codec, Fragment, PartialImage
     from codecbench.core.contracts.errors import (
         BitstreamError,
         CodecbenchError,
@@ -73,7 +73,7 @@ __version__ = "0.1.0"
 
 _CONTRACTS = "codecbench.core.contracts."
 _HOMES = {
-    _CONTRACTS + "codec": ("AnyCodec", "Capabilities", "Codec"),
+    _CONTRACTS + "codec": ("AnyCodec", "Capabilities", "Codec", "Fragment", "PartialImage"),
     _CONTRACTS + "errors": (
         "BitstreamError", "CodecbenchError", "DatasetError", "ImageError", "KeyCollision", "MatrixError",
         "ParamsError", "PluginError", "SlamError", "StoreError", "Unsupported",

@@ -60,11 +60,12 @@ def broken(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_sound_codec_passes_every_check() -> None:
     done = verify("raw")
     assert done.exit_code == 0, done.output
+    claimed = [check for check in CHECKS if check.name != "partial"]
     assert [line.split()[1] for line in done.output.splitlines() if line.startswith("  pass")] == [
-        check.name for check in CHECKS
+        check.name for check in claimed
     ]
-    assert done.output.splitlines()[-1] == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
-    for check in CHECKS:
+    assert done.output.splitlines()[-1] == f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped"
+    for check in claimed:
         assert check.proves in done.output
 
 
@@ -188,7 +189,7 @@ def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> No
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1] == f"{3 * len(CHECKS) - 2} passed, 0 failed, 2 skipped"
+    assert done.stdout.splitlines()[-1] == f"{3 * len(CHECKS) - 5} passed, 0 failed, 5 skipped"
     assert done.stderr == ""
 
 

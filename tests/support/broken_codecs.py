@@ -9,11 +9,12 @@ import struct
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
-from codecbench import BitstreamError, Capabilities, Image, Params
+from codecbench import BitstreamError, Capabilities, Fragment, Image, Params, PartialImage
 from codecbench.plugins.codecs.raw import Raw
 
 
@@ -190,6 +191,22 @@ class WrapsRound(_Broken):
         image = super().decode(bitstream).astype(np.int16)
         image[:, 1:] += np.sign(np.diff(image, axis=1)) * 8
         return (image % 256).astype(np.uint8)
+
+
+class ClaimsTooMuchOfParts(FillsWhatIsCut):
+    """Fills up what is missing with zeros, and says that all is as it was."""
+
+    capabilities = Capabilities(lossless=True, partial_decoding=True)
+
+    def decode_partial(self, fragments: Sequence[Fragment], **_: Any) -> PartialImage:
+        bitstream = bytearray(fragments[-1].end)
+        for fragment in fragments:
+            bitstream[fragment.offset : fragment.end] = fragment.data
+        return PartialImage.of_whole(self.decode(bytes(bitstream)))
+
+
+class ClaimsPartsAndHasNone(_Broken):
+    capabilities = Capabilities(lossless=True, partial_decoding=True)
 
 
 class ClaimsToCount(_Broken):

@@ -24,7 +24,7 @@ import psutil
 from codecbench.core.contracts.errors import BitstreamError, CodecbenchError, Unsupported
 from codecbench.core.contracts.params import Params
 
-Verb = Literal["encode", "decode"]
+Verb = Literal["encode", "decode", "decode_partial"]
 _START_TIMEOUT_S = 60.0
 _MEBIBYTE = 1 << 20
 
@@ -52,7 +52,7 @@ class Sandbox:
     def ask(
         self, codec_class: type, params: Params, verb: Verb, argument: Any, *, timeout_s: float, memory_mb: int
     ) -> Reply:
-        """Have a new instance of the codec encode an image or decode bytes; see `call`."""
+        """Have a new instance of the codec encode an image, decode bytes or fragments; see `call`."""
         return self.call(_coded, codec_class, params, verb, argument, timeout_s=timeout_s, memory_mb=memory_mb)
 
     def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_mb: int) -> Reply:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from codecbench.core.conformance import (
     counting,
     isolation,
+    partial,
     robustness,
     round_trip,
     stream_isolation,
@@ -78,6 +79,7 @@ CHECKS: tuple[Check, ...] = (
     Check("cut", "cut or prolonged bitstreams are refused", robustness.cut_streams_are_refused),
     Check("damaged", "damaged bitstreams neither crash, hang nor raise", robustness.damaged_streams_are_survived),
     Check("bombs", "headers that claim too much cost little", robustness.huge_headers_are_survived),
+    Check("partial", "parts of a bitstream give no more than they claim", partial.parts_decode),
     Check("counting", "counting operations changes no byte and repeats exactly", counting.counting_changes_nothing),
 )
 """Of codecs that code pictures on their own."""

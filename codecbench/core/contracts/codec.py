@@ -8,9 +8,14 @@ outside the bytes that are counted. Codecs with memory between frames are in `st
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.counting.trace import NULL_TRACE, Trace
@@ -26,12 +31,44 @@ class Capabilities:
     lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
     counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
     thread_safe: one instance may encode and decode from several threads at once.
+    partial_decoding: `Codec.decode_partial` makes something of a bitstream of which parts are missing.
     """
 
     channels: tuple[int, ...] = (1, 3)
     lossless: bool = False
     counts_operations: bool = False
     thread_safe: bool = True
+    partial_decoding: bool = False
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """Bytes of a bitstream that are there. offset: where in it they begin."""
+
+    offset: int
+    data: bytes = field(repr=False)
+
+    @property
+    def end(self) -> int:
+        """Where in the bitstream they end."""
+        return self.offset + len(self.data)
+
+
+@dataclass(frozen=True)
+class PartialImage:
+    """What a decoder makes of a bitstream of which parts are missing.
+
+    image: of the encoded image's shape. whole: (H, W) where it is what the whole bitstream gives; elsewhere it is
+    coarser than that, or made up.
+    """
+
+    image: Image = field(repr=False)
+    whole: NDArray[np.bool_] = field(repr=False)
+
+    @classmethod
+    def of_whole(cls, image: Image) -> Self:
+        """Nothing was missing."""
+        return cls(image, np.ones(image.shape[:2], dtype=bool))
 
 
 class AnyCodec(Configured[P]):
@@ -82,6 +119,15 @@ class Codec(AnyCodec[P]):
 
         Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
         """
+
+    def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
+        """The image of a bitstream as far as the fragments of it go; for codecs with `capabilities.partial_decoding`.
+
+        fragments: one or more, undamaged, in order and with a gap before each but the first; how much is missing after
+        the last is not known. A whole bitstream, as one fragment, gives what `decode` gives. Raises BitstreamError
+        where nothing can be made of them, which for a setting may be whenever anything is missing.
+        """
+        raise Unsupported(f"{self.name} decodes nothing of a bitstream of which parts are missing")
 
     def prepared(self, image: Image) -> Self:
         """This setting with all found that `encode` would search for on this image: the rate that reaches a size, say.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.adaptation import AdaptiveEncoder, Encode
+from codecbench.core.simulation.partial import Part, PartialDecoder, Salvage, remains_of
 from codecbench.core.simulation.receiver import Fate, fates_of
 from codecbench.core.simulation.sender import Sender
 from codecbench.core.simulation.settings import LinkSettings
@@ -30,7 +31,7 @@ class Delivery:
     was too old. fates: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
     again. came: (N,) whether all of a frame came, however late. packets: counts of those sent. waiting: (N,) packets
     in the link's queue when each frame came to the encoder. bitstreams: of the frames that were coded anew, as the link
-    asked.
+    asked. parts: of the frames of which a decoder makes something although packets are missing.
     """
 
     captured_s: Times
@@ -42,11 +43,20 @@ class Delivery:
     packets: PacketCounts
     waiting: NDArray[np.int64]
     bitstreams: Mapping[int, bytes] = field(default_factory=dict)
+    parts: Mapping[int, Part] = field(default_factory=dict)
 
     @property
     def handed(self) -> list[int]:
         """The frames that were handed on, in order."""
         return np.flatnonzero(np.isfinite(self.handed_s)).tolist()
+
+    @property
+    def handed_bytes(self) -> int:
+        """Of the bitstreams of those, as far as they came."""
+        parts = self.parts
+        return sum(
+            parts[frame].remains.size_bytes if frame in parts else int(self.sizes_bytes[frame]) for frame in self.handed
+        )
 
     def read_at(self, pace_s: float) -> dict[int, float]:
         """By frame, when a reader has done with it that takes `pace_s` for each, and then takes the newest there is."""
@@ -81,8 +91,10 @@ def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) 
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
     encoder = None if settings.adapt is None else AdaptiveEncoder(coded, settings.adapt)
     encode = None if encoder is None else encoder.encode
-    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encode)
-    return found if encoder is None else replace(found, bitstreams=encoder.bitstreams)
+    bitstreams = {} if encoder is None else encoder.bitstreams
+    salvage = PartialDecoder(coded, bitstreams).whole_share if settings.partial else None
+    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encode, salvage)
+    return replace(found, bitstreams=bitstreams)
 
 
 def deliver(
@@ -92,12 +104,16 @@ def deliver(
     settings: LinkSettings,
     rng: np.random.Generator,
     encode: Encode | None = None,
+    salvage: Salvage | None = None,
 ) -> Delivery:
     """Send what an encoder gave over a link.
 
     units: in the order in which they came out. timestamps_s: (N,) of the frames. encode: codes them anew, as the link
-    asks. Equal arguments give an equal answer.
+    asks. salvage: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
     """
+    if settings.queue_policy == "auto":
+        stands_alone = all(unit.starts for unit in units)
+        settings = settings.model_copy(update={"queue_policy": "latest_only" if stands_alone else "fifo"})
     captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
     of_frames = captured_s.tolist()
     world = World()
@@ -107,7 +123,9 @@ def deliver(
         world.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
     world.run()
     complete_s = {number: shipment.complete_s for number, shipment in sender.shipments.items()}
-    fates, handed_s = fates_of(units, captured_s, complete_s, settings)
+    parts = {} if salvage is None else _parts(sender, units, of_frames, settings, salvage)
+    partial_s = {number: parts[unit.frame].remains.known_s for number, unit in enumerate(units) if unit.frame in parts}
+    fates, handed_s = fates_of(units, captured_s, complete_s, settings, partial_s)
     sizes, sent, waiting = np.zeros((3, len(captured_s)), dtype=np.int64)
     came = np.zeros(len(captured_s), dtype=bool)
     for number, unit in enumerate(units):
@@ -115,4 +133,19 @@ def deliver(
         sent[unit.frame] = sender.shipments[number].sent_bytes if number in sender.shipments else 0
         waiting[unit.frame] = sender.waiting[number]
         came[unit.frame] = math.isfinite(complete_s.get(number, math.inf))
-    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting)
+    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting, parts=parts)
+
+
+def _parts(
+    sender: Sender, units: Sequence[SentPacket], captured_s: Sequence[float], settings: LinkSettings, salvage: Salvage
+) -> dict[int, Part]:
+    """By frame, those that are of use although they are not whole, and not too old by then."""
+    found = {}
+    for number, remains in remains_of(sender.shipments, sender.sizes_bytes, settings).items():
+        frame = units[number].frame
+        if remains.known_s - captured_s[frame] > settings.deadline_s:
+            continue
+        whole_share = salvage(frame, remains.ranges)
+        if whole_share is not None:
+            found[frame] = Part(remains, whole_share)
+    return found

@@ -22,10 +22,11 @@ _DROPPING_AGAIN: Final = 16
 
 @dataclass(slots=True, eq=False)
 class Packet:
-    """A packet of a unit; `tries` counts how often it has been sent."""
+    """A packet of a unit: which of its packets, and how often it has been sent."""
 
     unit: int
     size_bytes: int
+    number: int = 0
     tries: int = 0
 
 

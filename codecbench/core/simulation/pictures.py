@@ -7,6 +7,7 @@ from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.stream import LOST, Packet, Picture, StreamDecoder, decoder_of
 from codecbench.core.simulation.delivery import Delivery
+from codecbench.core.simulation.partial import PartialDecoder
 
 
 class DeliveredPictures:
@@ -18,6 +19,7 @@ class DeliveredPictures:
 
     def __init__(self, coded: CodedSequence, delivery: Delivery) -> None:
         self._coded, self._came, self._bitstreams = coded, delivery.came, delivery.bitstreams
+        self._parts, self._partial = delivery.parts, PartialDecoder(coded, delivery.bitstreams)
         self._decoder = decoder_of(coded.codec) if "concealed" in delivery.fates else None
         self._is_over = False
         self._units = iter(coded.packets)
@@ -25,6 +27,9 @@ class DeliveredPictures:
 
     def picture(self, frame: int) -> Image | None:
         """The picture of a frame that was handed on; None where the decoder makes none."""
+        if frame in self._parts:
+            found = self._partial.decode(frame, self._parts[frame].remains.ranges)
+            return None if found is None else found.image
         if frame in self._bitstreams and isinstance(self._coded.codec, Codec):
             return self._coded.codec.decode(self._bitstreams[frame])
         if self._decoder is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.settings import LinkSettings
 
-Fate = Literal["on time", "concealed", "late", "lost", "broken", "skipped"]
-"""`skipped`: not sent. `lost`: parts of it never came. `broken`: it came whole, and depends on one that did not.
-`concealed`: the same, handed on as the decoder makes it up. `late`: too old to be of use, or after a newer one."""
+Fate = Literal["on time", "concealed", "partial", "late", "lost", "broken", "skipped"]
+"""`skipped`: not sent. `lost`: parts of it never came. `partial`: the same, handed on as far as it came. `broken`: it
+came whole, and depends on one that did not. `concealed`: the same, handed on as the decoder makes it up. `late`: too
+old to be of use, or after a newer one."""
 
 
 def fates_of(
@@ -23,17 +25,19 @@ def fates_of(
     captured_s: NDArray[np.float64],
     complete_s: Mapping[int, float],
     settings: LinkSettings,
+    partial_s: Mapping[int, float] = MappingProxyType({}),
 ) -> tuple[list[Fate], NDArray[np.float64]]:
     """What became of each frame, and (N,) when it was handed on; infinite where it was not.
 
     captured_s: (N,) of frames. complete_s: of the units that were sent, by number; infinite for those that never were.
-    A frame that the encoder gave nothing for was skipped.
+    partial_s: when what there is of these can be decoded, where a decoder makes something of it. A frame that the
+    encoder gave nothing for was skipped.
     """
     if settings.transport == "reliable":
         complete_s = _in_order(complete_s)
     fates: list[Fate] = ["skipped"] * len(captured_s)
     decodable_s = np.full(len(captured_s), math.inf)
-    whole = np.zeros(len(captured_s), dtype=bool)
+    in_time: list[Fate] = ["on time"] * len(captured_s)
     is_broken, begun_s = True, math.inf
     for number, unit in enumerate(units):
         own_s = complete_s.get(number, math.inf)
@@ -42,20 +46,23 @@ def fates_of(
             begun_s = own_s
         elif not math.isinf(own_s):
             begun_s = max(begun_s, own_s)
+        if number in partial_s:
+            decodable_s[unit.frame], in_time[unit.frame] = partial_s[number], "partial"
+            continue
         if math.isinf(own_s):
             fates[unit.frame] = "lost" if number in complete_s else "skipped"
             continue
         fates[unit.frame] = "broken" if is_broken else "late"
         if not is_broken or settings.concealed:
             decodable_s[unit.frame] = begun_s
-            whole[unit.frame] = not is_broken
+            in_time[unit.frame] = "concealed" if is_broken else "on time"
     decoded_s = _decoded(units, captured_s, decodable_s, settings)
     handed_s = np.full(len(captured_s), math.inf)
     newest = -1
     for frame in sorted(np.flatnonzero(np.isfinite(decoded_s)).tolist(), key=lambda frame: (decoded_s[frame], frame)):
         if frame > newest and decoded_s[frame] - captured_s[frame] <= settings.deadline_s:
             newest, handed_s[frame] = frame, decoded_s[frame]
-            fates[frame] = "on time" if whole[frame] else "concealed"
+            fates[frame] = in_time[frame]
         else:
             fates[frame] = "late"
     return fates, handed_s

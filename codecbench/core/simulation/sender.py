@@ -90,7 +90,7 @@ class Sender:
             if unit is None:
                 return
             packets, needed = packets_of(unit, self.sizes_bytes[unit], self._settings)
-            self.shipments[unit] = Shipment(needed)
+            self.shipments[unit] = Shipment(needed, len(packets))
             self._backlog.extend(packets)
 
     def _hand_over(self) -> None:
@@ -109,8 +109,7 @@ class Sender:
             self._throughput.add(packet.size_bytes, self._world.now_s, passage.sent_s)
         if passage is not None and passage.arrives_s is not None:
             self.counts.arrived += 1
-            arrivals_s = self.shipments[packet.unit].arrivals_s
-            arrivals_s.append(passage.arrives_s)
+            self.shipments[packet.unit].arrivals.append((passage.arrives_s, packet.number))
             self.counts.late += passage.arrives_s - self._captured_s[packet.unit] > self._deadline_s
             return
         if passage is None:

@@ -15,7 +15,7 @@ from codecbench.core.contracts.metric import Need
 from codecbench.core.contracts.params import Params
 
 Transport = Literal["datagrams", "fec", "arq", "reliable"]
-QueuePolicy = Literal["latest_only", "fifo", "drop_late"]
+QueuePolicy = Literal["latest_only", "fifo", "drop_late", "auto"]
 Time = Annotated[float, Field(ge=0.0)]
 
 
@@ -43,9 +43,11 @@ class LinkSettings(Params):
 
     link, link_params: the way; none where pictures are there at once. transport: what is done about lost packets.
     fec_share: redundant packets for each of data. mtu: bytes of a packet at most, of which header_bytes are headers.
-    queue_policy: which pictures a sender keeps that has to wait. deadline_ms: the age at which a picture is of no use.
+    queue_policy: which pictures a sender keeps that has to wait; `auto`: all where they depend on each other, else the
+    latest. deadline_ms: the age at which a picture is of no use.
     adapt: the parameter that the sender sets so that pictures fit what the link gives. concealed: whether pictures of a
-    stream are handed on that depend on a lost one, as the decoder makes them up. encode_ms, decode_ms: what each
+    stream are handed on that depend on a lost one, as the decoder makes them up. partial: whether pictures that stand
+    alone are handed on without their lost packets, by codecs that can decode the rest. encode_ms, decode_ms: what each
     picture takes; device_factor, receiver_factor: how many times slower the two machines are. link_seed: of all chance
     on the way.
     """
@@ -63,6 +65,7 @@ class LinkSettings(Params):
     deadline_ms: Annotated[float, Field(gt=0.0)] | None = None
     adapt: Adaptation | None = None
     concealed: bool = False
+    partial: bool = False
     encode_ms: MeasuredTime = 0.0
     decode_ms: MeasuredTime = 0.0
     device_factor: Annotated[float, Field(gt=0.0)] = 1.0
@@ -77,6 +80,8 @@ class LinkSettings(Params):
             raise ValueError(f"{(given or ['this'])[0]} is about a link; name one, such as link: ideal")
         if self.header_bytes >= self.mtu:
             raise ValueError(f"header_bytes {self.header_bytes} leaves nothing of mtu {self.mtu}")
+        if self.partial and self.is_repaired:
+            raise ValueError(f"partial is for datagrams and fec; {self.transport} sends lost packets again")
         if self.queue_policy == "drop_late" and self.deadline_ms is None:
             raise ValueError("queue_policy drop_late needs deadline_ms: late for what?")
         return self
@@ -95,6 +100,11 @@ class LinkSettings(Params):
     def link_rng(self, repeat: int) -> np.random.Generator:
         """All chance on the way in a repeat: the same for every codec."""
         return np.random.default_rng([self.link_seed, repeat])
+
+    @property
+    def payload_bytes(self) -> int:
+        """Of a packet that is full."""
+        return self.mtu - self.header_bytes
 
     @property
     def deadline_s(self) -> float:

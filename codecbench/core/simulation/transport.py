@@ -23,19 +23,21 @@ class PacketCounts:
 
 @dataclass
 class Shipment:
-    """A unit on its way. needed: how many of its packets make it whole. sent_bytes: with headers, redundancy and what
-    went again. arrivals_s: of the packets that came."""
+    """A unit on its way. needed: how many of its packets make it whole; count: how many there are, of which the first
+    `needed` are its data. sent_bytes: with headers, redundancy and what went again. arrivals: of the packets that
+    came, when and which."""
 
     needed: int
+    count: int
     sent_bytes: int = 0
-    arrivals_s: list[float] = field(default_factory=list)
+    arrivals: list[tuple[float, int]] = field(default_factory=list)
 
     @property
     def complete_s(self) -> float:
         """When it can be decoded; infinite where it never can."""
-        if len(self.arrivals_s) < self.needed:
+        if len(self.arrivals) < self.needed:
             return math.inf
-        return sorted(self.arrivals_s)[self.needed - 1]
+        return sorted(self.arrivals)[self.needed - 1][0]
 
 
 def packets_of(unit: int, size_bytes: int, settings: LinkSettings) -> tuple[list[Packet], int]:
@@ -44,9 +46,9 @@ def packets_of(unit: int, size_bytes: int, settings: LinkSettings) -> tuple[list
     Redundancy is that of an ideal erasure code, of which any as many packets do as there are of data; Reed-Solomon
     codes are of this kind.
     """
-    payload = settings.mtu - settings.header_bytes
+    payload = settings.payload_bytes
     count = max(1, -(-size_bytes // payload))
     sizes = [settings.mtu] * (count - 1) + [size_bytes - (count - 1) * payload + settings.header_bytes]
     if settings.transport == "fec":
         sizes += [sizes[0]] * math.ceil(count * settings.fec_share)
-    return [Packet(unit, size) for size in sizes], count
+    return [Packet(unit, size, number) for number, size in enumerate(sizes)], count

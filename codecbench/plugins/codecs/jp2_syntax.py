@@ -21,6 +21,8 @@ _SIZ = struct.Struct(">HIIIIIIIIH")
 _COD = struct.Struct(">BBHBBBBBB")
 _IHDR = struct.Struct(">IIHBBBB")
 _SOT = struct.Struct(">HIBB")
+_TILE_PART_LENGTH = 6
+"""Where in SOT, from its marker on, the length of the tile-part stands."""
 _EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
 _BLOCKS = ((4, 4, 0), (3, 3, 0), (2, 2, 0))  # 64x64, 32x32 and 16x16 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
@@ -60,6 +62,33 @@ def checked_shape(bitstream: bytes) -> tuple[int, ...]:
     subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError for anything else.
     """
     _check_crc(bitstream)
+    return _checked_structure(bitstream)
+
+
+def cut_file(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
+    """The file that ends where the first bytes of one of ours do, and its shape: its lengths say so, and EOC follows.
+
+    Its checksum is wrong, as it is that of the whole. Raises BitstreamError where the bytes end within the headers, or
+    begin no file of ours.
+    """
+    box = 0
+    for _ in _BOXES[:-1]:
+        length = int.from_bytes(prefix[box : box + 4], "big")
+        if not 8 <= length <= len(prefix) - box:
+            raise BitstreamError(f"jpeg2000: ends inside the headers, in the box at byte {box}")
+        box += length
+    position, code = box + 8 + 2, 0
+    while code != SOT:
+        code, content = _read_marker_segment(prefix, position)
+        position += 4 + len(content)
+    tile_part = position - 4 - len(content)
+    file = bytearray(prefix + EOC.to_bytes(2, "big"))
+    struct.pack_into(">I", file, box, len(file) - box)
+    struct.pack_into(">I", file, tile_part + _TILE_PART_LENGTH, len(prefix) - tile_part)
+    return bytes(file), _checked_structure(bytes(file))
+
+
+def _checked_structure(bitstream: bytes) -> tuple[int, ...]:
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
         raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")

@@ -3,16 +3,21 @@
 A bitstream is a plain JFIF file, so it carries no checksum. Its marker structure is checked strictly, and a
 cut file never passes, but a flipped bit inside the entropy-coded data gives wrong pixels that nothing in the
 format can reveal.
+
+With `restart` the scan has restart markers, as cameras and RTP (RFC 2435) have them: rows between two of them decode
+without the others. Rows that are missing are interpolated between the nearest that are there.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, Self
 
 import cv2
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
-from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.codec import Capabilities, Codec, Fragment, PartialImage
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
 from codecbench.core.contracts.params import Params
@@ -26,6 +31,7 @@ from codecbench.plugins.codecs.jfif.markers import (
     read_frame_header,
     read_segments,
 )
+from codecbench.plugins.codecs.jfif.restart import salvage
 from codecbench.plugins.codecs.opencv import library_versions, read_image, write_image
 
 _MAX_SIDE = 65500  # libjpeg's JPEG_MAX_DIMENSION
@@ -46,6 +52,15 @@ class JpegParams(Params):
     subsampling: Literal["444", "422", "420"] = Field("420", description="chroma of colour images; gray has none")
     optimize: bool = Field(False, description="Huffman tables made for the image (T.81 K.2), not the example ones")
     progressive: bool = Field(False, description="progressive scans, which always have optimised tables")
+    restart: int = Field(
+        0, ge=0, le=8, description="rows of MCUs (8 or 16 pixels high) from one restart marker to the next, 0 for none"
+    )
+
+    @model_validator(mode="after")
+    def _restarts_rows(self) -> Self:
+        if self.restart and self.progressive:
+            raise ValueError("restart is for sequential JPEG: a missing part of a progressive one is in every row")
+        return self
 
 
 class Jpeg(Codec[JpegParams]):
@@ -54,13 +69,14 @@ class Jpeg(Codec[JpegParams]):
     name = "jpeg"
     version = "1"
     params_type = JpegParams
-    capabilities = Capabilities()
+    capabilities = Capabilities(partial_decoding=True)
     reference = "anchor"
     examples = (
         {},
         {"quality": 1, "subsampling": "444", "optimize": True},
         {"quality": 100, "subsampling": "422"},
         {"progressive": True},
+        {"quality": 50, "restart": 1},
     )
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
@@ -73,10 +89,35 @@ class Jpeg(Codec[JpegParams]):
         options = [cv2.IMWRITE_JPEG_QUALITY, params.quality]
         options += [cv2.IMWRITE_JPEG_OPTIMIZE, int(params.optimize), cv2.IMWRITE_JPEG_PROGRESSIVE, params.progressive]
         options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, _SAMPLING_FACTORS[params.subsampling]]
+        if params.restart:
+            options += [cv2.IMWRITE_JPEG_RST_INTERVAL, params.restart * self._mcus_per_row(image)]
         return write_image(image, ".jpg", options)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         return read_image(bitstream, _checked_shape(bitstream), "jpeg")
+
+    def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
+        """Rows of restart intervals that are there, and between them what is made up of these.
+
+        Raises BitstreamError too for settings without `restart`, of which a missing part takes all.
+        """
+        if len(fragments) == 1 and fragments[0].offset == 0 and fragments[0].data.endswith(b"\xff\xd9"):
+            return PartialImage.of_whole(self.decode(fragments[0].data))
+        found = salvage(fragments, "jpeg")
+        strip = self.decode(found.file)
+        there = np.zeros(found.header.height, dtype=bool)
+        there[found.rows] = True
+        whole = there.copy()
+        if len({component.v for component in found.header.components}) > 1:  # chroma is smoothed across rows
+            whole[1:] &= there[:-1]
+            whole[:-1] &= there[1:]
+        image = _interpolated(strip, found.rows, found.header.height)
+        return PartialImage(image, np.repeat(whole[:, None], found.header.width, axis=1))
+
+    def _mcus_per_row(self, image: Image) -> int:
+        pixels = 8 if image.ndim == 2 or self.params.subsampling == "444" else 16
+        width: int = image.shape[1]
+        return -(-width // pixels)
 
     def libraries(self) -> dict[str, str]:
         return library_versions("JPEG", "libjpeg-turbo")
@@ -95,3 +136,16 @@ def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
         raise BitstreamError(f"jpeg: {header.width}x{header.height} in scans exceeds {_MAX_PIXELS_OF_SCANS} pixels")
     check_plausible(header, segments, "jpeg")
     return header.shape
+
+
+def _interpolated(strip: Image, rows: Sequence[int], height: int) -> Image:
+    """Rows that stand at `rows` of a picture, and those between them linearly in between; beyond the last, the last."""
+    image = np.empty((height, *strip.shape[1:]), np.uint8)
+    image[rows] = strip
+    missing = np.setdiff1d(np.arange(height), rows)
+    place = np.interp(missing, rows, np.arange(len(rows)))
+    above = place.astype(np.int64)
+    share = (place - above).reshape(-1, *[1] * (strip.ndim - 1))
+    below = np.minimum(above + 1, len(rows) - 1)
+    image[missing] = np.rint((1.0 - share) * strip[above] + share * strip[below])
+    return image

@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +22,13 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.codec import Capabilities, Codec, Fragment, PartialImage
 from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import Image, check_image, png_bytes
 from codecbench.core.contracts.params import Params
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.jp2_syntax import MAX_JP2_PIXELS, checked_shape, with_checksum
-from codecbench.plugins.codecs.openjpeg import load_glymur
+from codecbench.plugins.codecs.jp2_syntax import EOC, MAX_JP2_PIXELS, checked_shape, cut_file, with_checksum
+from codecbench.plugins.codecs.openjpeg import load_glymur, tolerant
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
 _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
@@ -84,7 +84,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     name = "jpeg2000"
     version = "1"
     params_type = Jpeg2000Params
-    capabilities = Capabilities(thread_safe=False)
+    capabilities = Capabilities(thread_safe=False, partial_decoding=True)
     examples = ({"ratio": 8}, {"psnr_db": 35}, {"lossless": True}, {"cr_percent": 60, "irreversible": False})
 
     def __init__(self, params: Jpeg2000Params) -> None:
@@ -117,7 +117,23 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return self._write(image)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        shape = checked_shape(bitstream)
+        return self._read(bitstream, checked_shape(bitstream))
+
+    def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
+        """What comes before the first gap, coarse resolutions first; what comes after it cannot be told apart.
+
+        Nothing of it is `whole`: every pixel has a share in the finest resolution, whose parts are the last. Raises
+        Unsupported where OpenJPEG is older than 2.5.
+        """
+        first = fragments[0]
+        if len(fragments) == 1 and first.offset == 0 and first.data.endswith(EOC.to_bytes(2, "big")):
+            return PartialImage.of_whole(self.decode(first.data))  # no data have these two bytes, T.800 A.1
+        file, shape = cut_file(first.data if first.offset == 0 else b"")
+        with tolerant(self._glymur):
+            image = self._read(file, shape)
+        return PartialImage(image, np.zeros(shape[:2], dtype=bool))
+
+    def _read(self, bitstream: bytes, shape: tuple[int, ...]) -> Image:
         with _scratch_file() as path:
             path.write_bytes(bitstream)
             try:

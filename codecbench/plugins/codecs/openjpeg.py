@@ -16,9 +16,12 @@ import ctypes
 import importlib
 import importlib.metadata
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from codecbench.core.contracts.errors import Unsupported
 
@@ -51,6 +54,31 @@ def _load_glymur() -> ModuleType:
             )
     glymur.set_option("lib.num_threads", 1)
     return glymur  # type: ignore[no-any-return]
+
+
+@contextmanager
+def tolerant(glymur: ModuleType) -> Iterator[None]:
+    """Have OpenJPEG decode as far as a file goes, where it otherwise refuses one that ends early.
+
+    glymur has no way to ask for that, so its step before decoding does it meanwhile, for whoever decodes in this
+    process. Raises Unsupported where OpenJPEG is older than 2.5.
+    """
+    binding = glymur.lib.openjp2
+    if not hasattr(binding.OPENJP2, "opj_decoder_set_strict_mode"):
+        raise Unsupported(f"jpeg2000: OpenJPEG {binding.version()} decodes no part of a file; 2.5 and later do")
+    lenient = binding.OPENJP2.opj_decoder_set_strict_mode
+    lenient.argtypes, lenient.restype = [binding.CODEC_TYPE, ctypes.c_int], ctypes.c_int
+    prepare = binding.setup_decoder
+
+    def prepare_leniently(codec: Any, parameters: Any) -> None:
+        prepare(codec, parameters)
+        lenient(codec, 0)
+
+    binding.setup_decoder = prepare_leniently
+    try:
+        yield
+    finally:
+        binding.setup_decoder = prepare
 
 
 def _is_usable(glymur: ModuleType) -> bool:

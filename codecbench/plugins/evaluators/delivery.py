@@ -73,6 +73,14 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         ),
         Metric("delivered_share", "1", "higher", "share of the pictures that came, however late", label="delivered"),
         Metric("concealed_share", "1", "lower", "share of those on time that were made up in part", label="concealed"),
+        Metric(
+            "partial_share", "1", "lower", "share of those on time of which packets are missing; with `partial`",
+            label="in part",
+        ),
+        Metric(
+            "partial_whole_share", "1", "higher", "share of the pixels of those that are as they were sent",
+            label="as sent of those in part",
+        ),
         *(
             Metric(f"{fate}_share", "1", "lower", summary, label=label, need="cause")
             for fate, (summary, label) in _UNTIMELY.items()
@@ -123,6 +131,8 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             if handed
             else Measurement("concealed_share", math.nan, reason="no picture was on time")
         )
+        if self.params.partial:
+            yield from _of_parts(found)
         gaps_s = found.gaps_s()
         yield Measurement("stalls_half_s", float(np.count_nonzero(gaps_s > 0.5)))
         yield Measurement("stalls_1_s", float(np.count_nonzero(gaps_s > 1.0)))
@@ -166,10 +176,20 @@ def _of_frames(found: Delivery) -> Iterator[Measurement]:
         yield Measurement("queue_packets", float(waiting), frame)
 
 
+def _of_parts(found: Delivery) -> Iterator[Measurement]:
+    whole = [found.parts[frame].whole_share for frame in found.handed if frame in found.parts]
+    if not found.handed:
+        yield Measurement("partial_share", math.nan, reason="no picture was on time")
+    else:
+        yield Measurement("partial_share", len(whole) / len(found.handed))
+    reason = None if whole else "no picture came in part"
+    yield Measurement("partial_whole_share", float(np.mean(whole)) if whole else math.nan, reason=reason)
+
+
 def _rates(found: Delivery, duration_s: float) -> Iterator[Measurement]:
     handed = found.handed
     sent_bytes = int(found.sent_bytes.sum())
-    yield Measurement("goodput_kbps", 8e-3 * float(found.sizes_bytes[handed].sum()) / duration_s)
+    yield Measurement("goodput_kbps", 8e-3 * found.handed_bytes / duration_s)
     yield Measurement("sent_kbps", 8e-3 * sent_bytes / duration_s)
     if sent_bytes:
         yield Measurement("wasted_share", 1.0 - float(found.sent_bytes[handed].sum()) / sent_bytes)

@@ -28,6 +28,7 @@ def _cases() -> Iterator[Any]:
             claims = {
                 "lossless": codec_class(codec_class.params_type(**setting)).is_lossless(),
                 "threads": codec_class.capabilities.thread_safe,
+                "partial": codec_class.capabilities.partial_decoding,
                 "one_in_one_out": getattr(codec_class(codec_class.params_type(**setting)), "is_low_delay", bool)(),
             }
             for check in checks_of(issubclass(codec_class, StreamCodec)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.stats import binom
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
+from codecbench.core.simulation.partial import Ranges
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
@@ -225,6 +227,20 @@ def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
     assert found.came.tolist() == [True, True, False, True, True, True]
 
 
+@pytest.mark.parametrize(("starts", "policy"), [([True] * 9, "latest_only"), ([True] + [False] * 8, "fifo")])
+def test_pictures_that_depend_on_each_other_all_wait_and_others_give_way(starts: list[bool], policy: Any) -> None:
+    link = Constant.create(rate_kbps=32)
+    found = [
+        deliver(
+            stream(*starts), np.arange(9) / 10, link, LinkSettings(link="given", queue_policy=name, **HEADERS),
+            np.random.default_rng(0),
+        )
+        for name in ("auto", policy)
+    ]  # fmt: skip
+    assert found[0].fates == found[1].fates
+    assert ("skipped" in found[0].fates) == (policy == "latest_only")
+
+
 def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
     units = stream(False, False, True, False)
     found = deliver(
@@ -251,6 +267,63 @@ def test_pictures_sent_in_another_order_are_shown_in_theirs() -> None:
     assert found.handed_s == pytest.approx([0.01, 0.22, 0.22])
 
 
+def partly(
+    *lost: int, sizes: list[int] | None = None, keep: Any = lambda frame, ranges: 0.5, **params: Any
+) -> Delivery:
+    """Pictures of three packets, some of which are lost."""
+    given = LinkSettings(link="given", partial=True, **{**HEADERS, **params})
+    units = stills(sizes or [2500] * 4)
+    return deliver(units, np.arange(len(units)) / 10, Scripted(*lost), given, np.random.default_rng(0), salvage=keep)
+
+
+def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
+    """What is lost in the middle is known by the packet after it, at the end by the next picture, of the last never."""
+    asked = {}
+
+    def keep(frame: int, ranges: Ranges) -> float | None:
+        asked[frame] = ranges
+        return 0.5
+
+    found = partly(1, 5, 11, keep=keep)
+    assert found.fates == ("partial", "partial", "on time", "lost")
+    assert found.handed_s[:3] == pytest.approx([0.0, 0.2, 0.2])
+    assert asked == {0: ((0, 1000), (2000, 2500)), 1: ((0, 2000),)}
+    assert found.handed_bytes == 1500 + 2000 + 2500
+
+
+def test_what_a_decoder_makes_nothing_of_is_lost() -> None:
+    found = partly(1, 3, keep=lambda frame, ranges: 0.5 if ranges[0][0] == 0 else None)
+    assert found.fates == ("partial", "lost", "on time", "on time")
+    assert partly(0, 1, 2).fates[0] == "lost"
+
+
+def test_parts_that_are_too_old_are_lost() -> None:
+    assert partly(2, deadline_ms=80).fates == ("lost", "on time", "on time", "on time")
+    assert partly(2, deadline_ms=150).fates[0] == "partial"
+
+
+def test_redundancy_that_does_not_suffice_leaves_its_data() -> None:
+    """Three of data and one more, of which two come."""
+    found = partly(1, 3, transport="fec", fec_share=0.3)
+    assert found.fates[0] == "partial"
+    assert found.parts[0].remains.ranges == ((0, 1000), (2000, 2500))
+
+
+def test_what_comes_whole_is_never_taken_for_a_part() -> None:
+    """Jitter lets packets overtake each other, and pictures too."""
+    link = Constant.create(rate_kbps=2000, jitter_ms=40, loss=0.1)
+    without, having = (
+        deliver(
+            stills([3500] * 300), np.arange(300) / 30, link, LinkSettings(link="given", partial=partial),
+            np.random.default_rng(4), salvage=(lambda frame, ranges: 0.5) if partial else None,
+        )
+        for partial in (False, True)
+    )  # fmt: skip
+    assert (without.came == having.came).all()
+    assert {having.fates[frame] for frame in np.flatnonzero(having.came)} <= {"on time", "late"}
+    assert Counter(having.fates)["partial"] > 50
+
+
 LINKS = st.sampled_from(
     [
         Ideal.create(),
@@ -268,11 +341,12 @@ UNITS = st.lists(st.tuples(st.integers(1, 6000), st.booleans()), min_size=1, max
     link=LINKS,
     drawn=UNITS,
     transport=st.sampled_from(["datagrams", "fec", "arq", "reliable"]),
-    policy=st.sampled_from(["latest_only", "fifo", "drop_late"]),
+    policy=st.sampled_from(["latest_only", "fifo", "drop_late", "auto"]),
     deadline_ms=st.one_of(st.none(), st.floats(20, 600)),
     encode_ms=st.sampled_from([0.0, 3.0, 60.0]),
     decode_ms=st.sampled_from([0.0, 45.0]),
     concealed=st.booleans(),
+    partial=st.booleans(),
     seed=st.integers(0, 99),
 )
 def test_everything_has_one_fate(
@@ -284,16 +358,26 @@ def test_everything_has_one_fate(
     encode_ms: float,
     decode_ms: float,
     concealed: bool,
+    partial: bool,
     seed: int,
 ) -> None:
+    partial &= transport in ("datagrams", "fec")  # of pictures that stand alone
+    drawn = [(size, starts or partial) for size, starts in drawn]
     units = [SentPacket(frame, size, starts or frame == 0, frame + 1) for frame, (size, starts) in enumerate(drawn)]
     stamps_s = np.cumsum(np.random.default_rng(seed).exponential(0.04, len(units)))
     deadline_ms = deadline_ms or (200.0 if policy == "drop_late" else None)
     given = LinkSettings(
         link="given", transport=transport, queue_policy=policy, deadline_ms=deadline_ms, encode_ms=encode_ms,
-        decode_ms=decode_ms, concealed=concealed,
+        decode_ms=decode_ms, concealed=concealed, partial=partial,
     )  # fmt: skip
-    found = deliver(units, stamps_s, link, given, np.random.default_rng(seed))
+
+    def salvage(frame: int, ranges: Ranges) -> float | None:
+        assert all(0 <= begin < end <= drawn[frame][0] for begin, end in ranges)
+        assert all(before[1] < after[0] for before, after in pairwise(ranges))
+        assert ranges != ((0, drawn[frame][0]),)
+        return 0.5 if ranges[0][0] == 0 else None
+
+    found = deliver(units, stamps_s, link, given, np.random.default_rng(seed), salvage=salvage if partial else None)
     packets, most = found.packets, link.queue.packets
     assert packets.sent == packets.arrived + packets.lost + packets.dropped
     assert 0 <= packets.late <= packets.arrived
@@ -304,13 +388,17 @@ def test_everything_has_one_fate(
     assert (taken_s >= link.delay_s + 1e-3 * (encode_ms + decode_ms) - 1e-9).all()
     assert (taken_s <= given.deadline_s).all()
     assert (np.diff(found.handed_s[found.handed]) >= 0).all()
-    assert [frame for frame, fate in enumerate(found.fates) if fate in ("on time", "concealed")] == found.handed
+    assert [
+        frame for frame, fate in enumerate(found.fates) if fate in ("on time", "concealed", "partial")
+    ] == found.handed
+    assert set(found.parts) >= {frame for frame, fate in enumerate(found.fates) if fate == "partial"}
+    assert not any(found.came[frame] for frame in found.parts)
     assert concealed or "concealed" not in found.fates
     if policy == "fifo":
         assert "skipped" not in found.fates
     if transport in ("arq", "reliable") and deadline_ms is None:
         assert "lost" not in found.fates
-    again = deliver(units, stamps_s, link, given, np.random.default_rng(seed))
+    again = deliver(units, stamps_s, link, given, np.random.default_rng(seed), salvage=salvage if partial else None)
     assert (again.fates, again.packets) == (found.fates, packets)
     assert again.handed_s.tobytes() == found.handed_s.tobytes()
 
@@ -321,6 +409,7 @@ def test_everything_has_one_fate(
         ({"mtu": 500}, "mtu is about a link; name one"),
         ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "leaves nothing of mtu 40"),
         ({"link": "ideal", "queue_policy": "drop_late"}, "needs deadline_ms"),
+        ({"link": "ideal", "partial": True, "transport": "arq"}, "arq sends lost packets again"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(params: dict[str, Any], words: str) -> None:

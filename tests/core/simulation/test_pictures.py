@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import skimage.data
 from codecbench_delta.codec import Delta
 
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.delivery import deliver
+from codecbench.core.simulation.partial import PartialDecoder
 from codecbench.core.simulation.pictures import DeliveredPictures
 from codecbench.core.simulation.settings import LinkSettings
+from codecbench.plugins.codecs.jpeg import Jpeg
+from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.links.ideal import Ideal
 
 COUNT = 12
@@ -89,3 +93,29 @@ def test_an_encoder_that_holds_back_loses_and_conceals_the_same() -> None:
     found = received(coded(images, 5, hold=3), (2,), concealed=True)
     assert list(found) == [0, 1, 3, 4, *range(5, COUNT)]
     assert np.array_equal(found[4], images[1])
+
+
+def test_a_picture_that_came_in_part_is_what_the_codec_makes_of_it() -> None:
+    codec = Jpeg.create(quality=90, restart=1)
+    images = [skimage.data.camera()[frame : frame + 128, ::4].copy() for frame in range(3)]
+    bitstreams = [codec.encode(image) for image in images]
+    units = tuple(SentPacket(frame, len(data), True, frame + 1) for frame, data in enumerate(bitstreams))
+    frames = [SimpleNamespace(bitstream=data, decoded=codec.decode(data)) for data in bitstreams]
+    stream: Any = SimpleNamespace(packets=units, codec=codec, frame=frames.__getitem__)
+    link = Losing.create()
+    link.lost = (1,)
+    settings = LinkSettings(link="given", partial=True, mtu=-(-max(map(len, bitstreams)) // 3) + 40)
+    salvage = PartialDecoder(stream, {}).whole_share
+    delivery = deliver(units, np.arange(3) / 10, link, settings, np.random.default_rng(0), salvage=salvage)
+    assert delivery.fates == ("partial", "on time", "on time")
+    pictures = DeliveredPictures(stream, delivery)
+    first = pictures.picture(0)
+    assert first is not None
+    assert first.shape == images[0].shape
+    assert 0.3 < (first == frames[0].decoded).mean() < 1.0
+    assert np.array_equal(pictures.picture(1), frames[1].decoded)
+
+
+def test_a_codec_that_cannot_decode_parts_loses_its_pictures() -> None:
+    stream: Any = SimpleNamespace(codec=Png.create(), frame=None)
+    assert PartialDecoder(stream, {}).decode(0, ((0, 100),)) is None

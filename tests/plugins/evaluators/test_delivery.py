@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import skimage.data
 from memory_sequence import Plugins, context
 from pydantic import ValidationError
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome, SentPacket
 from codecbench.core.engine.identity import without_defaults
+from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.ideal import Ideal
@@ -44,7 +46,28 @@ def values(found: list[Measurement], metric: str) -> list[float]:
 
 def test_every_metric_is_measured_and_no_other(tmp_path: Path) -> None:
     found = measured(tmp_path, [3000] * 40, link="wifi_edge")
-    assert {m.metric for m in found} == {metric.name for metric in DeliveryEvaluator.metrics}
+    of_parts = {"partial_share", "partial_whole_share"}
+    assert {m.metric for m in found} == {metric.name for metric in DeliveryEvaluator.metrics} - of_parts
+    assert all(m.reason for m in found if math.isnan(m.value))
+
+
+@pytest.mark.parametrize(("params", "is_partial"), [({"restart": 1}, True), ({}, False)])
+def test_pictures_that_came_in_part_say_how_much_of_them_is_whole(
+    tmp_path: Path, params: dict[str, Any], is_partial: bool
+) -> None:
+    codec = Jpeg.create(quality=80, **params)
+    bitstream = codec.encode(skimage.data.camera()[::4, ::4])
+    known = coded([len(bitstream)] * 200)
+    known.codec, known.frame = codec, lambda index: SimpleNamespace(bitstream=bitstream)
+    lossy = {"link": "constant", "link_params": {"rate_kbps": 1e5, "loss": 0.1}, "mtu": 540, "partial": True}
+    found = list(DeliveryEvaluator.create(**lossy).evaluate(known, context(tmp_path, 0, PLUGINS)))
+    (share,), (whole,) = values(found, "partial_share"), values(found, "partial_whole_share")
+    assert (share > 0.3) == is_partial
+    assert (0.5 < whole < 1.0) == is_partial
+    sent_kbps = 8e-3 * len(bitstream) / 0.1
+    all_of_them = np.mean(values(found, "on_time")) * sent_kbps
+    assert values(found, "goodput_kbps")[0] == pytest.approx(all_of_them, rel=0.3 if is_partial else 1e-9)
+    assert (values(found, "goodput_kbps")[0] < 0.99 * all_of_them) == is_partial
     assert all(m.reason for m in found if math.isnan(m.value))
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.codec import Capabilities, Codec
-from codecbench.core.contracts.errors import ImageError
+from codecbench.core.contracts.codec import Capabilities, Codec, Fragment, PartialImage
+from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import Image, check_image
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
@@ -42,7 +44,7 @@ class Multilevel(Codec[MultilevelParams]):
     name: ClassVar[str] = "multilevel"
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
-    capabilities: ClassVar[Capabilities] = Capabilities(channels=(1, 3), counts_operations=True)
+    capabilities: ClassVar[Capabilities] = Capabilities(counts_operations=True, partial_decoding=True)
     kernels = (*STATIC_KERNELS, *_CONTEXT_KERNELS)
     examples = (
         {},
@@ -142,6 +144,22 @@ class Multilevel(Codec[MultilevelParams]):
         values = expanded(ranks, tuples, header.offset, header.samples, trace)
         del ranks, tuples
         return image_from_values(values, header, trace)
+
+    def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
+        """The slices that are there, and gray for the others; of settings with `restart`."""
+        if len(fragments) == 1 and fragments[0].offset == 0:
+            with suppress(BitstreamError):
+                return PartialImage.of_whole(self.decode(fragments[0].data, trace=trace))
+        bitstream = bytearray(fragments[-1].end)
+        for fragment in fragments:
+            bitstream[fragment.offset : fragment.end] = fragment.data
+        found = profile.salvaged(bytes(bitstream))
+        whole = np.ones(found.image.shape[:2], dtype=bool)
+        for rows in found.lost:
+            whole[max(rows.start - profile.REACH_ROWS, 0) : rows.stop + profile.REACH_ROWS] = False
+        if not whole.any():
+            raise BitstreamError("multilevel: no slice is there whole")
+        return PartialImage(found.image, whole)
 
     def _key_maker(self) -> KeyMaker:
         params = self.params

@@ -46,6 +46,8 @@ from codecbench.plugins.codecs.multilevel.context.transform import forward_trans
 Effort = Literal["fast", "normal", "best"]
 Indices = NDArray[np.int32]
 
+REACH_ROWS = 10
+"""So far at most what is lost of a slice reaches beyond it: where blocks overlap, in chroma of half the height."""
 _OPTIMISATIONS = 2
 _REASONS = {TRUNCATED: "truncated", BAD_INDEX: "an index is out of range"}
 

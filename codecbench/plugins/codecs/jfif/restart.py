@@ -1,0 +1,160 @@
+"""Restart intervals of a JPEG file of which parts are missing: which are there, and the file that they make.
+
+Each interval is coded with nothing from outside (ITU-T T.81 E.1.4), so those that are there, put together, are a whole
+file of fewer rows, which any decoder reads.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+from codecbench.core.contracts.codec import Fragment
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.plugins.codecs.jfif.markers import (
+    DRI,
+    EOI,
+    FRAME_HEADERS,
+    SOF_BASELINE,
+    SOF_EXTENDED,
+    SOS,
+    FrameHeader,
+    read_frame_header,
+    read_segments,
+)
+
+_RST0, _CYCLE = 0xD0, 8
+_END = bytes([0xFF, EOI])
+_MARKS = re.compile(rb"\xff([\xd0-\xd7\xd9])")
+_HEIGHT = 1
+"""Where in a frame header the height stands, behind the precision."""
+
+
+@dataclass(frozen=True)
+class Salvage:
+    """What is there of a file. file: of the rows that are there, whole. rows: where in the picture each belongs.
+
+    rows are rising. header: of the picture as it was.
+    """
+
+    file: bytes = field(repr=False)
+    rows: list[int] = field(repr=False)
+    header: FrameHeader
+
+
+def salvage(fragments: Sequence[Fragment], name: str) -> Salvage:
+    """The intervals of a sequential file in one scan that are there from end to end.
+
+    Raises BitstreamError, led by the codec's `name`, where the header is not there, the file has no restart intervals
+    of whole rows, or none is there.
+    """
+    first = fragments[0]
+    begin = _scan_begin(first.data, name) if first.offset == 0 else 0
+    if not begin:
+        raise BitstreamError(f"{name}: the header is not there, and nothing is known without it")
+    segments = read_segments(first.data[:begin] + _END, name)
+    header = read_frame_header(segments, name)
+    intervals = [segment.content for segment in segments if segment.code == DRI]
+    if header.code not in (SOF_BASELINE, SOF_EXTENDED) or segments[-1].content[:1] != bytes([len(header.components)]):
+        raise BitstreamError(f"{name}: parts are missing of a file in several scans")
+    mcus = struct.unpack(">H", intervals[0])[0] if len(intervals) == 1 and len(intervals[0]) == 2 else 0
+    width, height = _mcu_size(header)
+    per_row = -(-header.width // width)
+    if not mcus or mcus % per_row:
+        raise BitstreamError(f"{name}: parts are missing, and there are no restart intervals; encode with `restart`")
+    step = height * mcus // per_row
+    count = -(-header.height // step)
+    found = _located([*_runs(fragments, begin, count, name)], count, name)
+    if not found:
+        raise BitstreamError(f"{name}: no restart interval of {count} is there whole")
+    rows = [row for number in found for row in range(number * step, min((number + 1) * step, header.height))]
+    place = next(segment.offset for segment in segments if segment.code in FRAME_HEADERS) + _HEIGHT
+    head = first.data[:place] + struct.pack(">H", len(rows)) + first.data[place + 2 : begin]
+    data = [part for index, data in enumerate(found.values()) for part in (_restart(index - 1), data)]
+    return Salvage(head + b"".join(data[1:]) + _END, rows, header)
+
+
+def _mcu_size(header: FrameHeader) -> tuple[int, int]:
+    """Width and height in pixels of what restart intervals are counted in: one block where there is one component."""
+    if len(header.components) == 1:
+        return 8, 8
+    return 8 * max(component.h for component in header.components), 8 * max(
+        component.v for component in header.components
+    )
+
+
+def _restart(index: int) -> bytes:
+    return bytes([0xFF, _RST0 + index % _CYCLE])
+
+
+def _scan_begin(data: bytes, name: str) -> int:
+    """Where the entropy-coded data of the first scan begin; 0 where the bytes end before that."""
+    position = 2
+    while position + 4 <= len(data):
+        if data[position] != 0xFF:
+            raise BitstreamError(f"{name}: no marker at byte {position}; the header is damaged")
+        end = position + 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+        if data[position + 1] == SOS:
+            return end if end <= len(data) else 0
+        position = end
+    return 0
+
+
+class _Run(NamedTuple):
+    """Markers of one fragment, each of which begins an interval; the end of the image is taken for one too.
+
+    first: the number of the first's interval, modulo 8. marks: how many. data: of the intervals in between.
+    """
+
+    first: int
+    marks: int
+    data: list[bytes]
+    is_end: bool
+
+
+def _runs(fragments: Sequence[Fragment], begin: int, count: int, name: str) -> list[_Run]:
+    """Of all fragments that have a marker; the beginning of the scan counts as one."""
+    runs = []
+    for fragment in fragments:
+        data = fragment.data if fragment.offset else fragment.data[begin:]
+        marks = [] if fragment.offset else [(0, 0, 0)]
+        for found in _MARKS.finditer(data):
+            code = found[1][0]
+            marks.append((found.start(), found.end(), (count if code == EOI else code - _RST0 + 1) % _CYCLE))
+        if not marks:
+            continue
+        if any((after[2] - before[2]) % _CYCLE != 1 for before, after in pairwise(marks)):
+            raise BitstreamError(f"{name}: restart markers out of order; the file is damaged")
+        between = [data[before[1] : after[0]] for before, after in pairwise(marks)]
+        runs.append(_Run(marks[0][2], len(marks), between, data.endswith(_END)))
+    return runs
+
+
+def _located(runs: list[_Run], count: int, name: str) -> dict[int, bytes]:
+    """Data of the intervals that are there, by number, of those of which the number is beyond doubt.
+
+    A marker tells a number modulo 8. Where more than 8 intervals may be missing in a gap, its length follows only from
+    the number of all, if the end is there and no other gap is in question.
+    """
+    starts, following = [0], runs[0].marks
+    for run in runs[1:]:
+        starts.append(following + (run.first - following) % _CYCLE)
+        following = starts[-1] + run.marks
+    is_closed = runs[-1].is_end
+    slack = count + is_closed - following
+    if slack < 0 or (is_closed and (slack % _CYCLE or (slack and len(runs) == 1))):
+        raise BitstreamError(f"{name}: {count} restart intervals do not fit their markers; the file is damaged")
+    certain = set(range(len(runs)))
+    if slack >= _CYCLE:
+        certain = {0, len(runs) - 1} if is_closed else {0}
+        starts[-1] += slack * is_closed
+    return {
+        start + index: data
+        for place, (start, run) in enumerate(zip(starts, runs, strict=True))
+        if place in certain
+        for index, data in enumerate(run.data)
+    }
