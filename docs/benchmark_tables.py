@@ -69,10 +69,14 @@ def contract(found: Benchmarks, heads: Heads) -> Iterator[str]:
 
 
 def medians(file: str) -> Callable[[Benchmarks, Heads], Iterator[str]]:
-    """One row a benchmark of a file, called as its test is."""
+    """One row a benchmark of a file, called as its test is: of one unit, where it says of how many its time is."""
 
     def content(found: Benchmarks, heads: Heads) -> Iterator[str]:
-        rows = [[what(b), f"{cell(float(f'{median_ms(b):.3g}'))} ms"] for b in of_file(found, file)]
+        units = [b["extra_info"].get("units", 1) for b in of_file(found, file)]
+        each_ms = [median_ms(b) / unit for b, unit in zip(of_file(found, file), units, strict=True)]
+        rows = [
+            [what(b), f"{cell(float(f'{ms:.3g}'))} ms"] for b, ms in zip(of_file(found, file), each_ms, strict=True)
+        ]
         yield table(heads, rows)
 
     return content

@@ -100,6 +100,9 @@ BLOCKS = {
     "worlds": Block(
         WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
     ),
+    "breaking": Block(
+        WORLDS, "run", "breaking", ("world and severity", "what", "setting", *run_tables.BREAKING), run_tables.breaking
+    ),
     "conditions": Block(
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
         benchmark_tables.printed,

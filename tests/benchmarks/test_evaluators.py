@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, context, jpeg, textured
+from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, Plugins, context, jpeg, textured
 
+from codecbench.core.contracts.evaluator import CodedFrame, SequenceEvaluator
+from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.plugins.codecs.jpeg import Jpeg
+from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.evaluators.features import Features
+from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.quality.ssim import multiscale_similarity, similarity
+from codecbench.plugins.evaluators.relative_pose import RelativePose
+from codecbench.plugins.slam_backends.orb import Orb
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +48,55 @@ def test_features_of_six_frames(benchmark: Any, tmp_path: Path) -> None:
         return len(list(Features.create().evaluate(coded, context(tmp_path))))
 
     assert benchmark.pedantic(evaluate, rounds=5, warmup_rounds=1) > 0
+
+
+class Filmed(MemorySequence):
+    """Frames of another sequence, held in memory with what evaluators keep beside them, as in a worker."""
+
+    def __init__(self, source: Sequence) -> None:
+        self.kept = [source.read(index) for index in range(len(source))]
+        super().__init__([frame.image for frame in self.kept], source.camera, source.ground_truth)
+        self.timestamps_s, self.frame_rate_hz = source.timestamps_s, source.frame_rate_hz
+
+    def read(self, index: int) -> Frame:
+        return self.kept[index]
+
+
+class Stored(CodedInMemory):
+    """Every frame coded beforehand and decoded whenever it is asked for."""
+
+    def __init__(self, sequence: Sequence, quality: int) -> None:
+        super().__init__(sequence)
+        self.codec = Jpeg.create(quality=quality)
+        self.bitstreams = [self.codec.encode(sequence.read(index).image) for index in range(len(sequence))]
+
+    def frame(self, index: int) -> CodedFrame:
+        bitstream = self.bitstreams[index]
+        return CodedFrame(self.sequence.read(index), bitstream, self.codec.decode(bitstream))
+
+
+@pytest.fixture(scope="module")
+def film() -> Filmed:
+    return Filmed(Synthetic.create(world="room", frames=60).open())
+
+
+@pytest.mark.parametrize(
+    ("evaluator", "metric"),
+    [
+        pytest.param(Localization.create(), "located_auc", id="localization"),
+        pytest.param(RelativePose.create(), "correct_matches", id="relative_pose"),
+    ],
+)
+def test_one_frame_or_pair(
+    benchmark: Any, tmp_path: Path, film: Filmed, evaluator: SequenceEvaluator[Any], metric: str
+) -> None:
+    """All that a setting costs, decoding included; the round before pays for the map and the raw frames' features."""
+    plugins = Plugins(orb=lambda params: Orb.create(**params))
+    coded = Stored(film, 20)
+
+    def asked() -> int:
+        found = evaluator.evaluate(coded, context(tmp_path, 0, plugins))  # type: ignore[arg-type]
+        return sum(m.metric == metric and math.isfinite(m.value) for m in found)
+
+    benchmark.extra_info["units"] = benchmark.pedantic(asked, rounds=5, warmup_rounds=1)
+    assert benchmark.extra_info["units"] > 20

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from contextlib import redirect_stdout
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,6 +22,10 @@ from scipy.stats import spearmanr
 
 import codecbench
 from codecbench.plugins.codecs.multilevel import Multilevel
+
+sys.path.insert(0, str(DOCS))
+import run_tables
+from tables import BLOCKS
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("**/*.md"))]
 SMALL = "{use: synthetic, name: %s, params: {stop: 2, width: 96, height: 72, seed: %d}}"
@@ -46,7 +51,6 @@ def tables(*words: str | Path, status: int = 0) -> str:
     out, ended = io.StringIO(), 0
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
         patch.setattr(sys, "argv", ["tables.py", *map(str, words)])
-        patch.syspath_prepend(DOCS)
         try:
             runpy.run_path(str(DOCS / "tables.py"), run_name="__main__")
         except SystemExit as error:
@@ -200,6 +204,36 @@ def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_
         assert row[heads.index("two levels")] == f"{100 * (sizes[1] / sizes[0] - 1):+.1f} %"
 
 
+def test_the_table_of_breaking_points_shows_what_holds_and_what_breaks() -> None:
+    rates = {"": 900.0, "ratio=10": 90.0, "ratio=40": 22.0, "ratio=80": 11.0, "ratio=640": 2.0}
+    rows = [
+        {
+            "sequence": sequence, "codec": "jpeg2000" if setting else "raw", "setting": setting,
+            "trajectory.success.mean": success, "trajectory.tracked_fraction.median": 0.9,
+            "trajectory.ate_rmse_m.median": np.nan if success == 0.0 else 0.01,
+            "trajectory.sent_rate_kbps.median": rates[setting],
+        }
+        for sequence, successes in (("far", (1.0, 1.0, 0.5, 0.0, 0.0)), ("never", (1.0, 0.75, 0.5, 0.5, 0.25)))
+        for setting, success in zip(rates, successes, strict=True)
+    ]  # fmt: skip
+    searches = [
+        SimpleNamespace(sequence="far", setting="ratio=10", state="found"),
+        SimpleNamespace(sequence="never", setting="ratio=10", state="unreachable"),
+    ]
+    sequences = [SimpleNamespace(name="far"), SimpleNamespace(name="never")]
+    run = SimpleNamespace(plan=SimpleNamespace(searches=searches, sequences=sequences), wide=pd.DataFrame(rows))
+    shown = table_rows("\n".join(run_tables.breaking(run, BLOCKS["breaking"].columns)))  # type: ignore[arg-type]
+    assert shown[0] == ["world and severity", "what", "setting", "succeed", "tracked %", "ATE cm", "kbit/s"]
+    assert shown[1:] == [
+        ["far", "raw", "raw", "1", "90", "1", "900"],
+        ["far", "holds", "jpeg2000 ratio=10", "1", "90", "1", "90"],
+        ["far", "breaks", "jpeg2000 ratio=80", "0", "90", "–", "11"],
+        ["never", "raw", "raw", "1", "90", "1", "900"],
+        ["never", "holds", "–", "–", "–", "–", "–"],
+        ["never", "breaks", "–", "–", "–", "–", "–"],
+    ]
+
+
 def test_commands_are_timed(tmp_path: Path) -> None:
     program = ROOT / "tests" / "benchmarks" / "processes.py"
     out = command(program, "--time", f"{sys.executable} -c pass", "--time", f"{sys.executable} --version")
@@ -216,9 +250,10 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
         stage = name.partition("[")[2].rstrip("]") or None
         return {
             "name": name, "fullname": f"tests/benchmarks/{file}.py::{name}", "param": stage, "params": params or None,
-            "stats": {"median": median_s}, "extra_info": {"setting": "q=7"} if name.startswith("test_encode[") else {},
+            "stats": {"median": median_s}, "extra_info": extra.get(name.partition("[")[0], {}),
         }  # fmt: skip
 
+    extra = {"test_encode": {"setting": "q=7"}, "test_one_frame_or_pair": {"units": 40}}
     coded = entry("test_contract", "test_encode[gray]", 0.1)
     coded["extra_info"] = {"bare_ms": 1.0, "engine_ms": 1.01, "overhead_percent": 1.04}
 
@@ -226,6 +261,7 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
         entry("test_slam_solvers", "test_pose_graph[150]", 0.0781),
         entry("test_evaluators", "test_ms_ssim", 0.002),
         coded,
+        entry("test_evaluators", "test_one_frame_or_pair[localization]", 0.36),
     ]
     for number, (way, picture) in enumerate([(w, p) for w in ("encode", "decode") for p in ("gray", "rgb")]):
         found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), picture=picture, codec="x"))
@@ -241,7 +277,10 @@ def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:
     tables("--root", root, "--benchmarks", tmp_path / "found.json")
     page = root / "docs" / "performance.md"
     assert table_rows(block(page, "solvers"))[1:] == [["pose graph, 150", "78.1 ms"]]
-    assert table_rows(block(page, "evaluators"))[1:] == [["ms ssim", "2 ms"]]
+    assert table_rows(block(page, "evaluators"))[1:] == [
+        ["ms ssim", "2 ms"],
+        ["one frame or pair, localization", "9 ms"],
+    ]
     assert table_rows(block(page, "contract"))[1:] == [["encode, gray", "1.00 ms", "1.01 ms", "+1.0 %"]]
     assert table_rows(block(page, "codecs"))[1:] == [["`x`, q=7", "1 / 3", "2 / 4"]]
     assert table_rows(block(page, "multilevel"))[2] == ["gray, levels 2", "10.0 ms", "40.0 ms", "200.0 ms"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -27,6 +28,15 @@ def test_the_page_shows_what_severity_moves_today() -> None:
     for world in WORLDS.values():
         for name in moved(world.calm, world.hard):
             assert f"| `{name}` |" in PAGE, f"{name} is not explained"
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_page_shows_a_setting_that_breaks_where_raw_frames_hold(world: str) -> None:
+    rows = re.findall(rf"^\| {world}-0.5 \| (raw|breaks) \| (.+?) \| ([\d.]+) \|", PAGE, re.MULTILINE)
+    (_, _, raw), (_, setting, broken) = rows
+    assert setting.startswith("jpeg2000 ratio=")
+    assert float(raw) > 0.5
+    assert float(broken) == 0.0
 
 
 def test_the_contact_sheet_is_there_and_small() -> None:

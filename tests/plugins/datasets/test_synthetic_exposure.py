@@ -11,6 +11,7 @@ from codecbench.plugins.datasets.synthetic.path import looking_pose
 from codecbench.plugins.datasets.synthetic.photographs import photograph
 from codecbench.plugins.datasets.synthetic.render import LANE, Renderer
 from codecbench.plugins.datasets.synthetic.scene import box, upright
+from codecbench.plugins.datasets.synthetic.worlds import exposure
 from codecbench.plugins.datasets.synthetic.worlds.exposure import (
     MOST_SAMPLES,
     SAMPLE_WEIGHT,
@@ -73,6 +74,15 @@ def test_the_frame_s_time_is_the_middle_of_the_exposure(scene):
 
     assert difference(0.0) < 2.0
     assert min(difference(-0.003), difference(0.003)) > 1.5 * difference(0.0)
+
+
+def test_a_picture_does_not_depend_on_how_many_rows_are_made_at_a_time(scene, monkeypatch):
+    totals = []
+    for rows in (CAMERA.height, exposure.CACHED_ROWS, 7):
+        monkeypatch.setattr(exposure, "CACHED_ROWS", rows)
+        totals.append(Exposure(scene, CAMERA).total(moving, 0.2, 0.03, 0.0, 5))
+    np.testing.assert_array_equal(totals[0], totals[1])
+    np.testing.assert_array_equal(totals[0], totals[2])
 
 
 def test_sub_frames_grow_with_the_blur_and_their_offsets_are_balanced():

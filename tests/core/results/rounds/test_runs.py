@@ -185,3 +185,21 @@ def test_the_example_reaches_one_rate_with_every_codec(tmp_path: Path) -> None:
         if found.aim.startswith("rate_bpp"):
             assert found.reached == pytest.approx(0.5, rel=0.1)
         assert found.trials <= 9
+
+
+def test_the_example_with_slam_finds_how_far_it_holds(tmp_path: Path) -> None:
+    matrix = read_matrix(ROOT / "examples" / "search_slam.yaml")
+    run_matrix(matrix, tmp_path / "run")
+    result = codecbench.open_run(tmp_path / "run")
+    holds, located = result.plan.searches
+    assert (holds.state, holds.reached) == ("found", 1.0), holds
+    assert located.state == "found", located
+    assert located.reached is not None
+    assert located.reached <= 5.0
+    assert holds.trials <= 6, "two ends, and halves of ten settings"
+    assert located.trials <= 9, "two ends, and halves of 95 settings"
+    rows = {row["setting"]: row for row in result.wide.to_dict("records") if row["codec"] == "jpeg"}
+    assert rows["quality=1"]["trajectory.success.mean"] < 1.0, "a setting breaks where raw frames do not"
+    assert rows[holds.setting]["trajectory.success.mean"] == 1.0
+    beside = f"quality={int(located.setting.removeprefix('quality=')) - 1}"
+    assert rows[beside]["localization.tracked_position_to_raw_mm.median"] > 5.0

@@ -35,6 +35,9 @@ _HALVES = np.uint64((LANE >> np.uint64(1)) * np.uint64(1 + (1 << 21) + (1 << 42)
 """The bits that stay when a colour's three numbers are halved."""
 
 _FEWEST_SAMPLES = 2
+CACHED_ROWS = 32
+"""Rows of which all that a sub-frame reads and writes fits into the cache of a core."""
+
 _KNOT_ROWS = 60
 _STRIP_ROWS = 4
 
@@ -58,11 +61,13 @@ class Exposure:
         """
         total = np.zeros((self._camera.height, self._camera.width), np.uint64)
         a = self._atlas
-        for k, offset in enumerate(offsets_px(samples)):
-            middle_s = time_s + ((k + 0.5) / samples - 0.5) * open_s
-            self._nearness[:] = 0.0
-            self._panels[:] = -1
-            for first, last, planes, rows in self._strips(pose, middle_s, readout_s, offset):
+        middles_s = time_s + ((np.arange(samples) + 0.5) / samples - 0.5) * open_s
+        sub_frames = zip(middles_s.tolist(), offsets_px(samples), strict=True)
+        # All sub-frames of a strip before the next: what they share of the textures is then still in the cache.
+        for strips in zip(*(self._strips(pose, s, readout_s, offset) for s, offset in sub_frames), strict=True):
+            for k, (first, last, planes, rows) in enumerate(strips):
+                self._nearness[first:last] = 0.0
+                self._panels[first:last] = -1
                 cover(planes, rows, self._nearness, self._panels)
                 layout = (a.texels, a.first_level, a.level_count, a.levels)
                 _add_rows(planes, self._panels, first, last, 8 * (k + 0.5) / samples, *layout, total)
@@ -71,14 +76,17 @@ class Exposure:
     def _strips(
         self, pose: Pose, middle_s: float, readout_s: float, offset: Floats
     ) -> Iterator[tuple[int, int, Floats, NDArray[np.int64]]]:
-        """First row, one past the last, plane equations and candidate rows of every strip with one pose.
+        """First row, one past the last, plane equations and candidate rows of strips with one pose each.
 
-        Coefficients are computed at knots and linear between them, since they are smooth in time.
+        With a rolling shutter, coefficients are computed at knots and linear between them, as they are smooth in time.
         """
         height, width = self._camera.height, self._camera.width
         if readout_s == 0.0:
             planes = plane_equations(self._atlas.edges, pose(middle_s), self._intrinsics, offset)
-            yield 0, height, planes, candidate_rows(planes, width, height)
+            rows = candidate_rows(planes, width, height)
+            for first in range(0, height, CACHED_ROWS):
+                last = min(first + CACHED_ROWS, height)
+                yield first, last, planes, np.clip(rows, first, last)
             return
         knots = np.linspace(0, height, max(2, ceil(height / _KNOT_ROWS) + 1))
         times = middle_s + (knots / height - 0.5) * readout_s
