@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.image import Image, check_image, gray_from_image
+from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image, gray_from_image
 from codecbench.core.contracts.params import Configured, Params
 from codecbench.core.contracts.stream import Loss, Packet
 from codecbench.plugins.codecs.orb_features.bitstream import (
@@ -139,11 +139,11 @@ class FeatureDecoder:
 
 
 def _check(found: Keypoints) -> None:
-    if len(found) > MAX_KEYPOINTS or max(found.size) > _MAX_SIDE:
-        width, height = found.size
+    width, height = found.size
+    if len(found) > MAX_KEYPOINTS or max(width, height) > _MAX_SIDE or not 0 < width * height <= MAX_PIXELS:
         raise ValueError(
             f"orb_features: {len(found)} keypoints of {width}x{height} pixels; at most {MAX_KEYPOINTS} of an image of "
-            f"at most {_MAX_SIDE} a side can be coded"
+            f"at most {_MAX_SIDE} a side and {MAX_PIXELS} pixels can be coded"
         )
     if len(found) and not 0 <= int(found.octaves.min()) <= int(found.octaves.max()) < LEVELS:
         levels = f"{found.octaves.min()} to {found.octaves.max()}"

@@ -290,7 +290,8 @@ def code_set(
                         )
                     continue
             references = last_descriptors if kind == LAST else descriptors
-            odds[:] = biases
+            for k in range(BITS):
+                odds[k] = biases[k]
             _code_descriptor(coder, data, model, weights, odds, descriptors, i, references, reference)
     return 0
 

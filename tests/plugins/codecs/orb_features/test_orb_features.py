@@ -206,6 +206,7 @@ def test_keypoints_that_cannot_be_coded_are_refused(film: list[Keypoints]) -> No
         (Keypoints(size, found.pixels, found.octaves + np.int32(5), found.angles, found.descriptors), "8 levels"),
         (Keypoints(size, outside, found.octaves, found.angles, found.descriptors), "outside the image"),
         (Keypoints(size, found.pixels, found.octaves, np.full(count, np.nan), found.descriptors), "not finite"),
+        (Keypoints((65_000, 65_000), found.pixels, found.octaves, found.angles, found.descriptors), "pixels can be"),
         (Keypoints((70_000, 240), found.pixels, found.octaves, found.angles, found.descriptors), "65535 a side"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -244,3 +245,17 @@ def test_slam_on_decoded_features_is_slam_on_pictures(mode: Any) -> None:
     assert len(expected.trajectory) > 25
     assert np.array_equal(result.trajectory.world_from_camera, expected.trajectory.world_from_camera)
     assert np.array_equal(result.points_world, expected.points_world)
+
+
+def test_packets_are_the_same_on_every_machine() -> None:
+    """Of keypoints that are drawn, so that no corner depends on how another machine shrinks pictures."""
+    rng = np.random.default_rng(3)
+    descriptors = rng.integers(0, 2**64, (200, 4), np.uint64)
+    encoder, digest = OrbFeatures.create(mode="inter", angle_bits=20).encoder(), hashlib.sha256()
+    for _ in range(3):
+        descriptors ^= rng.integers(0, 2**64, (200, 4), np.uint64) & rng.integers(0, 2**64, (200, 4), np.uint64)
+        pixels = rng.integers(0, (320, 240), (200, 2)).astype(np.float64)
+        angles = rng.integers(-(2**19), 2**19, 200) * (np.pi / 2**19)
+        found = Keypoints((320, 240), pixels, np.zeros(200, np.int32), angles, descriptors.copy())
+        digest.update(encoder.push(found).data)
+    assert digest.hexdigest() == "ef5b6c65b254a548925fe6f8f3ebc2664cce7e7a177e0e5a157e17c0433ef564"
