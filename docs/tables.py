@@ -107,6 +107,11 @@ BLOCKS = {
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
         benchmark_tables.printed,
     ),
+    "features-by-rate": Block(
+        "docs/pictures-or-features.md", "printed", "features",
+        ("sent", "bytes a frame", "bit/pixel", "bytes a feature", "tracked", "ATE mm", "as raw"),
+        benchmark_tables.printed,
+    ),
     "sizes": Block(
         "docs/multilevel.md", "pictures", "",
         ("QF", "KiB", "of which tables", "the paper, KiB", "two levels", "two levels, by frequency", "without header"),

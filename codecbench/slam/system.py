@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from codecbench.slam import thresholds
 from codecbench.slam.atlas.atlas import Atlas
 from codecbench.slam.atlas.tracked_map import TrackedMap
-from codecbench.slam.features.extractor import FeatureExtractor, Features
+from codecbench.slam.features.extractor import FeatureExtractor, Features, Keypoints
 from codecbench.slam.features.gray import ImageArray, to_gray
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
@@ -38,7 +39,7 @@ class BuiltMap:
 
 
 class System:
-    """Monocular SLAM: `process` each frame in order, then `finish`.
+    """Monocular SLAM: `process` each frame in order (or `process_keypoints`), then `finish`.
 
     `camera` says how the images are projected, `options` what may be chosen, `seed` drives all that is drawn at random.
     The same frames and seed give the same result to the last bit. OpenCV's number of threads is one while a frame is
@@ -67,14 +68,21 @@ class System:
         "refused" with the reason for an image or a time that cannot be used. Raises TypeError for images that are not
         uint8 arrays of two or three dimensions.
         """
-        threads = cv2.getNumThreads()
-        cv2.setNumThreads(1)
-        try:
-            state = self._process(image, float(timestamp_s), keyframe_image)
-        finally:
-            cv2.setNumThreads(threads)
-        self._frames.append(state)
-        return state
+        with _one_thread():
+            gray = to_gray(image)
+            decode = None if keyframe_image is None else lambda: self._extract_decoded(keyframe_image(image))
+            return self._take(
+                (gray.shape[1], gray.shape[0]), timestamp_s, lambda: self._extractor.extract(gray), decode
+            )
+
+    def process_keypoints(self, found: Keypoints, timestamp_s: float) -> FrameState:
+        """Look at one frame of which only the keypoints are here, as `FeatureExtractor.find` gives them.
+
+        They are of a pyramid as `options` has it, in its order. Otherwise as `process`: keypoints of a frame give what
+        the frame gives.
+        """
+        with _one_thread():
+            return self._take(found.size, timestamp_s, lambda: self._extractor.features_of(found))
 
     @property
     def maps(self) -> tuple[Map, ...]:
@@ -88,16 +96,31 @@ class System:
         frames = tuple(replace(state, map_index=self._atlas.final_index(state.map_index)) for state in self._frames)
         return Result(frames, tuple(self._loops), tuple(maps), tuple(self._atlas.merged))
 
-    def _process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None) -> FrameState:
+    def _take(
+        self,
+        size: tuple[int, int],
+        timestamp_s: float,
+        features: Callable[[], Features],
+        decode: Callable[[], Features] | None = None,
+    ) -> FrameState:
+        state = self._process(size, float(timestamp_s), features, decode)
+        self._frames.append(state)
+        return state
+
+    def _process(
+        self,
+        size: tuple[int, int],
+        timestamp_s: float,
+        features: Callable[[], Features],
+        decode: Callable[[], Features] | None,
+    ) -> FrameState:
         index = len(self._frames)
-        gray = to_gray(image)
-        refusal = self._refusal(gray, timestamp_s)
+        refusal = self._refusal(size, timestamp_s)
         if refusal:
             return FrameState(index, timestamp_s, "refused", reason=refusal)
         self._last_s = timestamp_s
-        frame = TrackingFrame.of(index, timestamp_s, self._extractor.extract(gray))
-        if keyframe_image is not None:
-            frame.decode = lambda: self._extract_decoded(keyframe_image(image))
+        frame = TrackingFrame.of(index, timestamp_s, features())
+        frame.decode = decode
         active = self._atlas.active
         if active is not None and (inliers := active.track(frame)):
             return self._tracked(frame, inliers, active)
@@ -107,11 +130,10 @@ class System:
             return self._tracked(frame, inliers, self._atlas.active)
         return self._lose(frame, active) if active is not None else self._initialize(frame)
 
-    def _refusal(self, gray: ImageArray, timestamp_s: float) -> str:
-        """Why a frame cannot be used; empty when it can."""
-        if gray.shape != (self.camera.height, self.camera.width):
-            size = f"{gray.shape[1]}x{gray.shape[0]}"
-            return f"an image of {size} where the camera has {self.camera.width}x{self.camera.height}"
+    def _refusal(self, size: tuple[int, int], timestamp_s: float) -> str:
+        """Why a frame of this width and height cannot be used; empty when it can."""
+        if size != (self.camera.width, self.camera.height):
+            return f"an image of {size[0]}x{size[1]} where the camera has {self.camera.width}x{self.camera.height}"
         if not math.isfinite(timestamp_s) or timestamp_s <= self._last_s:
             return f"timestamp {timestamp_s} s is not after the last one, {self._last_s} s"
         return ""
@@ -160,6 +182,17 @@ class System:
                 f"where the camera has {self.camera.width}x{self.camera.height}"
             )
         return self._extractor.extract(gray)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """OpenCV works in one thread, and afterwards in as many as before."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 def build_map(

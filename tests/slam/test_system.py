@@ -14,6 +14,7 @@ from rendered_scenes import CAMERA, Room, looking, path_pose, position_error
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.slam import Camera, Options, Result, System
+from codecbench.slam.features.extractor import FeatureExtractor
 
 pytestmark = pytest.mark.thorough
 
@@ -154,6 +155,13 @@ def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) ->
 
 def test_a_lossless_codec_for_keyframes_changes_nothing(film: list[NDArray[np.uint8]]) -> None:
     assert digest(run(film, keyframe_image=lambda image: image)) == digest(run(film))
+
+
+def test_keypoints_give_what_their_frames_give(film: list[NDArray[np.uint8]]) -> None:
+    extractor, system = FeatureExtractor(CAMERA, Options(features=600)), System(CAMERA, Options(features=600), seed=1)
+    for i, image in enumerate(film):
+        system.process_keypoints(extractor.find(image), i / 15.0)
+    assert digest(system.finish()) == digest(run(film))
 
 
 def test_after_a_blackout_the_camera_is_found_again(film: list[NDArray[np.uint8]]) -> None:

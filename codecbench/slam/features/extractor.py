@@ -7,7 +7,7 @@ aim of ORB-SLAM V-A (a quota for each level, corners in every cell), by ranking 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -30,6 +30,23 @@ class View(NamedTuple):
     cell_starts: Any
     cell_members: Any
     grid: Any
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """What is found in an image before anything is known of the lens: all that Features are made of.
+
+    `size` width, height of the image; `pixels` (N, 2) x, y in it; `octaves`, `angles` and `descriptors` as in Features.
+    """
+
+    size: tuple[int, int]
+    pixels: NDArray[np.float64]
+    octaves: NDArray[np.int32]
+    angles: NDArray[np.float64]
+    descriptors: NDArray[np.uint64]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
 
 
 @dataclass
@@ -58,6 +75,11 @@ class Features:
         return View(self.pixels, self.octaves, self.descriptors, self.cell_starts, self.cell_members, self.grid)
 
 
+def level_sizes(width: int, height: int, scale_factors: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """(height, width) of each level of the pyramid of an image, in pixels."""
+    return [(max(round(height / factor), 1), max(round(width / factor), 1)) for factor in scale_factors]
+
+
 class FeatureExtractor:
     """Finds ORB features; `extract` gives the same features for the same image, always.
 
@@ -71,7 +93,7 @@ class FeatureExtractor:
         shares = 1.0 / factors
         self._quotas = np.floor(options.features * shares / shares.sum() + 0.5).astype(np.int64)
         self._quotas[0] += options.features - self._quotas.sum()
-        sizes = [(max(round(camera.height / f), 1), max(round(camera.width / f), 1)) for f in factors]
+        sizes = level_sizes(camera.width, camera.height, factors)
         self._ratios = np.array([[camera.width / width, camera.height / height] for height, width in sizes])
         self._levels = [np.empty(size, np.uint8) for size in sizes[1:]]
         self._spare = [np.empty(size, np.uint8) for size in sizes]
@@ -81,6 +103,10 @@ class FeatureExtractor:
 
     def extract(self, gray: NDArray[np.uint8]) -> Features:
         """Features of a gray image (height, width), uint8."""
+        return self.features_of(self.find(gray))
+
+    def find(self, gray: NDArray[np.uint8]) -> Keypoints:
+        """Keypoints of a gray image (height, width), uint8: by level, in reading order within each."""
         limit, count = int(self._quotas.sum()), 0
         pixels, angles = np.empty((limit, 2)), np.empty(limit)
         octaves, descriptors = np.empty(limit, np.int32), np.empty((limit, 32), np.uint8)
@@ -92,11 +118,16 @@ class FeatureExtractor:
             describe_corners(level, corners, self._ratios[octave], spare, pixels[made], angles[made], descriptors[made])
             octaves[made] = octave
             count = end
-        straight, found = self._camera.undistort(pixels[:count]), cast(Any, slice(count))
-        if self._camera.has_blind_pixels:
-            found = np.flatnonzero(np.isfinite(straight[:, 0]))
-            straight = straight[found]
-        return self.index(straight, octaves[found], angles[found], descriptors[found].view(np.uint64))
+        size = (self._camera.width, self._camera.height)
+        return Keypoints(size, pixels[:count], octaves[:count], angles[:count], descriptors[:count].view(np.uint64))
+
+    def features_of(self, found: Keypoints) -> Features:
+        """Features from keypoints of an image of the camera's size, wherever they were found."""
+        straight = self._camera.undistort(found.pixels)
+        if not self._camera.has_blind_pixels:
+            return self.index(straight, found.octaves, found.angles, found.descriptors)
+        seen = np.flatnonzero(np.isfinite(straight[:, 0]))
+        return self.index(straight[seen], found.octaves[seen], found.angles[seen], found.descriptors[seen])
 
     def index(
         self, pixels: NDArray[Any], octaves: NDArray[Any], angles: NDArray[Any], descriptors: NDArray[Any]

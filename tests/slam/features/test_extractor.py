@@ -118,6 +118,18 @@ def test_an_image_does_not_leave_traces_in_the_next_one() -> None:
     assert np.array_equal(first.descriptors, kept)
 
 
+def test_features_are_made_of_keypoints_once_the_lens_is_known() -> None:
+    lens = Camera(320, 240, 260.0, 262.0, 158.5, 121.0, (-0.3, 0.1, 0.0, 0.0))
+    plain, bent = FeatureExtractor(CAMERA, Options()), FeatureExtractor(lens, Options())
+    found = plain.find(IMAGE)
+    assert found.size == (320, 240)
+    assert (found.pixels >= 0.0).all()
+    expected, features = bent.extract(IMAGE), bent.features_of(found)
+    for name in ("pixels", "octaves", "angles", "descriptors", "cell_starts", "cell_members"):
+        assert np.array_equal(getattr(features, name), getattr(expected, name))
+    assert not np.array_equal(features.pixels, found.pixels)
+
+
 def test_a_black_image_and_a_tiny_one_have_no_features() -> None:
     assert len(FeatureExtractor(CAMERA, Options()).extract(np.zeros((240, 320), np.uint8))) == 0
     tiny = Camera(20, 12, 20.0, 20.0, 10.0, 6.0)

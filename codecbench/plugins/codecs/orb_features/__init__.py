@@ -1,0 +1,1 @@
+"""ORB features sent in the place of pictures."""

@@ -1,0 +1,155 @@
+"""`orb_features`: ORB keypoints with their descriptors to packets and back, alone or after the set before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image, gray_from_image
+from codecbench.core.contracts.params import Configured, Params
+from codecbench.core.contracts.stream import Loss, Packet
+from codecbench.plugins.codecs.orb_features.bitstream import (
+    MAX_ANGLE_BITS,
+    MAX_KEYPOINTS,
+    MAX_STEP,
+    Memory,
+    pack,
+    unpack,
+)
+from codecbench.plugins.codecs.orb_features.keypoints import SCALE_FACTOR, CodedKeypoints
+from codecbench.slam.features.extractor import FeatureExtractor, Keypoints
+from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.options import Options
+
+LEVELS = 8
+COPIED_BITS = 32
+"""With `lossy`, a descriptor that differs from its reference in at most so many bits becomes it."""
+_MAX_SIDE = 0xFFFF
+
+
+class OrbFeaturesParams(Params):
+    """features: how many are looked for, spread over the image by the SLAM's own extractor. position_step_px: 1 keeps
+    positions as they are; else they are of a grid of so many pixels of the feature's own pyramid level. angle_bits: for
+    a turn. descriptor: `raw`, `coded` without loss, or `lossy`: one that is much like an earlier one becomes that one.
+    mode: `intra`, each set for itself, or `inter`, after the set before. gop: sets from one that stands alone to the
+    next.
+    """
+
+    features: Annotated[int, Field(ge=100, le=MAX_KEYPOINTS)] = 1000
+    position_step_px: Annotated[int, Field(ge=1, le=MAX_STEP)] = 1
+    angle_bits: Annotated[int, Field(ge=1, le=MAX_ANGLE_BITS)] = MAX_ANGLE_BITS
+    descriptor: Literal["raw", "coded", "lossy"] = "coded"
+    mode: Literal["intra", "inter"] = "intra"
+    gop: Annotated[int, Field(ge=1, le=10_000)] = 30
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """What a decoder has of a frame: its keypoints, or None where they are missing."""
+
+    frame: int
+    keypoints: Keypoints | None = field(repr=False)
+
+
+class OrbFeatures(Configured[OrbFeaturesParams]):
+    """Finds, encodes and decodes ORB keypoints; equal images in equal order give equal packets.
+
+    What the SLAM reads of keypoints comes back: pixels, octaves and descriptors to the bit where position_step_px is 1
+    and the descriptor not `lossy`, and angles rounded to `angle_bits`.
+    """
+
+    name = "orb_features"
+    version = "1"
+    params_type = OrbFeaturesParams
+
+    def __init__(self, params: OrbFeaturesParams) -> None:
+        super().__init__(params)
+        self._extractors: dict[tuple[int, ...], FeatureExtractor] = {}
+
+    def extract(self, image: Image) -> Keypoints:
+        """The keypoints of an image, gray or RGB, as the device finds them. Raises ImageError for what is no image."""
+        gray = gray_from_image(check_image(image))
+        if gray.shape not in self._extractors:
+            height, width = gray.shape
+            camera = Camera(width, height, float(width), float(width), width / 2, height / 2)  # no lens to undo
+            options = Options(features=self.params.features, levels=LEVELS, scale_factor=SCALE_FACTOR)
+            self._extractors[gray.shape] = FeatureExtractor(camera, options)
+        return self._extractors[gray.shape].find(gray)
+
+    def encoder(self) -> FeatureEncoder:
+        """A session for one sequence."""
+        return FeatureEncoder(self.params)
+
+    def decoder(self) -> FeatureDecoder:
+        """A session for the packets of one encoder, whatever its setting."""
+        return FeatureDecoder()
+
+
+class FeatureEncoder:
+    """One sequence of sets being encoded."""
+
+    def __init__(self, params: OrbFeaturesParams) -> None:
+        self._params = params
+        self._memory: Memory | None = None
+        self._pushed = 0
+
+    def push(self, found: Keypoints) -> Packet:
+        """The packet of a frame's keypoints, as an extractor gives them.
+
+        Raises ValueError where they are more than MAX_KEYPOINTS, or not of an image and a pyramid that can be coded.
+        """
+        _check(found)
+        params = self._params
+        starts = params.mode == "intra" or self._pushed % params.gop == 0
+        coded = CodedKeypoints.of(found, LEVELS, params.position_step_px, params.angle_bits)
+        like = COPIED_BITS if params.descriptor == "lossy" else 0
+        data, self._memory = pack(coded, None if starts else self._memory, params.descriptor != "raw", like)
+        self._pushed += 1
+        return Packet(data, self._pushed - 1, starts)
+
+
+class FeatureDecoder:
+    """One stream being decoded, from any packet that `starts` on."""
+
+    def __init__(self) -> None:
+        self._memory: Memory | None = None
+        self._next = 0
+
+    def push(self, packet: Packet | Loss) -> FeatureSet:
+        """The set of a packet; missing where it, or one that it builds on, never came.
+
+        Raises BitstreamError for damaged or foreign bytes; the session goes on with the next packet that starts.
+        """
+        memory, self._memory = self._memory, None
+        frame = self._next if isinstance(packet, Loss) else packet.frame
+        self._next = frame + 1
+        if isinstance(packet, Loss):
+            return FeatureSet(frame, None)
+        found = unpack(packet.data, memory)
+        if found is None:
+            return FeatureSet(frame, None)
+        if packet.starts != found.starts:
+            raise BitstreamError(f"orb_features: packet {frame} does not start where it says so")
+        self._memory = found.memory
+        return FeatureSet(frame, found.coded.keypoints())
+
+
+def _check(found: Keypoints) -> None:
+    width, height = found.size
+    if len(found) > MAX_KEYPOINTS or max(width, height) > _MAX_SIDE or not 0 < width * height <= MAX_PIXELS:
+        raise ValueError(
+            f"orb_features: {len(found)} keypoints of {width}x{height} pixels; at most {MAX_KEYPOINTS} of an image of "
+            f"at most {_MAX_SIDE} a side and {MAX_PIXELS} pixels can be coded"
+        )
+    if len(found) and not 0 <= int(found.octaves.min()) <= int(found.octaves.max()) < LEVELS:
+        levels = f"{found.octaves.min()} to {found.octaves.max()}"
+        raise ValueError(f"orb_features: keypoints of levels {levels}; a pyramid of {LEVELS} levels can be coded")
+    if not (np.isfinite(found.pixels).all() and np.isfinite(found.angles).all()):
+        raise ValueError("orb_features: a position or an angle is not finite")
+    low, high = found.pixels.min(initial=0.0), (found.pixels - found.size).max(initial=-1.0)
+    if low < 0.0 or high > -1.0 + 1e-9:
+        raise ValueError("orb_features: a position is outside the image")

@@ -1,0 +1,98 @@
+"""Keypoints as integers, which is what is coded, and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench.plugins.codecs.orb_features.references import PLACE_UNIT
+from codecbench.slam.features.extractor import Keypoints, level_sizes
+
+SCALE_FACTOR: Final = 1.2
+"""Between two levels of the pyramid, as ORB was published and as the SLAM has it by default."""
+
+_TURN: Final = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where keypoints of an image can lie: in cells of `step` x `step` pixels of each of `levels` levels."""
+
+    width: int
+    height: int
+    levels: int
+    step: int
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """(levels, 2): width and height of each level, in pixels."""
+        factors = np.asarray(SCALE_FACTOR ** np.arange(self.levels), np.float64)
+        return np.array([size[::-1] for size in level_sizes(self.width, self.height, factors)], np.int64)
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """(levels, 2): columns and rows of each level's cells."""
+        return -(-self.sizes // self.step)
+
+    @property
+    def level_units(self) -> NDArray[np.int64]:
+        """As `coding.code_set` reads it."""
+        sizes, whole = self.sizes, np.array([self.width, self.height], np.int64)
+        units = (16 * PLACE_UNIT * self.step * whole + sizes // 2) // sizes
+        return np.concatenate([self.cells, units], axis=1)
+
+    @property
+    def ratios(self) -> NDArray[np.float64]:
+        """(levels, 2): the image's size over each level's."""
+        return np.array([self.width, self.height]) / self.sizes
+
+
+@dataclass(frozen=True)
+class CodedKeypoints:
+    """Keypoints on a grid, by level and in reading order within each.
+
+    octave_starts (levels + 1,): where each level begins; cells (N,): row * columns + column; angles (N,): in
+    1/2^angle_bits of a turn; descriptors (N, 4).
+    """
+
+    grid: Grid
+    angle_bits: int
+    octave_starts: NDArray[np.int64]
+    cells: NDArray[np.int64]
+    angles: NDArray[np.int64]
+    descriptors: NDArray[np.uint64]
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @classmethod
+    def of(cls, found: Keypoints, levels: int, step: int, angle_bits: int) -> CodedKeypoints:
+        """Keypoints of a pyramid of so many levels, on its grid."""
+        grid = Grid(*found.size, levels, step)
+        corners = np.rint((found.pixels + 0.5) / grid.ratios[found.octaves] - 0.5).astype(np.int64)
+        cells = corners[:, 1] // step * grid.cells[found.octaves, 0] + corners[:, 0] // step
+        angles = np.rint(found.angles * (2**angle_bits / _TURN)).astype(np.int64) & (2**angle_bits - 1)
+        order = np.lexsort((cells, found.octaves))
+        starts = np.searchsorted(found.octaves[order], np.arange(levels + 1)).astype(np.int64)
+        return cls(grid, angle_bits, starts, cells[order], angles[order], found.descriptors[order])
+
+    @property
+    def octaves(self) -> NDArray[np.int32]:
+        """(N,): the level of each."""
+        return np.repeat(np.arange(self.grid.levels, dtype=np.int32), np.diff(self.octave_starts))
+
+    def keypoints(self) -> Keypoints:
+        """What the server makes of them: a keypoint lies in the middle of its cell."""
+        grid, octaves = self.grid, self.octaves
+        columns = grid.cells[octaves, 0]
+        cells = np.stack([self.cells % columns, self.cells // columns], axis=1)
+        corners = cells * grid.step + 0.5 * (grid.step - 1)
+        corners = np.minimum(corners, grid.sizes[octaves] - 1)
+        pixels = (corners + 0.5) * grid.ratios[octaves] - 0.5
+        signed = self.angles - ((self.angles >> (self.angle_bits - 1)) << self.angle_bits)  # -pi up to pi
+        angles = signed * (_TURN / 2**self.angle_bits)
+        return Keypoints((grid.width, grid.height), pixels, octaves, angles, self.descriptors)

@@ -1,0 +1,171 @@
+"""The table of docs/pictures-or-features.md: SLAM on decoded pictures beside SLAM on decoded features, by rate.
+
+python docs/feature_tables.py FOLDER [--frames N] [--starts 0 10 20] [--times]
+
+FOLDER is in the layout of TUM. All see the frames in gray. Errors are medians over runs that start at these frames.
+`docs/tables.py --printed features=FILE` puts what this prints without --times into the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codecbench import slam
+from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.engine.registry import installed
+from codecbench.core.results.markdown import table
+from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
+from codecbench.plugins.datasets.tum import Tum
+from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
+from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
+from codecbench.slam.features.extractor import Keypoints
+
+PICTURES: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
+    ("raw", {}),
+    *(("jpeg", {"quality": quality}) for quality in (3, 5, 10, 20, 40)),
+    *(("jpeg2000", {"ratio": ratio}) for ratio in (200, 80, 40, 20)),
+    *(("multilevel", {"profile": "context", "qf": qf}) for qf in (1.5, 3.0, 6.0, 12.0)),
+)
+FEATURES: Final[tuple[dict[str, Any], ...]] = (
+    {"descriptor": "raw"},
+    {},
+    {"mode": "inter"},
+    {"mode": "inter", "angle_bits": 10},
+    {"mode": "inter", "angle_bits": 10, "descriptor": "lossy"},
+    {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2},
+    {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2, "features": 500},
+    {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2, "features": 250},
+)
+HEADS: Final = ("sent", "bytes a frame", "bit/pixel", "bytes a feature", "tracked", "ATE mm", "as raw")
+TIMES: Final = ("extract ms", "encode ms", "decode ms")
+_ASSOCIATION_S: Final = 0.02
+
+
+@dataclass
+class Sent:
+    """What came of one setting: what SLAM gets of each frame, its bytes, and the milliseconds of each step.
+
+    features: how many SLAM has of a frame.
+    """
+
+    title: str
+    features: int = 1000
+    received: list[Image | Keypoints] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    steps_ms: dict[str, list[float]] = field(default_factory=lambda: {head: [] for head in TIMES})
+
+    def timed(self, step: str, function: Callable[[], Any]) -> Any:
+        """What a function returns."""
+        started = time.perf_counter()
+        value = function()
+        self.steps_ms[step].append(1e3 * (time.perf_counter() - started))
+        return value
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--starts", type=int, nargs="+", default=[0, 10, 20])
+    parser.add_argument("--times", action="store_true", help="also what each step takes, on a quiet machine")
+    arguments = parser.parse_args()
+    sequence = Tum.create(path=str(arguments.folder)).open()
+    frames = [gray_from_image(sequence.read(index).image) for index in range(min(arguments.frames, len(sequence)))]
+    heads = (*HEADS, *TIMES) if arguments.times else HEADS
+    print(table(heads, rows(sequence, frames, arguments.starts, arguments.times)))
+
+
+def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:
+    """One for each setting. The first is raw, whose paths the others' are compared with."""
+    raw: list[Trajectory] = []
+    for setting in settings(frames):
+        paths = [path(sequence, setting, start) for start in starts]
+        raw = raw or paths
+        same = all(np.array_equal(a.world_from_camera, b.world_from_camera) for a, b in zip(paths, raw, strict=True))
+        size, pixels = float(np.mean(setting.sizes)), frames[0].size
+        row: list[object] = [setting.title, round(size), 8.0 * size / pixels]
+        row.append(sum(setting.sizes) / sum(setting.counts) if setting.counts else None)
+        row.append(f"{100.0 * np.mean([len(p) / (len(frames) - s) for p, s in zip(paths, starts, strict=True)]):.0f} %")
+        row += [1e3 * float(np.median([error_m(found, sequence) for found in paths])), "to the bit" if same else "–"]
+        if times:
+            row += [float(np.median(taken)) if taken else None for taken in setting.steps_ms.values()]
+        yield row
+
+
+def settings(frames: list[Image]) -> Iterator[Sent]:
+    """Every setting, with what is received of the frames."""
+    for name, params in PICTURES:
+        yield pictures(installed().create("codec", name, params), title(name, params), frames)
+    for params in FEATURES:
+        yield features(OrbFeatures.create(**params), title(OrbFeatures.name, params), frames)
+
+
+def title(name: str, params: dict[str, Any]) -> str:
+    """A setting as the table names it."""
+    return " ".join([f"`{name}`", ", ".join(f"{key}={value}" for key, value in params.items())]).strip()
+
+
+def pictures(codec: Codec[Any], name: str, frames: list[Image]) -> Sent:
+    """Frames encoded and decoded one by one."""
+    sent = Sent(name)
+    for frame in frames:
+        bitstream = sent.timed("encode ms", lambda frame=frame: codec.encode(frame))
+        sent.received.append(sent.timed("decode ms", lambda bitstream=bitstream: codec.decode(bitstream)))
+        sent.sizes.append(len(bitstream))
+    return sent
+
+
+def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
+    """Features extracted from frames, encoded and decoded in order."""
+    sent, encoder, decoder = Sent(name, codec.params.features), codec.encoder(), codec.decoder()
+    for frame in frames:
+        found = sent.timed("extract ms", lambda frame=frame: codec.extract(frame))
+        packet = sent.timed("encode ms", lambda found=found: encoder.push(found))
+        back = sent.timed("decode ms", lambda packet=packet: decoder.push(packet))
+        sent.received.append(back.keypoints)
+        sent.sizes.append(len(packet.data))
+        sent.counts.append(len(found))
+    return sent
+
+
+def path(sequence: Sequence, sent: Sent, start: int) -> Trajectory:
+    """The path that SLAM finds from a frame on."""
+    camera = sequence.camera
+    assert camera is not None
+    numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    system = slam.System(slam.Camera(*numbers, camera.distortion, camera.model), slam.Options(features=sent.features))
+    for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):
+        if isinstance(frame, Keypoints):
+            system.process_keypoints(frame, stamp_s)
+        else:
+            system.process(frame, stamp_s)
+    found = system.finish().trajectory
+    return Trajectory(found.timestamps_s, found.world_from_camera)
+
+
+def error_m(found: Trajectory, sequence: Sequence) -> float:
+    """RMS distance from the true path, after alignment."""
+    if sequence.ground_truth is None:
+        return float("nan")
+    pairs = associate(found, sequence.ground_truth, _ASSOCIATION_S)
+    try:
+        errors: NDArray[np.float64] = position_errors(pairs, align(pairs))
+    except Undefined:
+        return float("inf")
+    return rms(errors)
+
+
+if __name__ == "__main__":
+    main()

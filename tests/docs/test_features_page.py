@@ -1,0 +1,49 @@
+"""What docs/pictures-or-features.md shows works, and its table is of the settings that its command runs."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+import pytest
+from project import DOCS
+
+from codecbench.plugins.codecs.orb_features.codec import OrbFeatures, OrbFeaturesParams
+
+sys.path.insert(0, str(DOCS))
+import feature_tables
+
+PAGE = (DOCS / "pictures-or-features.md").read_text()
+
+
+@pytest.mark.thorough
+def test_the_lines_of_python_run(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"<!-- features: python -->\n```python\n(.*?)```", PAGE, re.DOTALL)
+    exec(code, {})
+    first, *others = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"\d+ features alone", first)
+    assert len(others) == 2
+    assert all(re.fullmatch(r"\d+ features after the set before", line) for line in others)
+
+
+def test_every_parameter_is_explained_with_its_default() -> None:
+    for name, value in OrbFeaturesParams().model_dump().items():
+        shown = f"`{value}`" if isinstance(value, str) else str(value)
+        assert re.search(rf"^\| `{name}` \| [^|]+ \| {shown} \|", PAGE, re.MULTILINE), name
+
+
+def test_the_table_shows_the_settings_that_are_run() -> None:
+    names = [feature_tables.title(name, params) for name, params in feature_tables.PICTURES]
+    names += [feature_tables.title("orb_features", params) for params in feature_tables.FEATURES]
+    table = PAGE.partition("features-by-rate: begin")[2].partition("features-by-rate: end")[0]
+    assert re.findall(r"^\| (`.+?) \| ", table, re.MULTILINE) == names
+
+
+def test_what_is_sent_is_counted_and_received() -> None:
+    rng = np.random.default_rng(2)
+    frames = [np.kron(rng.integers(0, 256, (20, 25)), np.ones((6, 6))).astype(np.uint8) for _ in range(2)]
+    sent = feature_tables.features(OrbFeatures.create(features=100), "few", frames)
+    assert sent.features == 100
+    assert len(sent.received) == len(sent.sizes) == len(sent.counts) == 2
+    assert all(len(taken) == 2 for taken in sent.steps_ms.values())

@@ -1,0 +1,261 @@
+"""Keypoints come back from their packets: whole where nothing is dropped, near where something is, never wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rendered_scenes import CAMERA, Room, path_pose
+
+from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.stream import LOST, Packet
+from codecbench.plugins.codecs.orb_features.codec import COPIED_BITS, OrbFeatures
+from codecbench.plugins.codecs.orb_features.prediction import BIASES, BITS, WEIGHTS
+from codecbench.plugins.codecs.orb_features.train_prediction import train
+from codecbench.slam import Options, System
+from codecbench.slam.features.extractor import Keypoints
+
+FRAMES = 6
+SETTINGS: tuple[dict[str, Any], ...] = (
+    {},
+    {"mode": "inter", "gop": 4},
+    {"descriptor": "raw", "angle_bits": 1},
+    {"descriptor": "raw", "mode": "inter"},
+    {"descriptor": "lossy", "mode": "inter", "position_step_px": 3, "angle_bits": 8},
+    {"descriptor": "lossy"},
+)
+
+
+@pytest.fixture(scope="module")
+def film() -> list[Keypoints]:
+    room, codec = Room(), OrbFeatures.create(features=300)
+    return [codec.extract(room.image(path_pose(i))) for i in range(FRAMES)]
+
+
+def packets_of(film: list[Keypoints], **setting: Any) -> list[Packet]:
+    encoder = OrbFeatures.create(**setting).encoder()
+    return [encoder.push(found) for found in film]
+
+
+def decoded(packets: list[Packet]) -> list[Keypoints]:
+    decoder = OrbFeatures.create().decoder()
+    found = [decoder.push(packet).keypoints for packet in packets]
+    assert all(keypoints is not None for keypoints in found)
+    return [keypoints for keypoints in found if keypoints is not None]
+
+
+def differing(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
+    return np.asarray(np.bitwise_count(a ^ b).sum(axis=1), np.int64)
+
+
+def turns(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far two angles are apart, in turns."""
+    apart = (a - b) / (2.0 * np.pi)
+    return np.abs(apart - np.rint(apart))
+
+
+@pytest.mark.parametrize("setting", [{}, {"mode": "inter", "gop": 4}, {"descriptor": "raw"}])
+def test_all_that_is_not_rounded_comes_back_to_the_bit(film: list[Keypoints], setting: dict[str, Any]) -> None:
+    for found, back in zip(film, decoded(packets_of(film, **setting)), strict=True):
+        assert back.size == found.size
+        assert np.array_equal(back.pixels, found.pixels)
+        assert np.array_equal(back.octaves, found.octaves)
+        assert np.array_equal(back.descriptors, found.descriptors)
+        assert turns(back.angles, found.angles).max() <= 0.5 / 2**30 + 1e-15
+        assert back.pixels.dtype == found.pixels.dtype
+        assert back.octaves.dtype == found.octaves.dtype
+
+
+@pytest.mark.parametrize("mode", ["intra", "inter"])
+def test_what_is_rounded_is_near(film: list[Keypoints], mode: Any) -> None:
+    setting = {"descriptor": "lossy", "mode": mode, "position_step_px": 4, "angle_bits": 6}
+    copied = 0
+    for found, back in zip(film, decoded(packets_of(film, **setting)), strict=True):
+        assert len(back) == len(found)
+        assert np.array_equal(np.bincount(back.octaves), np.bincount(found.octaves))
+        scale = 1.2**7
+        distances = np.abs(back.pixels[:, None] - found.pixels).max(axis=2)
+        assert distances.min(axis=1).max() <= 2.0 * scale
+        near = np.bitwise_count(back.descriptors[:, None] ^ found.descriptors).sum(axis=2).min(axis=1)
+        assert near.max() <= COPIED_BITS
+        copied += len(set(map(bytes, found.descriptors)) - set(map(bytes, back.descriptors)))
+    assert copied > 0
+
+
+def test_angles_keep_their_bits(film: list[Keypoints]) -> None:
+    for found, back in zip(film, decoded(packets_of(film, angle_bits=10)), strict=True):
+        assert turns(back.angles, found.angles).max() <= 0.5 / 2**10 + 1e-12
+
+
+def test_memory_saves_bytes_and_dropping_saves_more(film: list[Keypoints]) -> None:
+    settings = ({"descriptor": "raw"}, {}, {"mode": "inter"}, {"mode": "inter", "descriptor": "lossy"})
+    sizes = [sum(len(packet.data) for packet in packets_of(film, **setting)) for setting in settings]
+    assert all(after < 0.95 * before for before, after in pairwise(sizes))
+
+
+def test_packets_repeat_and_leave_the_keypoints_alone(film: list[Keypoints]) -> None:
+    before = [hashlib.sha256(found.descriptors.tobytes() + found.pixels.tobytes()).digest() for found in film]
+    for setting in SETTINGS:
+        assert packets_of(film, **setting) == packets_of(film, **setting)
+    after = [hashlib.sha256(found.descriptors.tobytes() + found.pixels.tobytes()).digest() for found in film]
+    assert after == before
+
+
+def test_sessions_side_by_side_do_not_touch_each_other(film: list[Keypoints]) -> None:
+    expected = packets_of(film, mode="inter")
+    codec = OrbFeatures.create(mode="inter")
+    one, other = codec.encoder(), codec.encoder()
+    for found, another, packet in zip(film, reversed(film), expected, strict=True):
+        assert one.push(found) == packet
+        other.push(another)
+
+
+def test_no_and_few_keypoints_are_sets_too() -> None:
+    codec = OrbFeatures.create(mode="inter")
+    encoder, decoder = codec.encoder(), codec.decoder()
+    rng = np.random.default_rng(1)
+    squares = np.kron(rng.integers(0, 2, (9, 9)), np.full((8, 8), 255)).astype(np.uint8)
+    noise = rng.integers(0, 256, (240, 320)).astype(np.uint8)
+    images = [np.zeros((240, 320), np.uint8), noise, np.zeros((5, 7, 3), np.uint8), squares]
+    for image in images:
+        found = codec.extract(image)
+        back = decoder.push(encoder.push(found)).keypoints
+        assert back is not None
+        assert back.size == found.size
+        assert np.array_equal(back.descriptors, found.descriptors)
+        assert np.array_equal(back.pixels, found.pixels)
+
+
+@pytest.mark.parametrize("lost", range(FRAMES))
+def test_after_a_loss_nothing_is_made_up(film: list[Keypoints], lost: int) -> None:
+    packets = packets_of(film, mode="inter", gop=4)
+    assert [packet.starts for packet in packets] == [True, False, False, False, True, False]
+    expected = decoded(packets)
+    decoder = OrbFeatures.create().decoder()
+    told = [decoder.push(LOST if k == lost else packet) for k, packet in enumerate(packets)]
+    decoder = OrbFeatures.create().decoder()
+    untold = [decoder.push(packet) for k, packet in enumerate(packets) if k != lost]
+    assert [found.frame for found in told] == list(range(FRAMES))
+    assert [found for found in told if found.keypoints is None] == [
+        found for found in told if lost <= found.frame < (4 if lost < 4 else FRAMES)
+    ]
+    for found in (*told, *untold):
+        if found.keypoints is not None:
+            assert np.array_equal(found.keypoints.descriptors, expected[found.frame].descriptors)
+            assert np.array_equal(found.keypoints.pixels, expected[found.frame].pixels)
+    assert [found.frame for found in untold if found.keypoints is None] == [
+        found.frame for found in told if found.keypoints is None and found.frame != lost
+    ]
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_damaged_packets_are_refused(film: list[Keypoints], setting: dict[str, Any], rng: np.random.Generator) -> None:
+    data = packets_of(film, **setting)[0].data
+    damaged = [data[:length] for length in (*range(40), len(data) - 1)] + [data + b"\0", b"\xff" * 200]
+    for _ in range(60):
+        mutant = bytearray(data)
+        mutant[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        damaged.append(bytes(mutant))
+    decoder = OrbFeatures.create().decoder()
+    for mutant in damaged:
+        with pytest.raises(BitstreamError, match="orb_features"):
+            decoder.push(Packet(bytes(mutant), 0, True))
+    assert decoder.push(Packet(data, 0, True)).keypoints is not None
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
+    film: list[Keypoints], setting: dict[str, Any], rng: np.random.Generator
+) -> None:
+    """What a decoder believes is checked: whoever makes a packet can make its checksum."""
+    packets, refused = packets_of(film, **setting), 0
+    for index in (0, 1):
+        content = packets[index].data[:-4]
+        for _ in range(100):
+            mutant = bytearray(content)
+            for _ in range(int(rng.integers(1, 4))):
+                mutant[int(rng.integers(len(content)))] = int(rng.integers(256))
+            decoder = OrbFeatures.create().decoder()
+            for packet in packets[:index]:
+                decoder.push(packet)
+            data = bytes(mutant) + struct.pack("<I", zlib.crc32(bytes(mutant)))
+            try:
+                found = decoder.push(Packet(data, index, packets[index].starts)).keypoints
+            except BitstreamError:
+                refused += 1
+                continue
+            if found is not None:
+                assert (found.pixels >= 0.0).all()
+                assert (found.pixels <= found.size).all()
+                assert np.isfinite(found.angles).all()
+    assert refused > 20
+
+
+def test_keypoints_that_cannot_be_coded_are_refused(film: list[Keypoints]) -> None:
+    found = film[0]
+    encoder = OrbFeatures.create().encoder()
+    size, count = found.size, len(found)
+    outside = found.pixels + np.array([size[0], 0.0])
+    for wrong, message in (
+        (Keypoints(size, found.pixels, found.octaves + np.int32(5), found.angles, found.descriptors), "8 levels"),
+        (Keypoints(size, outside, found.octaves, found.angles, found.descriptors), "outside the image"),
+        (Keypoints(size, found.pixels, found.octaves, np.full(count, np.nan), found.descriptors), "not finite"),
+        (Keypoints((65_000, 65_000), found.pixels, found.octaves, found.angles, found.descriptors), "pixels can be"),
+        (Keypoints((70_000, 240), found.pixels, found.octaves, found.angles, found.descriptors), "65535 a side"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            encoder.push(wrong)
+
+
+def test_the_prediction_is_of_bits_before_and_its_sums_fit() -> None:
+    assert not np.tril(WEIGHTS).any()
+    assert (np.abs(WEIGHTS.astype(np.int64)).sum(axis=0) + np.abs(BIASES.astype(np.int64))).max() < 2**15
+
+
+def test_training_finds_which_bits_go_together(rng: np.random.Generator) -> None:
+    bits = rng.integers(0, 2, (4000, BITS)).astype(np.uint8)
+    agrees = rng.random(len(bits)) < 0.9
+    bits[:, 200] = np.where(agrees, bits[:, 3], 1 - bits[:, 3])
+    weights, biases = train(np.packbits(bits, axis=1, bitorder="little").view(np.uint64))
+    assert np.abs(weights[:, 200]).argmax() == 3
+    assert weights[3, 200] > 10 * np.abs(np.delete(weights[:, 200], 3)).max()
+    assert abs(int(biases[200]) + int(weights[:, 200].sum()) // 2) < 100
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("mode", ["intra", "inter"])
+def test_slam_on_decoded_features_is_slam_on_pictures(mode: Any) -> None:
+    room, options = Room(), Options(features=600)
+    codec = OrbFeatures.create(features=600, mode=mode)
+    encoder, decoder = codec.encoder(), codec.decoder()
+    raw, served = System(CAMERA, options), System(CAMERA, options)
+    for i in range(45):
+        image = room.image(path_pose(i))
+        raw.process(image, i / 15.0)
+        keypoints = decoder.push(encoder.push(codec.extract(image))).keypoints
+        assert keypoints is not None
+        served.process_keypoints(keypoints, i / 15.0)
+    expected, result = raw.finish(), served.finish()
+    assert len(expected.trajectory) > 25
+    assert np.array_equal(result.trajectory.world_from_camera, expected.trajectory.world_from_camera)
+    assert np.array_equal(result.points_world, expected.points_world)
+
+
+def test_packets_are_the_same_on_every_machine() -> None:
+    """Of keypoints that are drawn, so that no corner depends on how another machine shrinks pictures."""
+    rng = np.random.default_rng(3)
+    descriptors = rng.integers(0, 2**64, (200, 4), np.uint64)
+    encoder, digest = OrbFeatures.create(mode="inter", angle_bits=20).encoder(), hashlib.sha256()
+    for _ in range(3):
+        descriptors ^= rng.integers(0, 2**64, (200, 4), np.uint64) & rng.integers(0, 2**64, (200, 4), np.uint64)
+        pixels = rng.integers(0, (320, 240), (200, 2)).astype(np.float64)
+        angles = rng.integers(-(2**19), 2**19, 200) * (np.pi / 2**19)
+        found = Keypoints((320, 240), pixels, np.zeros(200, np.int32), angles, descriptors.copy())
+        digest.update(encoder.push(found).data)
+    assert digest.hexdigest() == "ef5b6c65b254a548925fe6f8f3ebc2664cce7e7a177e0e5a157e17c0433ef564"
