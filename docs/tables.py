@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import benchmark_tables
 import decision_tables
+import link_tables
 import multilevel_table
 import run_tables
 import slam_tables
@@ -102,6 +103,11 @@ BLOCKS = {
     ),
     "breaking": Block(
         WORLDS, "run", "breaking", ("world and severity", "what", "setting", *run_tables.BREAKING), run_tables.breaking
+    ),
+    "links": Block(
+        "docs/link.md", "run", "link",
+        ("link", "sequence", "take", "least error [m]", "least rate: error [m]", "highest rate: error [m]"),
+        link_tables.choices,
     ),
     "conditions": Block(
         WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
