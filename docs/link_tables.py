@@ -1,4 +1,4 @@
-"""The table of docs/link.md: what `codecbench choose` answers for each link, beside the least and the finest pictures."""
+"""The table of docs/link.md: what `codecbench choose` answers for each link, beside the ends of the rates."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ def choices(run: RunResult, heads: Heads) -> Iterator[str]:
             taken = next((candidate for candidate in members if candidate.verdict == "holds"), None)
             known = [candidate for candidate in members if not math.isnan(candidate.error_m)]
             best = min(known, key=lambda candidate: candidate.error_m)
-            rows.append([
-                f"`{link}`", sequence, "none is known to hold" if taken is None else f"{taken.name}, {_rate(run, taken)}",
-                *(f"{candidate.name}: {candidate.error_m:.2g}" for candidate in (best, members[0], members[-1])),
-            ])  # fmt: skip
+            answer = "none is known to hold" if taken is None else f"{taken.name}, {_rate(run, taken)}"
+            errors = [f"{candidate.name}: {candidate.error_m:.2g}" for candidate in (best, members[0], members[-1])]
+            rows.append([f"`{link}`", sequence, answer, *errors])
     yield table(heads, rows)
 
 
