@@ -7,7 +7,13 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
-from codecbench.core.results.evidence import block_means, combined, evidence_of_frames, evidence_of_repeats
+from codecbench.core.results.evidence import (
+    _time_constant,
+    block_means,
+    combined,
+    evidence_of_frames,
+    evidence_of_repeats,
+)
 
 
 def test_repeats_are_tested_as_scipy_does(rng: np.random.Generator) -> None:
@@ -44,6 +50,21 @@ def test_neighbours_that_depend_on_each_other_are_not_counted_twice(correlation:
     assert np.mean([evidence_of_frames(values).p_value < 0.01 for values in series]) < 0.03
     if correlation > 0.8:
         assert np.mean([evidence_of_repeats(values).p_value < 0.01 for values in series]) > 0.4
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_so_many_correlated_values_are_worth_one(correlation: float) -> None:
+    """Of an autoregressive process (1 + r) / (1 - r), also from series so short that its estimate is biased."""
+    known = (1.0 + correlation) / (1.0 - correlation)
+    (long,) = drifting(np.random.default_rng(6), 1, 100_000, correlation)
+    assert _time_constant(long) == pytest.approx(known, rel=0.05)
+    short = drifting(np.random.default_rng(7), 2_000, 40, correlation)
+    assert np.median([_time_constant(values) for values in short]) == pytest.approx(known, rel=0.25)
+
+
+def test_what_never_changes_is_worth_at_most_a_hundredth() -> None:
+    assert _time_constant(np.arange(10_000.0)) == pytest.approx(199.0)
+    assert _time_constant(np.ones(9)) == _time_constant(np.array([1.0, 2.0])) == 1.0
 
 
 def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:

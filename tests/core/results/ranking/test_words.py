@@ -147,6 +147,14 @@ def test_codecs_without_a_common_rate_are_not_compared_which_is_said_beside_the_
     assert table["words"][0].endswith("(the ranking does not compare them: no common rate to compare at).")
 
 
+def test_codecs_that_share_no_values_either_have_no_rate_to_be_explained() -> None:
+    cells = level_over("plain", (4.0, 8.0, 16.0), 0.0, 64) + level_over("between", (0.5, 2.0, 8.0), 0.0, 64)
+    (ranking,) = verdicts(run_of(*cells, *level_over("coarse", (0.25, 0.5, 1.0), 0.0, 64)))
+    assert {row[1]: row[3] for row in ranking.rows}["coarse"] == "–"
+    assert any("was not compared with" in sentence for sentence in ranking.sentences)
+    assert not any(sentence.startswith("The rate beside") for sentence in ranking.sentences)
+
+
 @pytest.mark.parametrize(
     ("count", "gain", "sentence", "doubt"),
     [

@@ -176,6 +176,17 @@ def test_a_value_that_turns_is_told(bench: SearchBench) -> None:
     assert "not monotone" not in bench.run(matrix(ENTRY % "at: {weight_bytes: 250}", run="seed: 1"), weigh)[0].words
 
 
+def test_a_value_that_turns_while_it_falls_is_told(bench: SearchBench) -> None:
+    def bumped(cell: Cell) -> float:
+        level = float(cell.codec.params["level"])
+        return 600.0 - level + (200.0 if level == 100 else 0.0)
+
+    (found,) = bench.run(matrix(ENTRY % "at: {weight_bytes: 450}"), bumped)
+    assert "not monotone: 600 at level=0, 700 at level=100" in found.words
+    falling = bench.run(matrix(ENTRY % "at: {weight_bytes: 450}", run="seed: 1"), lambda cell: 1000.0 - weigh(cell))
+    assert "not monotone" not in falling[0].words
+
+
 def test_a_spent_budget_is_told(bench: SearchBench) -> None:
     (found,) = bench.run(matrix(ENTRY % "search: {metric: weight_bytes, equal: 100, budget: 4}"), weigh)
     assert (found.state, found.trials, len(bench.computed)) == ("stopped", 4, 4)
