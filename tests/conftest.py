@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left_out = TIERS[max(asked) + 1 :] if asked else TIERS
     chosen, rest = [], []
     for item in items:
-        if "data_folder" in getattr(item, "fixturenames", ()):
+        if "data_folder" in getattr(item, "fixturenames", ()) and "benchmarks" not in item.path.parts:
             item.add_marker(pytest.mark.thorough)
         (rest if any(item.get_closest_marker(tier) for tier in left_out) else chosen).append(item)
     chosen.sort(key=lambda item: item.path.name not in LONGEST)
