@@ -123,30 +123,29 @@ class PeeksAtTheFuture(Delta):
     """Writes a byte of the picture that lies behind this one in memory into the packet."""
 
     class Encoding(DeltaEncoder):
+        ahead = 0
+
         def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
             (packet,) = super().push(image)
-            film = image.base if isinstance(image, np.ndarray) else None
-            if not isinstance(film, np.ndarray) or film.ndim != image.ndim + 1 or self.pushed >= len(film):
+            film, seen = image.base if isinstance(image, np.ndarray) else None, self.pushed + self.ahead
+            if not isinstance(film, np.ndarray) or film.ndim != image.ndim + 1 or seen >= len(film):
                 return [packet]
-            hint = film[self.pushed].tobytes()[:8]
+            hint = film[seen].tobytes()[:8]
             return [Packet(packet.data[:-4] + hint + packet.data[-4:], packet.frame, packet.starts)]
 
 
-class PeeksWhileItHoldsBack(Delta):
+class PeeksWhileItHoldsBack(PeeksAtTheFuture):
     """The same thirty pictures ahead, in packets of which twenty are held back: a short stream sees none leave."""
 
-    class Encoding(DeltaEncoder):
+    class Encoding(PeeksAtTheFuture.Encoding):
+        ahead = 30
+
         def __init__(self) -> None:
             super().__init__()
             self.held: list[Packet] = []
 
         def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
-            (packet,) = super().push(image)
-            film = image.base if isinstance(image, np.ndarray) else None
-            if isinstance(film, np.ndarray) and film.ndim == image.ndim + 1 and self.pushed + 30 < len(film):
-                hint = film[self.pushed + 30].tobytes()[:8]
-                packet = Packet(packet.data[:-4] + hint + packet.data[-4:], packet.frame, packet.starts)
-            self.held.append(packet)
+            self.held += super().push(image)
             return [self.held.pop(0)] if len(self.held) > 20 else []
 
         def flush(self) -> list[Packet]:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.aim import metrics_of
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.description import InvalidParams, describe
+from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.yaml_file import Problems
 from codecbench.core.engine.registry import Registry
-
-if TYPE_CHECKING:
-    from codecbench.core.engine.planning.entry import Entry
 
 
 def sources(need: str, evaluators: Sequence[Entry]) -> list[tuple[Entry, Metric]]:

@@ -2,7 +2,8 @@
 
 The pages of a table lie in the order in which they were needed, and what leads to the first of them may lie behind the
 last: of a file that is cut, the tree may reach nothing although rows before the cut are there. A few rows begin on each
-page; of those whose page is lost nothing says where they are.
+page; of those whose page is lost nothing says where they are. SQLite's own recovery is an extension that neither
+Python's sqlite3 nor apsw is built with.
 """
 
 from __future__ import annotations
