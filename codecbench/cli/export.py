@@ -89,7 +89,6 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
 
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
-    from codecbench.core.contracts.stream import Packet
     from codecbench.core.engine.registry import installed
     from codecbench.core.engine.storage.atomic import write_file
     from codecbench.plugins.codecs.video.codecs import VideoCodec
@@ -103,7 +102,7 @@ def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float
     )
     if not isinstance(codec, VideoCodec):
         raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
-    packets = [Packet(bitstreams.read(sent.frame), sent.frame, sent.starts) for sent in bitstreams.packets]
+    packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
     content = file_from_packets(codec, packets, frame_rate_hz, out.name)
     write_file(out, content)
     click.echo(f"{out}: {len(packets)} frames, {len(content)} bytes")

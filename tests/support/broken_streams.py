@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -223,6 +224,23 @@ class StartsWhereNoneIs(Delta):
             return [Packet(packet.data, packet.frame, starts=True) for packet in super().push(image)]
 
 
+class PromisesRecovery(Delta):
+    """Says of a packet that pictures are whole two frames later, which are not before the next start."""
+
+    class Encoding(DeltaEncoder):
+        def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+            (packet,) = super().push(image)
+            return [replace(packet, recovery_frames=1 if packet.frame % _GOP == 1 else None)]
+
+
+class CountsRecoveryInFractions(Delta):
+    """Says when pictures are whole again in what is no number of frames."""
+
+    class Encoding(DeltaEncoder):
+        def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+            return [replace(packet, recovery_frames=2.5) for packet in super().push(image)]  # type: ignore[arg-type]
+
+
 class CallsWholeWhatIsNot(Delta):
     """Goes on after a loss as if nothing had been."""
 
@@ -353,6 +371,8 @@ BROKEN: dict[type[Any], str] = {
     ForgetsAtFlush: "flush",
     ForgetsWhatItHeldLong: "flush",
     HidesStateInAGlobal: "interleaved",
+    PromisesRecovery: "loss",
+    CountsRecoveryInFractions: "bytes",
     StartsWhereNoneIs: "starts",
     CallsWholeWhatIsNot: "loss",
     JoinsUnsaid: "loss",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -92,7 +93,7 @@ def packets_alone_decode(codec_class: StreamClass, params: Params, sequences: Se
     for sequence in sequences:
         codec = codec_class(params)
         packets = packets_of(codec, sequence.pictures)
-        copies = [Packet(bytes(bytearray(packet.data)), int(packet.frame), bool(packet.starts)) for packet in packets]
+        copies = [replace(packet, data=bytes(bytearray(packet.data))) for packet in packets]
         expected = pictures_of(codec, packets)
         for other in settings:
             where = f"decoding {sequence.name} in another process, by the setting {other}"

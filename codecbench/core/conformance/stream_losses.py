@@ -56,7 +56,8 @@ def _require_the_rest(
 
 
 def losses_are_told(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:
-    """What is called whole is, and from the next start on all is, whatever is missing.
+    """What is called whole is, and from the next start on all is, or from where a recovery point says, whatever is
+    missing.
 
     Each packet is lost in turn, alone and with the one behind it; and each is the first that a new decoder gets, which
     nobody tells that there were others.
@@ -77,8 +78,8 @@ def losses_are_told(codec_class: StreamClass, params: Params, sequences: Sequenc
 
 
 def _start_of(packets: Sequence[Packet]) -> float:
-    """The first frame at which decoding can start."""
-    return min((packet.frame for packet in packets if packet.starts), default=math.inf)
+    """The first frame from which pictures are said to be whole with these packets alone."""
+    return min((whole for packet in packets if (whole := packet.whole_from) is not None), default=math.inf)
 
 
 def _require_honesty(
@@ -104,7 +105,9 @@ def _require_honesty(
             )
     broken = [frame for frame in expected if frame >= start and states.get(frame) != "whole"]
     if broken:
-        raise ConformanceFailure(where, f"frames {broken} are not whole", f"all from the next start on, frame {start}")
+        raise ConformanceFailure(
+            where, f"frames {broken} are not whole", f"all from frame {start} on, as the packets say"
+        )
 
 
 def foreign_bytes_are_refused(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from codecbench.core.conformance.round_trip import require_equal
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec
+from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec, is_recovery
 from codecbench.core.counting.trace import CountingTrace
 
 StreamClass = type[StreamCodec[Any]]
@@ -72,6 +73,8 @@ def packets_are_bytes(codec_class: StreamClass, params: Params, sequences: Seque
                 raise ConformanceFailure(where, f"{type(packet.data).__name__} {packet.data!r:.40}", "bytes")
             if type(packet.frame) is not int or type(packet.starts) is not bool:
                 raise ConformanceFailure(where, f"frame {packet.frame!r}, starts {packet.starts!r}", "int and bool")
+            if not is_recovery(packet.recovery_frames):
+                raise ConformanceFailure(where, f"recovery_frames {packet.recovery_frames!r}", "None, or an int from 0")
 
 
 def no_frame_is_lost_or_doubled(codec_class: StreamClass, params: Params, sequences: Sequence[MovingPictures]) -> None:
@@ -201,7 +204,7 @@ def _sent_early(codec: StreamCodec[Any], pictures: Sequence[Image], first: int) 
     """Packets that left with the `first` pictures, as they are when the session is over; fails if they changed."""
     session = codec.encoder(FRAME_RATE_HZ)
     packets = [packet for picture in pictures[:first] for packet in session.push(picture)]
-    sent = [Packet(bytes(packet.data), packet.frame, packet.starts) for packet in packets]
+    sent = [replace(packet, data=bytes(packet.data)) for packet in packets]
     for picture in pictures[first:]:
         session.push(picture)
     session.flush()

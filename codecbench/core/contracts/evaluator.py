@@ -23,6 +23,7 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.stream import Packet
 from codecbench.core.contracts.view import Drawing, Marks, View
 
 
@@ -59,13 +60,18 @@ class SentPacket:
     """A packet of a coded sequence.
 
     frame: index of its frame. starts: whether decoding can start at it. after: how many frames the encoder had been
-    given when it came out: a packet that came at once has `frame + 1`.
+    given when it came out: a packet that came at once has `frame + 1`. recovery_frames: as of a `Packet`.
     """
 
     frame: int
     size_bytes: int
     starts: bool
     after: int
+    recovery_frames: int | None = None
+
+    def packet(self, data: bytes) -> Packet:
+        """With its bytes, as a decoder gets it."""
+        return Packet(data, self.frame, self.starts, self.recovery_frames)
 
 
 class FrameSender(Protocol):

@@ -38,12 +38,29 @@ class Packet:
 
     data: every byte that the decoder needs of it, headers included. frame: which picture of the session it is; a link
     carries it as it carries time stamps, so it is not counted. starts: whether decoding can start here, with nothing
-    from before.
+    from before. recovery_frames: of a recovery point, at which decoding can begin too, how many frames after this one
+    pictures are whole again, whatever was lost before: to the bit those of the whole stream; None for other packets.
     """
 
     data: bytes = field(repr=False)
     frame: int
     starts: bool
+    recovery_frames: int | None = None
+
+    @property
+    def whole_from(self) -> int | None:
+        """The frame from which pictures are whole for who begins here; None where nobody can."""
+        if self.starts:
+            return self.frame
+        return None if self.recovery_frames is None else self.frame + self.recovery_frames
+
+
+MOST_RECOVERY_FRAMES: Final = 1 << 16
+
+
+def is_recovery(value: object) -> bool:
+    """Whether this can be the `recovery_frames` of a packet."""
+    return value is None or (type(value) is int and 0 <= value <= MOST_RECOVERY_FRAMES)
 
 
 @dataclass(frozen=True)
@@ -71,14 +88,14 @@ class StreamEncoder(ABC):
 
 
 class StreamDecoder(ABC):
-    """One stream being decoded, from a packet that `starts` on; pictures before it are missing."""
+    """One stream being decoded, from a packet that `starts` on, or a recovery point; pictures before it are missing."""
 
     @abstractmethod
     def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
         """The pictures that are ready after this packet, or after knowing that the next one is LOST.
 
         Never claims `whole` for a picture that depends on what was lost. Raises BitstreamError for damaged or foreign
-        bytes that it can tell; the session goes on with the next packet that `starts`.
+        bytes that it can tell; the session goes on with the next packet that `starts` or is a recovery point.
         """
 
     @abstractmethod

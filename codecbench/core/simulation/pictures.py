@@ -5,7 +5,7 @@ from __future__ import annotations
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import LOST, Packet, Picture, StreamDecoder, decoder_of
+from codecbench.core.contracts.stream import LOST, Picture, StreamDecoder, decoder_of
 from codecbench.core.simulation.delivery import Delivery
 from codecbench.core.simulation.partial import PartialDecoder
 
@@ -51,4 +51,4 @@ class DeliveredPictures:
             return decoder.flush()
         if not self._came[unit.frame]:
             return decoder.push(LOST)
-        return decoder.push(Packet(self._coded.frame(unit.frame).bitstream, unit.frame, unit.starts))
+        return decoder.push(unit.packet(self._coded.frame(unit.frame).bitstream))

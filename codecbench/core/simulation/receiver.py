@@ -38,14 +38,19 @@ def fates_of(
     fates: list[Fate] = ["skipped"] * len(captured_s)
     decodable_s = np.full(len(captured_s), math.inf)
     in_time: list[Fate] = ["on time"] * len(captured_s)
-    is_broken, begun_s = True, math.inf
+    begun_s, whole_from = math.inf, math.inf
     for number, unit in enumerate(units):
         own_s = complete_s.get(number, math.inf)
-        is_broken = math.isinf(own_s) or (is_broken and not unit.starts)
-        if unit.starts and not is_broken:
-            begun_s = own_s
-        elif not math.isinf(own_s):
+        if math.isinf(own_s):
+            whole_from = math.inf
+        elif unit.starts:
+            begun_s, whole_from = own_s, -math.inf
+        else:
+            if unit.recovery_frames is not None:  # of what was lost before nothing is left once the refresh is round
+                begun_s = own_s if math.isinf(begun_s) else begun_s
+                whole_from = min(whole_from, unit.frame + unit.recovery_frames)
             begun_s = max(begun_s, own_s)
+        is_broken = unit.frame < whole_from
         if number in partial_s:
             decodable_s[unit.frame], in_time[unit.frame] = partial_s[number], "partial"
             continue

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from losing_link import Losing
 from pydantic import ValidationError
 from scipy.stats import binom
 
@@ -193,27 +194,10 @@ def stream(*starts: bool) -> list[SentPacket]:
     return [SentPacket(frame, 1000, start, frame + 1) for frame, start in enumerate(starts)]
 
 
-class Scripted(Ideal):
-    """Loses packets by number."""
-
-    def __init__(self, *lost: int) -> None:
-        super().__init__(Ideal.params_type())
-        self.lost = lost
-
-    def open(self, rng: np.random.Generator) -> Any:
-        numbers = iter(range(1000))
-        channel = super().open(rng)
-        whole = channel.carry
-        channel.carry = lambda size, start_s: whole(size, start_s)._replace(  # type: ignore[method-assign]
-            **({"arrives_s": None} if next(numbers) in self.lost else {})
-        )
-        return channel
-
-
 def test_a_stream_is_broken_until_it_starts_again() -> None:
     units = stream(True, False, False, False, True, False)
     found = deliver(
-        units, np.arange(6) / 10, Scripted(1), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
+        units, np.arange(6) / 10, Losing(1), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
     )
     assert found.fates == ("on time", "lost", "broken", "broken", "on time", "on time")
 
@@ -221,7 +205,7 @@ def test_a_stream_is_broken_until_it_starts_again() -> None:
 def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
     units = stream(False, True, False, False, False, True)
     settings = LinkSettings(link="given", concealed=True, **HEADERS)
-    found = deliver(units, np.arange(6) / 10, Scripted(2), settings, np.random.default_rng(0))
+    found = deliver(units, np.arange(6) / 10, Losing(2), settings, np.random.default_rng(0))
     assert found.fates == ("broken", "on time", "lost", "concealed", "concealed", "on time")
     assert found.handed == [1, 3, 4, 5]
     assert found.came.tolist() == [True, True, False, True, True, True]
@@ -249,11 +233,38 @@ def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
     assert found.fates == ("broken", "broken", "on time", "on time")
 
 
+def refreshed(count: int, every: int) -> list[SentPacket]:
+    """A stream of one start, refreshed in the `every` frames from each recovery point on."""
+    points = range(every, count, every)
+    return [SentPacket(i, 1000, i == 0, i + 1, every - 1 if i in points else None) for i in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("lost", "first_picture", "whole"),
+    [((0,), 4, 7), ((1,), 2, 7), ((4,), 5, 11), ((3, 6), 4, 11), ((0, 4), 8, 11)],
+)
+def test_a_refreshed_stream_is_whole_again_when_the_refresh_has_gone_round(
+    lost: tuple[int, ...], first_picture: int, whole: int
+) -> None:
+    """Recovery points at 4 and 8, each of 4 frames: one of which a packet is lost promises nothing."""
+    units, stamps_s = refreshed(12, 4), np.arange(12) / 10
+    for concealed in (False, True):
+        settings = LinkSettings(link="given", queue_policy="fifo", concealed=concealed, **HEADERS)
+        found = deliver(units, stamps_s, Losing(*lost), settings, np.random.default_rng(0))
+        expected = ["on time"] * 12
+        expected[lost[0] : whole] = ["broken"] * (whole - lost[0])
+        if concealed:
+            expected[first_picture:whole] = ["concealed"] * (whole - first_picture)
+        for frame in lost:
+            expected[frame] = "lost"
+        assert list(found.fates) == expected
+
+
 def test_pictures_of_a_stream_wait_for_what_they_depend_on() -> None:
     """The second has a packet that is sent twice; the third is there before it, and cannot be decoded."""
     units = stream(True, False, False)
     settings = LinkSettings(link="given", transport="arq", queue_policy="fifo", **HEADERS)
-    slow = type("Slow", (Scripted,), {"delay_s": 0.1})(1)
+    slow = type("Slow", (Losing,), {"delay_s": 0.1})(1)
     found = deliver(units, np.arange(3) / 10, slow, settings, np.random.default_rng(0))
     assert found.handed_s == pytest.approx([0.0, 0.3, 0.3])
     assert set(found.fates) == {"on time"}
@@ -273,7 +284,7 @@ def partly(
     """Pictures of three packets, some of which are lost."""
     given = LinkSettings(link="given", partial=True, **{**HEADERS, **params})
     units = stills(sizes or [2500] * 4)
-    return deliver(units, np.arange(len(units)) / 10, Scripted(*lost), given, np.random.default_rng(0), salvage=keep)
+    return deliver(units, np.arange(len(units)) / 10, Losing(*lost), given, np.random.default_rng(0), salvage=keep)
 
 
 def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
@@ -347,6 +358,7 @@ UNITS = st.lists(st.tuples(st.integers(1, 6000), st.booleans()), min_size=1, max
     decode_ms=st.sampled_from([0.0, 45.0]),
     concealed=st.booleans(),
     partial=st.booleans(),
+    refresh=st.one_of(st.none(), st.integers(0, 5)),
     seed=st.integers(0, 99),
 )
 def test_everything_has_one_fate(
@@ -359,11 +371,15 @@ def test_everything_has_one_fate(
     decode_ms: float,
     concealed: bool,
     partial: bool,
+    refresh: int | None,
     seed: int,
 ) -> None:
     partial &= transport in ("datagrams", "fec")  # of pictures that stand alone
     drawn = [(size, starts or partial) for size, starts in drawn]
-    units = [SentPacket(frame, size, starts or frame == 0, frame + 1) for frame, (size, starts) in enumerate(drawn)]
+    units = [
+        SentPacket(frame, size, starts or frame == 0, frame + 1, refresh if frame % 7 == 6 else None)
+        for frame, (size, starts) in enumerate(drawn)
+    ]
     stamps_s = np.cumsum(np.random.default_rng(seed).exponential(0.04, len(units)))
     deadline_ms = deadline_ms or (200.0 if policy == "drop_late" else None)
     given = LinkSettings(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import skimage.data
 from codecbench_delta.codec import Delta
+from losing_link import Losing
 
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.delivery import deliver
@@ -17,25 +18,8 @@ from codecbench.core.simulation.pictures import DeliveredPictures
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.png import Png
-from codecbench.plugins.links.ideal import Ideal
 
 COUNT = 12
-
-
-class Losing(Ideal):
-    """Loses packets by number."""
-
-    lost: tuple[int, ...] = ()
-
-    def open(self, rng: np.random.Generator) -> Any:
-        numbers = iter(range(COUNT))
-        carried = super().open(rng).carry
-
-        def carry(size_bytes: int, start_s: float) -> Any:
-            passage = carried(size_bytes, start_s)
-            return passage._replace(arrives_s=None) if next(numbers) in self.lost else passage
-
-        return SimpleNamespace(carry=carry)
 
 
 def film() -> list[np.ndarray]:
@@ -56,8 +40,7 @@ def coded(images: list[np.ndarray], gop: int, hold: int = 0) -> Any:
 
 
 def received(stream: Any, lost: tuple[int, ...], concealed: bool) -> dict[int, np.ndarray | None]:
-    link = Losing.create()
-    link.lost = lost
+    link = Losing(*lost)
     settings = LinkSettings(link="given", queue_policy="fifo", concealed=concealed)
     delivery = deliver(stream.packets, np.arange(COUNT) / 10, link, settings, np.random.default_rng(0))
     pictures = DeliveredPictures(stream, delivery)
@@ -102,8 +85,7 @@ def test_a_picture_that_came_in_part_is_what_the_codec_makes_of_it() -> None:
     units = tuple(SentPacket(frame, len(data), True, frame + 1) for frame, data in enumerate(bitstreams))
     frames = [SimpleNamespace(bitstream=data, decoded=codec.decode(data)) for data in bitstreams]
     stream: Any = SimpleNamespace(packets=units, codec=codec, frame=frames.__getitem__)
-    link = Losing.create()
-    link.lost = (1,)
+    link = Losing(1)
     settings = LinkSettings(link="given", partial=True, mtu=-(-max(map(len, bitstreams)) // 3) + 40)
     salvage = PartialDecoder(stream, {}).whole_share
     delivery = deliver(units, np.arange(3) / 10, link, settings, np.random.default_rng(0), salvage=salvage)

@@ -8,7 +8,8 @@ damaged file is noticed when it is opened, and a damaged bitstream when it is re
 it is in the footer too, so that copies can be compared by their last bytes.
 
 A stream of a codec with memory has a magic of its own. Its packets lie in the order in which they were sent, and the
-index says more of each: which frame it is, after how many frames it came out, whether decoding can start at it. Nothing
+index says more of each: which frame it is, after how many frames it came out, whether decoding can start at it, and
+of recovery points after how many frames pictures are whole; earlier files, with another magic, lack this last. Nothing
 here knows what a codec is.
 """
 
@@ -32,10 +33,13 @@ from codecbench.core.engine.storage.plain_file import open_plain
 
 _MAGIC = b"CBBITS\x00\x02"
 _EARLIER = b"CBBITS\x00\x01"
-_STREAM = b"CBSTRM\x00\x01"
+_STREAM = b"CBSTRM\x00\x02"
+_EARLIER_STREAM = b"CBSTRM\x00\x01"
 _ID_BYTES = 2 * DIGEST_BYTES
 _ENTRY = struct.Struct("<QQI")
-_STREAM_ENTRY = struct.Struct("<QQIII?")
+_STREAM_ENTRY = struct.Struct("<QQIII?i")
+_EARLIER_STREAM_ENTRY = struct.Struct("<QQIII?")
+_NO_RECOVERY = -1
 _FOOTER = struct.Struct("<QQI16sI")
 _START = len(_MAGIC) + _ID_BYTES
 
@@ -52,6 +56,12 @@ class CodedPacket:
     frame: int
     starts: bool
     after: int
+    recovery_frames: int | None = None
+
+    @property
+    def sent(self) -> SentPacket:
+        """Without the bytes."""
+        return SentPacket(self.frame, len(self.data), self.starts, self.after, self.recovery_frames)
 
 
 def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes], job_id: str) -> int:
@@ -61,8 +71,12 @@ def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes], job_id: str)
 
 def write_stream(stream: BinaryIO, packets: Iterable[CodedPacket], job_id: str) -> int:
     """Write a whole file of a job whose codec has memory, as `write_bitstreams` does."""
-    told = ((packet.data, _STREAM_ENTRY, (packet.frame, packet.after, packet.starts)) for packet in packets)
-    return _write(stream, _STREAM, told, job_id)
+    return _write(stream, _STREAM, ((packet.data, _STREAM_ENTRY, _told(packet)) for packet in packets), job_id)
+
+
+def _told(packet: CodedPacket) -> tuple[int, ...]:
+    recovery = _NO_RECOVERY if packet.recovery_frames is None else packet.recovery_frames
+    return packet.frame, packet.after, packet.starts, recovery
 
 
 def _write(
@@ -100,7 +114,7 @@ class BitstreamFile:
     def __init__(self, source: Path | bytes, job_id: str) -> None:
         self._name = str(source) if isinstance(source, Path) else "bitstreams"
         self._data: bytes | mmap.mmap = _mapped(source) if isinstance(source, Path) else source
-        self.is_stream = self._data[: len(_STREAM)] == _STREAM
+        self.is_stream = self._data[: len(_STREAM)] in (_STREAM, _EARLIER_STREAM)
         self._check_owner(job_id)
         self.digest, self._entries = self._read_index()
         self._places = {entry[3]: place for place, entry in enumerate(self._entries)} if self.is_stream else None
@@ -115,7 +129,7 @@ class BitstreamFile:
         """What was sent, in that order; without memory each frame at once, and decodable by itself."""
         if self._places is None:
             return tuple(SentPacket(frame, entry[1], True, frame + 1) for frame, entry in enumerate(self._entries))
-        return tuple(SentPacket(frame, size, starts, after) for _, size, _, frame, after, starts in self._entries)
+        return tuple(_sent_packet(*entry[1:2], *entry[3:]) for entry in self._entries)
 
     def size_bytes(self, frame: int) -> int:
         return int(self._entry(frame)[1])
@@ -137,18 +151,18 @@ class BitstreamFile:
             raise BitstreamDamage(
                 f"{self._name}: an earlier version wrote it, without saying whose bitstreams they are"
             )
-        if magic not in (_MAGIC, _STREAM) or len(owner) != _ID_BYTES:
+        if magic not in (_MAGIC, _STREAM, _EARLIER_STREAM) or len(owner) != _ID_BYTES:
             raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({len(self._data)} bytes)")
         if owner != _owner(job_id):
             found = owner.decode("ascii", "backslashreplace").rstrip()
             raise BitstreamDamage(f"{self._name}: holds the bitstreams of job {found}, not of {job_id}")
 
     def _read_index(self) -> tuple[bytes, list[tuple[Any, ...]]]:
-        """The digest; and offset, size and CRC of each bitstream, and of packets also frame, after and starts."""
+        """The digest; and offset, size and CRC of each bitstream, and of packets also what `_sent_packet` takes."""
         data, length = self._data, len(self._data)
         if length < _START + _FOOTER.size:
             raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({length} bytes)")
-        entry = _STREAM_ENTRY if self.is_stream else _ENTRY
+        entry = {_STREAM: _STREAM_ENTRY, _EARLIER_STREAM: _EARLIER_STREAM_ENTRY}.get(bytes(data[: len(_MAGIC)]), _ENTRY)
         footer = data[length - _FOOTER.size :]
         offset, count, index_crc, digest, footer_crc = _FOOTER.unpack(footer)
         if zlib.crc32(footer[:-4]) != footer_crc or offset + count * entry.size + _FOOTER.size != length:
@@ -157,6 +171,10 @@ class BitstreamFile:
         if zlib.crc32(index) != index_crc:
             raise BitstreamDamage(f"{self._name}: damaged (index)")
         return digest, list(entry.iter_unpack(index))
+
+
+def _sent_packet(size: int, frame: int, after: int, starts: bool, recovery: int = _NO_RECOVERY) -> SentPacket:
+    return SentPacket(frame, size, starts, after, None if recovery == _NO_RECOVERY else recovery)
 
 
 def _owner(job_id: str) -> bytes:

@@ -67,6 +67,7 @@ class H264(VideoCodec[H264Params]):
     """H.264 (ITU-T H.264, ISO/IEC 14496-10) by x264, or by an encoder in hardware."""
 
     name = "h264"
+    version = "2"
     params_type = H264Params
     examples = (
         {},

@@ -90,6 +90,9 @@ class VideoDecoder(StreamDecoder):
         self._states[frame] = "whole" if self._is_intact else "concealed"
         try:
             decoded = self._context.decode(packet_for(data, frame))
+            if not decoded and self._lost_since_start and self._encoder.recovers and self._answers_at_once:
+                self._context.flush_buffers()  # a lost frame number that wraps round has it take this for long shown
+                decoded = self._context.decode(packet_for(data, frame))
             pictures = self._in_order(decoded)
         except decoding_error() as error:
             decoded, pictures = [], []

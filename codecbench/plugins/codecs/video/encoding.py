@@ -12,6 +12,7 @@ from codecbench.plugins.codecs.video.colour import fill_frame, padded, planes_fr
 from codecbench.plugins.codecs.video.header import MAX_SIDE, Header
 from codecbench.plugins.codecs.video.library import open_encoder, video_frame
 from codecbench.plugins.codecs.video.params import VideoParams
+from codecbench.plugins.codecs.video.recovery import frames_to_recovery
 
 
 class VideoEncoder(StreamEncoder):
@@ -66,6 +67,7 @@ class VideoEncoder(StreamEncoder):
             data, number = bytes(packet), int(packet.pts)
             if packet.is_keyframe:  # with intra refresh also where a refresh begins, at which no picture is whole yet
                 data = self._header + data
-            starts = packet.is_keyframe and not (self._params.intra_refresh and number)
-            found.append(Packet(data, number, starts))
+            refreshes = bool(packet.is_keyframe and self._params.intra_refresh and number)
+            recovery = frames_to_recovery(data) if refreshes else None
+            found.append(Packet(data, number, packet.is_keyframe and not refreshes, recovery))
         return found

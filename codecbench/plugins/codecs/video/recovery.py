@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
+from codecbench.core.contracts.stream import is_recovery
+
 _START_CODE: Final = b"\0\0\1"
 _SEI_UNIT: Final = 6
 _RECOVERY_POINT: Final = 6
-_MOST_FRAMES: Final = 1 << 16
 
 
 def frames_to_recovery(data: bytes) -> int | None:
@@ -28,4 +29,4 @@ def _frames_from_message(message: bytes) -> int | None:
     if zeros < 0 or len(code) <= zeros or exact != "1":
         return None
     frames = int(code, 2) - 1
-    return frames if frames < _MOST_FRAMES else None
+    return frames if is_recovery(frames) else None

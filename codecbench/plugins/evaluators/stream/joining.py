@@ -40,7 +40,7 @@ def frames_until_whole(coded: CodedSequence, places: list[int], whole_db: float)
     for at, sent in enumerate(coded.packets):
         watching = [joiner for place, joiner in joiners.items() if place <= at]
         if watching:
-            packet = Packet(coded.frame(sent.frame).bitstream, sent.frame, sent.starts)
+            packet = sent.packet(coded.frame(sent.frame).bitstream)
             for joiner in watching:
                 joiner.take(joiner.pictures(packet), coded, whole_db)
     for joiner in joiners.values():

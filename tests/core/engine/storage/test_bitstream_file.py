@@ -119,6 +119,26 @@ def test_packets_of_a_stream_are_one_of_each_frame_in_any_order() -> None:
             BitstreamFile(stream_of(*wrong), JOB)
 
 
+def test_recovery_points_are_kept_and_earlier_files_have_none() -> None:
+    """The earlier format, spelt out by hand: its entries lack the last number, and nothing else differs."""
+    packets = [CodedPacket(b"a", 0, True, 1), CodedPacket(b"b", 1, False, 2, 0), CodedPacket(b"c", 2, False, 3, 29)]
+    stream = io.BytesIO()
+    write_stream(stream, packets, JOB)
+    assert BitstreamFile(stream.getvalue(), JOB).packets == tuple(packet.sent for packet in packets)
+    body = b"CBSTRM\x00\x01" + JOB.encode() + b"abc"
+    entries = [
+        struct.pack("<QQIII?", 40 + i, 1, zlib.crc32(packet.data), i, i + 1, i == 0) for i, packet in enumerate(packets)
+    ]
+    index = b"".join(entries)
+    digest = hashlib.blake2b(body + index, digest_size=16).digest()
+    head = struct.pack("<QQI16s", 43, 3, zlib.crc32(index), digest)
+    earlier = BitstreamFile(body + index + head + struct.pack("<I", zlib.crc32(head)), JOB)
+    assert [(packet.frame, packet.starts, packet.recovery_frames) for packet in earlier.packets] == [
+        (0, True, None), (1, False, None), (2, False, None),
+    ]  # fmt: skip
+    assert earlier.read(2) == b"c"
+
+
 def test_what_is_no_file_of_bitstreams_is_refused_with_its_name(tmp_path: Path) -> None:
     content = written(BITSTREAMS)
     with pytest.raises(BitstreamDamage, match="bitstreams: an earlier version wrote it"):

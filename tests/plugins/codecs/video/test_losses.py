@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import resource
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from losing_link import Losing
 from video_pictures import gliding_pictures
 
 pytest.importorskip("av", reason="the extra `video` is not installed")
 
 from codecbench import LOST, BitstreamError, Packet
 from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.contracts.evaluator import SentPacket
+from codecbench.core.simulation.delivery import deliver
+from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 
 CODECS: list[Any] = [H264, Hevc, Av1, Vp9, Mjpeg, Ffv1]
@@ -98,6 +104,42 @@ def test_a_decoder_that_joins_an_intra_refreshed_stream_gets_whole_pictures_in_t
     assert 20 < first <= 30
     assert {state for frame, state in states.items() if frame >= first} == {"whole"}
     assert all(np.array_equal(shown.image, expected[shown.frame]) for shown in pictures if shown.frame >= first)
+
+
+REFRESHED: list[dict[str, Any]] = [
+    {"gop": 8},
+    {"gop": 6, "qp": 20, "preset": "slow", "pixel_format": "yuv444p"},
+    {"gop": 10, "bitrate_kbps": 150},
+]
+
+
+@pytest.mark.parametrize("params", REFRESHED, ids=str)
+def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was_sent(params: dict[str, Any]) -> None:
+    """Packets are lost one by one and in pairs. What the simulation calls on time is to the bit the stream without
+    losses, and what it calls concealed, lost or broken is not called whole by the decoder."""
+    codec, count = H264.create(intra_refresh=True, **params), 34
+    images = gliding_pictures(count, 96, 128, 1)
+    packets = packets_of(codec, images)
+    sent = [picture.image for picture in pictures_of(codec, packets)]
+    units = tuple(SentPacket(p.frame, len(p.data), p.starts, p.frame + 1, p.recovery_frames) for p in packets)
+    assert next(unit.frame for unit in units if unit.recovery_frames is not None) == params["gop"]
+    frames = [
+        SimpleNamespace(bitstream=packet.data, decoded=image) for packet, image in zip(packets, sent, strict=True)
+    ]
+    coded: Any = SimpleNamespace(packets=units, codec=codec, frame=frames.__getitem__)
+    settings = LinkSettings(link="given", mtu=60_000, queue_policy="fifo", concealed=True)
+    for lost in [(k,) for k in range(18)] + [(k, k + 9) for k in range(8)]:
+        link = Losing(*lost)
+        found = deliver(units, np.arange(count) / 30, link, settings, np.random.default_rng(0))
+        received = [LOST if packet.frame in lost else packet for packet in packets]
+        states = {picture.frame: picture.state for picture in pictures_of(codec, received)}
+        assert [fate == "on time" for fate in found.fates] == [states.get(i) == "whole" for i in range(count)], lost
+        assert [fate == "concealed" for fate in found.fates] == [states.get(i) == "concealed" for i in range(count)]
+        shown = DeliveredPictures(coded, found)
+        for frame in found.handed:
+            equal = np.array_equal(shown.picture(frame), sent[frame])
+            assert equal or found.fates[frame] == "concealed"
+        assert found.fates[-1] == "on time"
 
 
 @EVERY_CODEC

@@ -61,7 +61,7 @@ class StreamPictures:
             sent = self._packets[self._next]
             self._next += 1
             self._position.at("decode", sent.frame)
-            pictures = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts), original)
+            pictures = decoder.push(sent.packet(self._read(sent.frame)), original)
             self._keep(pictures)
             if frame in pictures:
                 self._decoder = decoder

@@ -8,7 +8,7 @@ from typing import Any
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.contracts.stream import Packet, StreamCodec, encoder_of
+from codecbench.core.contracts.stream import Packet, StreamCodec, encoder_of, is_recovery
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -67,6 +67,9 @@ class CheckedEncoder:
         if type(frame) is not int or type(starts) is not bool:
             kinds = f"{type(frame).__name__} and {type(starts).__name__}"
             raise CodingError(f"{call} returned a packet whose frame and starts are {kinds}; they are int and bool")
+        if not is_recovery(packet.recovery_frames):
+            got = repr(packet.recovery_frames)[:40]
+            raise CodingError(f"{call} returned a packet with recovery_frames {got}; it is None, or a number of frames")
         if not 0 <= frame < self._pushed:
             raise CodingError(f"{call} returned a packet of frame {frame}; 0 to {self._pushed - 1} were pushed")
         if frame in self._sent:
@@ -74,7 +77,7 @@ class CheckedEncoder:
         if not self._sent and not starts:
             raise CodingError(f"the first packet, of frame {frame}, does not start: decoding could never begin")
         self._sent.add(frame)
-        return CodedPacket(self._content(packet), frame, starts, self._pushed)
+        return CodedPacket(self._content(packet), frame, starts, self._pushed, packet.recovery_frames)
 
     def _content(self, packet: Packet) -> bytes:
         returned = f"the packet of frame {packet.frame} holds" if self._has_memory else "encode returned"

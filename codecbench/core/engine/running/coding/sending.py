@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, SentPacket
+from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Frame, Sequence
-from codecbench.core.contracts.stream import Packet, StreamCodec
+from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.running.coding.decoding import CheckedDecoder, StreamPictures
 from codecbench.core.engine.running.coding.encoding import CheckedEncoder
 from codecbench.core.engine.running.coding.position import WorkPosition
@@ -64,7 +65,7 @@ class LiveSender:
         self._packets += packets
         self._position.at("decode", index)
         (packet,) = packets
-        pictures = self._decoder.push(Packet(packet.data, place, packet.starts), original.image)
+        pictures = self._decoder.push(replace(packet.sent, frame=place).packet(packet.data), original.image)
         if place not in pictures:
             raise Unsupported(
                 f"the decoder of {self._codec.name} holds frames back; a chosen frame must be seen at once"
@@ -73,6 +74,6 @@ class LiveSender:
 
     def _again(self, index: int, original: Image) -> Image:
         """The picture of a frame that was sent before, decoded from what was sent."""
-        told = [SentPacket(packet.frame, len(packet.data), packet.starts, packet.after) for packet in self._packets]
+        told = [packet.sent for packet in self._packets]
         pictures = StreamPictures(self._codec, told, lambda frame: self._packets[frame].data, self._position)
         return pictures.picture(self._places[index], original)

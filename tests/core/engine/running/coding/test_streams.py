@@ -79,6 +79,7 @@ def whole(frame: Any, data: Any = b"x", starts: Any = True) -> Packet:
         (lambda push: [b"x"], "push returned a list with bytes; it holds Packets", "encode, frame 0"),
         (lambda push: [whole("0")], "frame and starts are str and bool; they are int and bool", "encode, frame 0"),
         (lambda push: [whole(push, starts=1)], "frame and starts are int and int", "encode, frame 0"),
+        (lambda push: [Packet(b"x", push, True, -1)], "with recovery_frames -1; it is None, or a n", "encode, frame 0"),
         (lambda push: [whole(push + 1)], "a packet of frame 1; 0 to 0 were pushed", "encode, frame 0"),
         (lambda push: [whole(-1)], "a packet of frame -1; 0 to 0 were pushed", "encode, frame 0"),
         (lambda push: [whole(0)], "a packet of frame 0 a second time", "encode, frame 1"),
