@@ -60,7 +60,8 @@ class SentPacket:
     """A packet of a coded sequence.
 
     frame: index of its frame. starts: whether decoding can start at it. after: how many frames the encoder had been
-    given when it came out: a packet that came at once has `frame + 1`. recovery_frames: as of a `Packet`.
+    given when it came out: a packet that came at once has `frame + 1`. recovery_frames: as of a `Packet`. session: of
+    the encoder's sessions, the one that it is of, where a sender that adapts begins others.
     """
 
     frame: int
@@ -68,6 +69,7 @@ class SentPacket:
     starts: bool
     after: int
     recovery_frames: int | None = None
+    session: int = 0
 
     def packet(self, data: bytes) -> Packet:
         """With its bytes, as a decoder gets it."""

@@ -1,17 +1,19 @@
-"""Pictures that are coded as coarsely as the link asks."""
+"""Pictures and streams that are coded as coarsely as the link asks."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final, Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from codecbench.core.contracts.codec import Codec
-from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.evaluator import CodedSequence
+from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.evaluator import CodedSequence, SentPacket
+from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.stream import StreamCodec, StreamEncoder
 from codecbench.core.simulation.settings import Adaptation
 
 WINDOW_S: Final = 1.0
@@ -20,6 +22,11 @@ FILL: Final = 0.9
 """Share of that which a picture may take: the rest is for headers, and for what the next second may not give."""
 _STEPS: Final = 64
 """Values of a range whose ends are not whole numbers."""
+SESSION_S: Final = 1.0
+"""So long at least a stream keeps its setting: another one takes a new session, which begins with a start."""
+_ROUNDING_S: Final = 1e-6
+
+C = TypeVar("C", bound=AnyCodec[Any])
 
 
 class Throughput:
@@ -46,42 +53,124 @@ class Throughput:
         return self._known
 
 
-class AdaptiveEncoder:
-    """Codes each picture as finely as fits, between the ends of a range.
+class AdaptiveEncoder(Protocol):
+    """Codes frames as they are chosen, in rising order, as finely as fits.
 
-    bitstreams: of the frames that were coded. Raises Unsupported for codecs with memory and for a parameter or a range
-    that the codec does not take.
+    bitstreams: of the frames that were coded.
     """
 
-    def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
-        codec = coded.codec
-        if not isinstance(codec, Codec):
-            raise Unsupported(f"adapt is for codecs of single pictures; {codec.name} has memory and a rate of its own")
+    bitstreams: dict[int, bytes]
+
+    def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
+        """What becomes of a frame.
+
+        budget_bytes: of a picture, at what the link gives; None where nothing is known of it yet. waiting_bytes: of all
+        that was coded before and has not left yet.
+        """
+        ...
+
+
+def adaptive_encoder(coded: CodedSequence, adaptation: Adaptation) -> AdaptiveEncoder:
+    """For the codec of a coded sequence, of which only the pictures are taken.
+
+    Raises Unsupported for a codec that holds pictures back, and for a parameter or a range that it does not take.
+    """
+    codec = coded.codec
+    if isinstance(codec, StreamCodec):
+        return AdaptiveStream(coded, codec, adaptation)
+    if isinstance(codec, Codec):
+        return AdaptivePictures(coded, codec, adaptation)
+    raise Unsupported(f"adapt: {codec.name} codes neither single pictures nor a stream of them")
+
+
+class AdaptivePictures:
+    """Codes each picture as finely as fits, between the ends of a range."""
+
+    def __init__(self, coded: CodedSequence, codec: Codec[Any], adaptation: Adaptation) -> None:
         self._sequence = coded.sequence
-        self._codecs = [_variant(codec, adaptation.parameter, value) for value in _values(adaptation)]
+        self._codecs = _variants(codec, adaptation)
         self.bitstreams: dict[int, bytes] = {}
 
-    def encode(self, frame: int, budget_bytes: float | None) -> int:
-        """The size of a frame's bitstream: of the finest that fits a budget, else of the coarsest.
-
-        By bisection, as if finer were never smaller.
-        """
+    def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
+        """Of the finest that fits the budget, else of the coarsest."""
         image = self._sequence.read(frame).image
-        low, high = 0, len(self._codecs) - 1
-        best = self._codecs[0].encode(image)
-        while budget_bytes is not None and low < high:
-            middle = (low + high + 1) // 2
-            tried = self._codecs[middle].encode(image)
-            if len(tried) <= budget_bytes:
-                low, best = middle, tried
-            else:
-                high = middle - 1
-        self.bitstreams[frame] = best
-        return len(best)
+        tried: dict[int, bytes] = {}
+
+        def size_bytes(level: int) -> int:
+            tried[level] = self._codecs[level].encode(image)
+            return len(tried[level])
+
+        level = _finest_within(budget_bytes, len(self._codecs), size_bytes)
+        if level not in tried:
+            size_bytes(level)
+        self.bitstreams[frame] = tried[level]
+        return SentPacket(frame, len(tried[level]), True, frame + 1)
 
 
-Encode = Callable[[int, float | None], int]
-"""The size of a frame that is to fit a budget in bytes; None where nothing is known of the link yet."""
+class AdaptiveStream:
+    """Codes a stream in sessions, each at one setting, and begins another when another setting fits.
+
+    That is the finest at which the pictures of the last second would have fitted into what the link gives, beside what
+    waits: coded as a session of their own, with the start that it costs. It is looked for once a second.
+    """
+
+    def __init__(self, coded: CodedSequence, codec: StreamCodec[Any], adaptation: Adaptation) -> None:
+        if not codec.is_low_delay():
+            raise Unsupported(f"adapt: {codec.name} holds pictures back with this setting; give one that does not")
+        self._sequence = coded.sequence
+        self._codecs = _variants(codec, adaptation)
+        self._level = 0
+        self._encoder: StreamEncoder | None = None
+        self._session, self._pushed, self._decided_s = -1, 0, 0.0
+        self._recent: deque[tuple[float, Image]] = deque()
+        self.bitstreams: dict[int, bytes] = {}
+
+    def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
+        """The first session is at the coarsest setting."""
+        image, now_s = self._sequence.read(frame).image, float(self._sequence.timestamps_s[frame])
+        while self._recent and self._recent[0][0] <= now_s - WINDOW_S + _ROUNDING_S:
+            self._recent.popleft()
+        level = self._level
+        if self._encoder is None:
+            self._decided_s = now_s
+        elif budget_bytes is not None and now_s - self._decided_s >= SESSION_S - _ROUNDING_S:
+            self._decided_s = now_s
+            pictures = [picture for _, picture in self._recent]
+            room_bytes = budget_bytes * len(pictures) - waiting_bytes
+            level = _finest_within(room_bytes, len(self._codecs), lambda level: self._size_bytes(level, pictures))
+        if self._encoder is None or level != self._level:
+            self._encoder = self._codecs[level].encoder(self._sequence.frame_rate_hz)
+            self._level, self._session, self._pushed = level, self._session + 1, 0
+        self._recent.append((now_s, image))
+        packets = self._encoder.push(image)
+        if len(packets) != 1 or packets[0].frame != self._pushed:
+            told = f"gave {len(packets)} packets for picture {self._pushed} of a session"
+            raise PluginError(f"{self._codecs[level].name} says that it is of low delay, and {told}; it gives its own")
+        (packet,) = packets
+        self._pushed += 1
+        self.bitstreams[frame] = packet.data
+        return SentPacket(frame, len(packet.data), packet.starts, frame + 1, packet.recovery_frames, self._session)
+
+    def _size_bytes(self, level: int, pictures: Iterable[Image]) -> int:
+        """Of these as a session of their own."""
+        encoder = self._codecs[level].encoder(self._sequence.frame_rate_hz)
+        return sum(len(packet.data) for picture in pictures for packet in encoder.push(picture))
+
+
+def _finest_within(budget_bytes: float | None, levels: int, size_bytes: Callable[[int], int]) -> int:
+    """The finest of levels from 0 on that fits, else 0; by bisection, as if finer were never smaller."""
+    low, high = 0, levels - 1
+    while budget_bytes is not None and low < high:
+        middle = (low + high + 1) // 2
+        if size_bytes(middle) <= budget_bytes:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+def _variants(codec: C, adaptation: Adaptation) -> Sequence[C]:
+    return [_variant(codec, adaptation.parameter, value) for value in _values(adaptation)]
 
 
 def _values(adaptation: Adaptation) -> list[int | float]:
@@ -91,7 +180,7 @@ def _values(adaptation: Adaptation) -> list[int | float]:
     return [first + (last - first) * step / (_STEPS - 1) for step in range(_STEPS)]
 
 
-def _variant(codec: Codec, parameter: str, value: float) -> Codec:  # type: ignore[type-arg]
+def _variant(codec: C, parameter: str, value: float) -> C:
     values = codec.params.model_dump()
     if parameter not in values:
         raise Unsupported(f"adapt: {codec.name} has no parameter {parameter!r}; it has {', '.join(values) or 'none'}")

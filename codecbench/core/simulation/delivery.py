@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
 from codecbench.core.contracts.link import Link
-from codecbench.core.simulation.adaptation import AdaptiveEncoder, Encode
+from codecbench.core.simulation.adaptation import AdaptiveEncoder, adaptive_encoder
 from codecbench.core.simulation.partial import Part, PartialDecoder, Salvage, remains_of
 from codecbench.core.simulation.receiver import Fate, fates_of
 from codecbench.core.simulation.sender import Sender
@@ -30,8 +30,9 @@ class Delivery:
     captured_s: (N,). handed_s: (N,) when each was there, decoded, for whoever reads it; infinite where it never was or
     was too old. fates: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
     again. came: (N,) whether all of a frame came, however late. packets: counts of those sent. waiting: (N,) packets
-    in the link's queue when each frame came to the encoder. bitstreams: of the frames that were coded anew, as the link
-    asked. parts: of the frames of which a decoder makes something although packets are missing.
+    in the link's queue when each frame came to the encoder. units: what was coded, in that order. bitstreams: of the
+    frames that were coded anew, as the link asked. parts: of the frames of which a decoder makes something although
+    packets are missing.
     """
 
     captured_s: Times
@@ -42,6 +43,7 @@ class Delivery:
     came: NDArray[np.bool_]
     packets: PacketCounts
     waiting: NDArray[np.int64]
+    units: tuple[SentPacket, ...] = ()
     bitstreams: Mapping[int, bytes] = field(default_factory=dict)
     parts: Mapping[int, Part] = field(default_factory=dict)
 
@@ -89,11 +91,10 @@ def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) 
     """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
     settings = settings.timed(context.awaited)
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
-    encoder = None if settings.adapt is None else AdaptiveEncoder(coded, settings.adapt)
-    encode = None if encoder is None else encoder.encode
+    encoder = None if settings.adapt is None else adaptive_encoder(coded, settings.adapt)
     bitstreams = {} if encoder is None else encoder.bitstreams
     salvage = PartialDecoder(coded, bitstreams).whole_share if settings.partial else None
-    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encode, salvage)
+    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encoder, salvage)
     return replace(found, bitstreams=bitstreams)
 
 
@@ -103,12 +104,12 @@ def deliver(
     link: Link[Any],
     settings: LinkSettings,
     rng: np.random.Generator,
-    encode: Encode | None = None,
+    encoder: AdaptiveEncoder | None = None,
     salvage: Salvage | None = None,
 ) -> Delivery:
     """Send what an encoder gave over a link.
 
-    units: in the order in which they came out. timestamps_s: (N,) of the frames. encode: codes them anew, as the link
+    units: in the order in which they came out. timestamps_s: (N,) of the frames. encoder: codes them anew, as the link
     asks. salvage: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
     """
     if settings.queue_policy == "auto":
@@ -117,7 +118,7 @@ def deliver(
     captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
     of_frames = captured_s.tolist()
     world = World()
-    sender = Sender(world, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encode)
+    sender = Sender(world, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encoder)
     for number, unit in enumerate(units):
         ready_s = of_frames[min(unit.after, len(of_frames)) - 1]
         world.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
@@ -125,15 +126,16 @@ def deliver(
     complete_s = {number: shipment.complete_s for number, shipment in sender.shipments.items()}
     parts = {} if salvage is None else _parts(sender, units, of_frames, settings, salvage)
     partial_s = {number: parts[unit.frame].remains.known_s for number, unit in enumerate(units) if unit.frame in parts}
-    fates, handed_s = fates_of(units, captured_s, complete_s, settings, partial_s)
+    fates, handed_s = fates_of(sender.units, captured_s, complete_s, settings, partial_s)
     sizes, sent, waiting = np.zeros((3, len(captured_s)), dtype=np.int64)
     came = np.zeros(len(captured_s), dtype=bool)
     for number, unit in enumerate(units):
-        sizes[unit.frame] = sender.sizes_bytes[number]
+        sizes[unit.frame] = sender.units.get(number, unit).size_bytes
         sent[unit.frame] = sender.shipments[number].sent_bytes if number in sender.shipments else 0
         waiting[unit.frame] = sender.waiting[number]
         came[unit.frame] = math.isfinite(complete_s.get(number, math.inf))
-    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting, parts=parts)
+    coded = tuple(sender.units.values())
+    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting, coded, parts=parts)
 
 
 def _parts(
@@ -141,7 +143,8 @@ def _parts(
 ) -> dict[int, Part]:
     """By frame, those that are of use although they are not whole, and not too old by then."""
     found = {}
-    for number, remains in remains_of(sender.shipments, sender.sizes_bytes, settings).items():
+    sizes_bytes = {number: unit.size_bytes for number, unit in sender.units.items()}
+    for number, remains in remains_of(sender.shipments, sizes_bytes, settings).items():
         frame = units[number].frame
         if remains.known_s - captured_s[frame] > settings.deadline_s:
             continue

@@ -49,6 +49,10 @@ class LinkQueue(ABC):
     def waiting(self) -> int:
         """How many packets wait for their turn now."""
 
+    @abstractmethod
+    def waiting_bytes(self) -> int:
+        """Of all these."""
+
     @property
     @abstractmethod
     def is_idle(self) -> bool:
@@ -73,7 +77,7 @@ class DropTailQueue(LinkQueue):
     ) -> None:
         super().__init__(world, channel, on_fate, on_idle)
         self._most = math.inf if most is None else most
-        self._starts_s: deque[float] = deque()
+        self._starts: deque[tuple[float, int]] = deque()
         self._idle_is_planned = False
 
     def push(self, packet: Packet) -> None:
@@ -83,7 +87,7 @@ class DropTailQueue(LinkQueue):
                 self._on_fate(packet, None)
                 return
             start_s = self._free_s
-            self._starts_s.append(start_s)
+            self._starts.append((start_s, packet.size_bytes))
         else:
             start_s = now_s
         passage = self._carry(packet, start_s)
@@ -93,10 +97,14 @@ class DropTailQueue(LinkQueue):
         self._on_fate(packet, passage)
 
     def waiting(self) -> int:
-        now_s, starts_s = self._world.now_s, self._starts_s
-        while starts_s and starts_s[0] <= now_s:
-            starts_s.popleft()
-        return len(starts_s)
+        now_s, starts = self._world.now_s, self._starts
+        while starts and starts[0][0] <= now_s:
+            starts.popleft()
+        return len(starts)
+
+    def waiting_bytes(self) -> int:
+        self.waiting()  # leaves only those that do
+        return sum(size_bytes for _, size_bytes in self._starts)
 
     @property
     def is_idle(self) -> bool:
@@ -137,6 +145,9 @@ class CoDelQueue(LinkQueue):
 
     def waiting(self) -> int:
         return len(self._packets)
+
+    def waiting_bytes(self) -> int:
+        return self._bytes
 
     @property
     def is_idle(self) -> bool:

@@ -41,7 +41,9 @@ Salvage = Callable[[int, Ranges], float | None]
 """The share of a frame's pixels that are whole in what a decoder makes of parts of it; None where it makes nothing."""
 
 
-def remains_of(shipments: Mapping[int, Shipment], sizes_bytes: list[int], settings: LinkSettings) -> dict[int, Remains]:
+def remains_of(
+    shipments: Mapping[int, Shipment], sizes_bytes: Mapping[int, int], settings: LinkSettings
+) -> dict[int, Remains]:
     """By unit, what came of those that are not whole; of transports that send nothing again.
 
     shipments: in the order in which they were sent. A missing packet is known to be lost when one has arrived that was

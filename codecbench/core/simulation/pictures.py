@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import LOST, Picture, StreamDecoder, decoder_of
+from codecbench.core.contracts.stream import LOST, Picture, StreamCodec, StreamDecoder, decoder_of
 from codecbench.core.simulation.delivery import Delivery
 from codecbench.core.simulation.partial import PartialDecoder
 
@@ -13,16 +15,19 @@ from codecbench.core.simulation.partial import PartialDecoder
 class DeliveredPictures:
     """Pictures by frame, asked in rising order.
 
-    Of a stream in which something was concealed, a session decodes what came, and is told what did not: from the first
-    loss on, nobody but the codec knows what its pictures look like.
+    Of a stream in which something was concealed, or that was coded anew, a session decodes what came, and is told what
+    did not: from the first loss on, nobody but the codec knows what its pictures look like.
     """
 
     def __init__(self, coded: CodedSequence, delivery: Delivery) -> None:
         self._coded, self._came, self._bitstreams = coded, delivery.came, delivery.bitstreams
         self._parts, self._partial = delivery.parts, PartialDecoder(coded, delivery.bitstreams)
-        self._decoder = decoder_of(coded.codec) if "concealed" in delivery.fates else None
+        is_recoded = bool(delivery.bitstreams) and isinstance(coded.codec, StreamCodec)
+        self._decoder = decoder_of(coded.codec) if is_recoded or "concealed" in delivery.fates else None
         self._is_over = False
-        self._units = iter(coded.packets)
+        self._units = iter(delivery.units)
+        self._session = 0
+        self._frames: list[int] | None = [] if is_recoded else None
         self._given: dict[int, Image | None] = {}
 
     def picture(self, frame: int) -> Image | None:
@@ -34,21 +39,32 @@ class DeliveredPictures:
             return self._coded.codec.decode(self._bitstreams[frame])
         if self._decoder is None:
             return self._coded.frame(frame).decoded
-        while frame not in self._given:
-            given = self._next(self._decoder)
-            if given is None:
-                return None
-            self._given |= {picture.frame: picture.image for picture in given if picture.frame >= frame}
-        return self._given.pop(frame)
+        while frame not in self._given and not self._is_over:
+            self._given |= {shown: image for shown, image in self._next(self._decoder) if shown >= frame}
+        return self._given.pop(frame, None)
 
-    def _next(self, decoder: StreamDecoder) -> list[Picture] | None:
-        """What the decoder gives for the next packet, or for the end; None after that."""
-        if self._is_over:
-            return None
+    def _next(self, decoder: StreamDecoder) -> list[tuple[int, Image | None]]:
+        """What the decoder gives for the next packet, or for the end of its session, by frame."""
         unit = next(self._units, None)
+        self._is_over = unit is None
         if unit is None:
-            self._is_over = True
-            return decoder.flush()
+            return self._named(decoder.flush())
+        before = []
+        if unit.session != self._session:
+            before = self._named(decoder.flush())
+            decoder = self._decoder = decoder_of(self._coded.codec)
+            self._session, self._frames = unit.session, []
+        number = unit.frame
+        if self._frames is not None:
+            number = len(self._frames)
+            self._frames.append(unit.frame)
         if not self._came[unit.frame]:
-            return decoder.push(LOST)
-        return decoder.push(unit.packet(self._coded.frame(unit.frame).bitstream))
+            return before + self._named(decoder.push(LOST))
+        data = self._bitstreams.get(unit.frame) or self._coded.frame(unit.frame).bitstream
+        return before + self._named(decoder.push(replace(unit, frame=number).packet(data)))
+
+    def _named(self, pictures: list[Picture]) -> list[tuple[int, Image | None]]:
+        """By the frames of the sequence; in a session that was coded anew they are numbered as they were pushed."""
+        if self._frames is None:
+            return [(picture.frame, picture.image) for picture in pictures]
+        return [(self._frames[picture.frame], picture.image) for picture in pictures]

@@ -21,7 +21,7 @@ old to be of use, or after a newer one."""
 
 
 def fates_of(
-    units: Sequence[SentPacket],
+    units: Mapping[int, SentPacket],
     captured_s: NDArray[np.float64],
     complete_s: Mapping[int, float],
     settings: LinkSettings,
@@ -29,17 +29,19 @@ def fates_of(
 ) -> tuple[list[Fate], NDArray[np.float64]]:
     """What became of each frame, and (N,) when it was handed on; infinite where it was not.
 
-    captured_s: (N,) of frames. complete_s: of the units that were sent, by number; infinite for those that never were.
-    partial_s: when what there is of these can be decoded, where a decoder makes something of it. A frame that the
-    encoder gave nothing for was skipped.
+    units: by number, in order. captured_s: (N,) of frames. complete_s: of the units that were sent, by number; infinite
+    for those that never were. partial_s: when what there is of these can be decoded, where a decoder makes something of
+    it. A frame that the encoder gave nothing for was skipped.
     """
     if settings.transport == "reliable":
         complete_s = _in_order(complete_s)
     fates: list[Fate] = ["skipped"] * len(captured_s)
     decodable_s = np.full(len(captured_s), math.inf)
     in_time: list[Fate] = ["on time"] * len(captured_s)
-    begun_s, whole_from = math.inf, math.inf
-    for number, unit in enumerate(units):
+    begun_s, whole_from, session = math.inf, math.inf, 0
+    for number, unit in units.items():
+        if unit.session != session:  # which has a decoder of its own
+            begun_s, whole_from, session = math.inf, math.inf, unit.session
         own_s = complete_s.get(number, math.inf)
         if math.isinf(own_s):
             whole_from = math.inf
@@ -61,7 +63,7 @@ def fates_of(
         if not is_broken or settings.concealed:
             decodable_s[unit.frame] = begun_s
             in_time[unit.frame] = "concealed" if is_broken else "on time"
-    decoded_s = _decoded(units, captured_s, decodable_s, settings)
+    decoded_s = _decoded(list(units.values()), captured_s, decodable_s, settings)
     handed_s = np.full(len(captured_s), math.inf)
     newest = -1
     for frame in sorted(np.flatnonzero(np.isfinite(decoded_s)).tolist(), key=lambda frame: (decoded_s[frame], frame)):

@@ -10,7 +10,7 @@ import numpy as np
 
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Link, Passage
-from codecbench.core.simulation.adaptation import FILL, Encode, Throughput
+from codecbench.core.simulation.adaptation import FILL, AdaptiveEncoder, Throughput
 from codecbench.core.simulation.link_queue import Packet, link_queue
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.core.simulation.transport import PacketCounts, Shipment, packets_of
@@ -24,7 +24,8 @@ MOST_TRIES: Final = 1000
 class Sender:
     """A device with a camera. Units are what the encoder gives, by number, in its order.
 
-    shipments: of the units that were sent. waiting: packets in the link's queue whenever a picture was taken.
+    units: those that were coded, as they became. shipments: of those that were sent. waiting: packets in the link's
+    queue whenever a picture was taken.
     """
 
     def __init__(
@@ -35,17 +36,17 @@ class Sender:
         link: Link[Any],
         settings: LinkSettings,
         rng: np.random.Generator,
-        encode: Encode | None = None,
+        encoder: AdaptiveEncoder | None = None,
     ) -> None:
-        """captured_s: of each unit's picture. encode: codes the pictures anew, as the link asks; then `sizes_bytes`
-        says how large they became."""
-        self.sizes_bytes = [unit.size_bytes for unit in units]
-        self._encode_frame, self._throughput = encode, Throughput()
+        """captured_s: of each unit's picture. encoder: codes the pictures anew, as the link asks."""
+        self.units = dict(enumerate(units)) if encoder is None else {}
+        self._encoder, self._throughput = encoder, Throughput()
         self._interval_s = float(np.median(np.diff(captured_s))) if len(captured_s) > 1 else 1.0
         self.shipments: dict[int, Shipment] = {}
         self.waiting: list[int] = []
         self.counts = PacketCounts()
-        self._world, self._units, self._captured_s, self._settings = world, units, captured_s, settings
+        self._world, self._captured_s, self._settings = world, captured_s, settings
+        self._frames = [unit.frame for unit in units]
         self._unencoded, self._encoded = (
             WaitingRoom(settings.queue_policy, captured_s, settings.deadline_s) for _ in range(2)
         )
@@ -67,11 +68,16 @@ class Sender:
         if self._is_encoding or (unit := self._unencoded.take(self._world.now_s)) is None:
             return
         self._is_encoding = True
-        if self._encode_frame is not None:
+        if self._encoder is not None:
             rate = self._throughput.at(self._world.now_s)
             budget_bytes = None if rate is None else FILL * rate * self._interval_s
-            self.sizes_bytes[unit] = self._encode_frame(self._units[unit].frame, budget_bytes)
+            self.units[unit] = self._encoder.encode(self._frames[unit], budget_bytes, self._waiting_bytes())
         self._world.at(self._world.now_s + self._encode_s, lambda: self._end_encoding(unit))
+
+    def _waiting_bytes(self) -> int:
+        """Of all that was coded and has not left yet."""
+        coded = sum(self.units[unit].size_bytes for unit in self._encoded)
+        return coded + sum(packet.size_bytes for packet in self._backlog) + self._queue.waiting_bytes()
 
     def _end_encoding(self, unit: int) -> None:
         self._is_encoding = False
@@ -89,7 +95,7 @@ class Sender:
             unit = self._encoded.take(self._world.now_s)
             if unit is None:
                 return
-            packets, needed = packets_of(unit, self.sizes_bytes[unit], self._settings)
+            packets, needed = packets_of(unit, self.units[unit].size_bytes, self._settings)
             self.shipments[unit] = Shipment(needed, len(packets))
             self._backlog.extend(packets)
 
@@ -105,7 +111,7 @@ class Sender:
         self.counts.sent += room
 
     def _on_fate(self, packet: Packet, passage: Passage | None) -> None:
-        if passage is not None and self._encode_frame is not None:
+        if passage is not None and self._encoder is not None:
             self._throughput.add(packet.size_bytes, self._world.now_s, passage.sent_s)
         if passage is not None and passage.arrives_s is not None:
             self.counts.arrived += 1

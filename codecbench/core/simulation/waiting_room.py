@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from codecbench.core.simulation.settings import QueuePolicy
 
@@ -18,6 +18,9 @@ class WaitingRoom:
     def __init__(self, policy: QueuePolicy, captured_s: Sequence[float], deadline_s: float) -> None:
         self._policy, self._captured_s, self._deadline_s = policy, captured_s, deadline_s
         self._waiting: deque[int] = deque()
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._waiting)
 
     def put(self, unit: int) -> None:
         """One more waits."""

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from codecbench_delta.codec import Delta
 from memory_sequence import MemorySequence, Plugins, context
 from pydantic import Field
 
 from codecbench import NULL_TRACE, Codec, Image, Params, Trace, Unsupported
 from codecbench.core.contracts.codec import Capabilities
 from codecbench.core.contracts.evaluator import SentPacket
-from codecbench.core.simulation.adaptation import AdaptiveEncoder, Throughput
+from codecbench.core.simulation.adaptation import Throughput, adaptive_encoder
 from codecbench.core.simulation.delivery import Delivery, delivery_of
 from codecbench.core.simulation.pictures import DeliveredPictures
 from codecbench.core.simulation.settings import Adaptation, LinkSettings
@@ -91,11 +92,11 @@ def test_the_reader_gets_the_pictures_that_were_sent(tmp_path: Path) -> None:
 
 
 def test_a_range_may_fall_and_may_be_of_fractions() -> None:
-    falling = AdaptiveEncoder(coded(), Adaptation(parameter="kilobytes", range=(9, 3)))
-    assert falling.encode(0, None) == 9000
+    falling = adaptive_encoder(coded(), Adaptation(parameter="kilobytes", range=(9, 3)))
+    assert falling.encode(0, None, 0).size_bytes == 9000
     assert len(falling.bitstreams[0]) == 9000
-    fractions = AdaptiveEncoder(coded(), Adaptation(parameter="share", range=(0.1, 0.9)))
-    assert fractions.encode(0, 1.0) == 50_000
+    fractions = adaptive_encoder(coded(), Adaptation(parameter="share", range=(0.1, 0.9)))
+    assert fractions.encode(0, 1.0, 0).size_bytes == 50_000
 
 
 @pytest.mark.parametrize(
@@ -104,13 +105,16 @@ def test_a_range_may_fall_and_may_be_of_fractions() -> None:
 )
 def test_what_the_codec_does_not_take_is_unsupported(parameter: str, ends: tuple[int, int], words: str) -> None:
     with pytest.raises(Unsupported, match=words):
-        AdaptiveEncoder(coded(), Adaptation(parameter=parameter, range=ends))
+        adaptive_encoder(coded(), Adaptation(parameter=parameter, range=ends))
 
 
-def test_codecs_with_memory_have_a_rate_of_their_own() -> None:
-    stream = SimpleNamespace(codec=SimpleNamespace(name="stream"), sequence=None)
-    with pytest.raises(Unsupported, match="stream has memory"):
-        AdaptiveEncoder(stream, Adaptation(parameter="kilobytes", range=(1, 2)))  # type: ignore[arg-type]
+def test_what_holds_pictures_back_cannot_adapt() -> None:
+    held = SimpleNamespace(codec=Delta.create(hold=2), sequence=None)
+    with pytest.raises(Unsupported, match="delta holds pictures back with this setting"):
+        adaptive_encoder(held, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
+    foreign = SimpleNamespace(codec=SimpleNamespace(name="features"), sequence=None)
+    with pytest.raises(Unsupported, match="features codes neither single pictures nor a stream"):
+        adaptive_encoder(foreign, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
 
 
 def test_throughput_is_of_the_time_in_which_something_was_sent() -> None:
