@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from itertools import accumulate
 
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
@@ -16,7 +17,7 @@ _SIGNATURE = b"\r\n\x87\n"
 _FILE_TYPE = b"jp2 \0\0\0\0jp2 "
 _COLOUR_SPACES = {1: b"\1\0\0\0\0\0\x11", 3: b"\1\0\0\0\0\0\x10"}
 """Enumerated colour spaces (T.800 I.5.3.3): 17 grayscale, 16 sRGB."""
-SOC, SIZ, COD, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
+SOC, SIZ, COD, PLT, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF58, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
 _SIZ = struct.Struct(">HIIIIIIIIH")
 _COD = struct.Struct(">BBHBBBBBB")
 _IHDR = struct.Struct(">IIHBBBB")
@@ -26,6 +27,8 @@ _TILE_PART_LENGTH = 6
 _EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
 _BLOCKS = ((4, 4, 0), (3, 3, 0), (2, 2, 0))  # 64x64, 32x32 and 16x16 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
+MAX_LAYERS = 16
+"""A packet of each takes headers of its own, though there be nothing in it."""
 _OPENJPEG_COMMENT = b"Created by OpenJPEG version"
 _CRC_COMMENT = b"codecbench CRC-32: "
 _CRC_DIGITS = 8
@@ -58,8 +61,9 @@ def _check_crc(bitstream: bytes) -> None:
 def checked_shape(bitstream: bytes) -> tuple[int, ...]:
     """The shape that a JP2 file promises, once its structure has been checked from end to end.
 
-    Takes what our encoder writes: four boxes, one tile in one part, one layer, 8-bit components without
-    subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError for anything else.
+    Takes what our encoder writes: four boxes, one tile in one part, up to MAX_LAYERS layers one after the other, 8-bit
+    components without subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError
+    for anything else.
     """
     _check_crc(bitstream)
     return _checked_structure(bitstream)
@@ -68,8 +72,9 @@ def checked_shape(bitstream: bytes) -> tuple[int, ...]:
 def cut_file(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
     """The file that ends where the first bytes of one of ours do, and its shape: its lengths say so, and EOC follows.
 
-    Its checksum is wrong, as it is that of the whole. Raises BitstreamError where the bytes end within the headers, or
-    begin no file of ours.
+    With layers it ends with the last packet that is there whole: of a code block whose bytes in a packet are cut,
+    OpenJPEG forgets what the layers before brought. Its checksum is wrong, as it is that of the whole. Raises
+    BitstreamError where the bytes end within the headers, or begin no file of ours.
     """
     box = 0
     for _ in _BOXES[:-1]:
@@ -77,15 +82,39 @@ def cut_file(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
         if not 8 <= length <= len(prefix) - box:
             raise BitstreamError(f"jpeg2000: ends inside the headers, in the box at byte {box}")
         box += length
-    position, code = box + 8 + 2, 0
+    position, code, layers = box + 8 + 2, 0, 1
     while code != SOT:
         code, content = _read_marker_segment(prefix, position)
         position += 4 + len(content)
+        if code == COD and len(content) == _COD.size:
+            _, _, layers, *_ = _COD.unpack(content)
     tile_part = position - 4 - len(content)
+    data, lengths = _read_packet_lengths(prefix, position)
+    ends = [data + end for end in accumulate(lengths) if data + end <= len(prefix)]
+    if layers > 1 and len(ends) * layers >= len(lengths) > 0:  # the first layer, which has none before, is there
+        prefix = prefix[: ends[-1]]
     file = bytearray(prefix + EOC.to_bytes(2, "big"))
     struct.pack_into(">I", file, box, len(file) - box)
     struct.pack_into(">I", file, tile_part + _TILE_PART_LENGTH, len(prefix) - tile_part)
     return bytes(file), _checked_structure(bytes(file))
+
+
+def _read_packet_lengths(bitstream: bytes, position: int) -> tuple[int, list[int]]:
+    """Where packets begin behind the tile-part header from SOT's end on, and their lengths, where PLT tells them."""
+    lengths, length = [], 0
+    while bitstream[position : position + 2] != SOD.to_bytes(2, "big"):
+        if bitstream[position : position + 2] != PLT.to_bytes(2, "big"):
+            raise BitstreamError("jpeg2000: no SOD after the tile-part header")
+        _, content = _read_marker_segment(bitstream, position)
+        for byte in content[1:]:  # the first numbers the segments; T.800 A.7.3
+            length = length << 7 | byte & 0x7F
+            if length > len(bitstream) << 16:
+                raise BitstreamError(f"jpeg2000: PLT claims a packet of {length} bytes")
+            if byte < 0x80:
+                lengths.append(length)
+                length = 0
+        position += 4 + len(content)
+    return position + 2, lengths
 
 
 def _checked_structure(bitstream: bytes) -> tuple[int, ...]:
@@ -147,8 +176,7 @@ def _check_codestream(bitstream: bytes, start: int, width: int, height: int, cha
     ends = position + length == len(bitstream) - 2 and bitstream[-2:] == EOC.to_bytes(2, "big")
     if not ends or (tile, part, parts) != (0, 0, 1):
         raise BitstreamError(f"jpeg2000: tile {tile}, part {part} of {parts}, does not end with the file")
-    if bitstream[position + 12 : position + 14] != SOD.to_bytes(2, "big"):
-        raise BitstreamError("jpeg2000: no SOD after the tile-part header")
+    _read_packet_lengths(bitstream, position + 4 + len(content))
 
 
 def _read_marker_segment(bitstream: bytes, position: int) -> tuple[int, bytes]:
@@ -173,7 +201,8 @@ def _check_coding_style(content: bytes, channels: int) -> None:
     if len(content) != _COD.size:
         raise BitstreamError(f"jpeg2000: COD has {len(content)} bytes, not {_COD.size}")
     style, progression, layers, colour_transform, levels, *blocks, wavelet = _COD.unpack(content)
-    if (style, progression, layers) != (0, 0, 1) or tuple(blocks) not in _BLOCKS or colour_transform != (channels == 3):
+    is_style = (style, progression) == (0, 0) and 1 <= layers <= MAX_LAYERS
+    if not is_style or tuple(blocks) not in _BLOCKS or colour_transform != (channels == 3):
         raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that we write")
     if levels > _MAX_DECOMPOSITIONS or wavelet > 1:
         raise BitstreamError(

@@ -1,8 +1,8 @@
 """JPEG 2000 (ITU-T T.800) through glymur and OpenJPEG.
 
-A bitstream is a JP2 file with one tile, one layer and square code blocks, and the decoder takes nothing else,
-which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG names itself:
-the file keeps its size, any decoder reads it, and ours notices damage.
+A bitstream is a JP2 file with one tile, a few layers one after the other and square code blocks, and the decoder takes
+nothing else, which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG
+names itself: the file keeps its size, any decoder reads it, and ours notices damage.
 
 OpenJPEG is given a ratio, which a file meets only roughly. `cr_percent` is a limit, and relative to the PNG, so it
 needs the PNG's size and a few trials; `prepared` does both beforehand.
@@ -10,6 +10,7 @@ needs the PNG's size and a few trials; `prepared` does both beforehand.
 
 from __future__ import annotations
 
+import math
 import struct
 import tempfile
 import warnings
@@ -27,11 +28,12 @@ from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsuppo
 from codecbench.core.contracts.image import Image, check_image, png_bytes
 from codecbench.core.contracts.params import Params
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.jp2_syntax import EOC, MAX_JP2_PIXELS, checked_shape, cut_file, with_checksum
+from codecbench.plugins.codecs.jp2_syntax import EOC, MAX_JP2_PIXELS, MAX_LAYERS, checked_shape, cut_file, with_checksum
 from codecbench.plugins.codecs.openjpeg import load_glymur, tolerant
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
 _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
+_LAYER_RATIO, _LAYER_DB = 2.0, 3.0  # from layer to layer
 _TOLERANCE = 0.02
 _MAX_TRIES = 10
 _UNREADABLE = (OSError, RuntimeError, ValueError, TypeError, LookupError, struct.error)  # what glymur's parser raises
@@ -51,6 +53,12 @@ class Jpeg2000Params(Params):
     irreversible: bool = Field(
         True, description="the 9/7 wavelet with real arithmetic, else the 5/3; follows from lossless where left out"
     )
+    layers: int = Field(
+        1,
+        ge=1,
+        le=MAX_LAYERS,
+        description="of quality, each of twice the bytes or 3 dB finer; cut files keep the first",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -66,6 +74,10 @@ class Jpeg2000Params(Params):
             raise ValueError(f"exactly one of ratio, psnr_db, lossless and cr_percent sets the rate, got {got}")
         if self.lossless and self.irreversible:
             raise ValueError("lossless needs the reversible 5/3 wavelet: leave irreversible out")
+        if self.psnr_db is not None and self.psnr_db <= _LAYER_DB * (self.layers - 1):
+            most = math.ceil(self.psnr_db / _LAYER_DB)
+            fault = f"{self.layers} layers, {_LAYER_DB:g} dB apart, do not fit below psnr_db {self.psnr_db:g}"
+            raise ValueError(f"{fault}; {most} or fewer do")
         return self
 
 
@@ -85,7 +97,13 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     version = "1"
     params_type = Jpeg2000Params
     capabilities = Capabilities(thread_safe=False, partial_decoding=True)
-    examples = ({"ratio": 8}, {"psnr_db": 35}, {"lossless": True}, {"cr_percent": 60, "irreversible": False})
+    examples = (
+        {"ratio": 8},
+        {"psnr_db": 35},
+        {"lossless": True},
+        {"cr_percent": 60, "irreversible": False},
+        {"ratio": 12, "layers": 4},
+    )
 
     def __init__(self, params: Jpeg2000Params) -> None:
         super().__init__(params)
@@ -120,10 +138,11 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return self._read(bitstream, checked_shape(bitstream))
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
-        """What comes before the first gap, coarse resolutions first; what comes after it cannot be told apart.
+        """What comes before the first gap, layer by layer and in each the coarse resolutions first; what comes after
+        it cannot be told apart.
 
-        Nothing of it is `whole`: every pixel has a share in the finest resolution, whose parts are the last. Raises
-        Unsupported where OpenJPEG is older than 2.5.
+        Nothing of it is `whole`: every pixel has a share in the finest resolution of the last layer, whose parts are
+        the last. Raises Unsupported where OpenJPEG is older than 2.5.
         """
         first = fragments[0]
         if len(fragments) == 1 and first.offset == 0 and first.data.endswith(EOC.to_bytes(2, "big")):
@@ -191,14 +210,27 @@ class Jpeg2000(Codec[Jpeg2000Params]):
                 budget = (fits + exceeds) // 2
         return best, smallest, exceeds == image.size
 
-    def _write(self, image: Image, block_side: int = _BLOCK_SIDES[0], **rate: Any) -> bytes:
+    def _write(self, image: Image, block_side: int = _BLOCK_SIDES[0], **rate: list[float]) -> bytes:
         resolutions = min(_RESOLUTIONS, min(image.shape[:2]).bit_length())
         settings = {"irreversible": self.params.irreversible, "numres": resolutions, "cbsize": (block_side, block_side)}
         with _scratch_file() as path:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                self._glymur.Jp2k(path, data=image, **settings, **rate)
+                self._glymur.Jp2k(path, data=image, **settings, **self._layered(rate))
             return with_checksum(path.read_bytes())
+
+    def _layered(self, rate: dict[str, list[float]]) -> dict[str, Any]:
+        """What OpenJPEG is asked for in each layer, the coarsest first; the last is what is asked for in all.
+
+        The lengths of packets are written too, by which a file that is cut is decoded as far as they are whole.
+        """
+        if self.params.layers == 1:
+            return rate
+        finer = range(self.params.layers - 1, -1, -1)
+        if "psnr" in rate:
+            return {"psnr": [rate["psnr"][0] - _LAYER_DB * steps for steps in finer], "plt": True}
+        (ratio,) = rate.get("cratios", [1.0])  # OpenJPEG takes 1 for everything there is
+        return {"cratios": [ratio * _LAYER_RATIO**steps for steps in finer], "plt": True}
 
 
 def _checked(image: Image) -> Image:

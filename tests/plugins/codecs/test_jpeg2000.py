@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import zlib
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from pydantic import ValidationError
 from skimage.metrics import peak_signal_noise_ratio
 
 from codecbench import BitstreamError, ImageError, Unsupported
+from codecbench.core.contracts.codec import Fragment
 from codecbench.core.contracts.image import png_bytes
-from codecbench.plugins.codecs import jpeg2000
+from codecbench.plugins.codecs import jp2_syntax, jpeg2000
 from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
 
 PICTURE = np.ascontiguousarray(skimage.data.astronaut()[:240, :320])
@@ -36,9 +38,9 @@ def _tool(name: str) -> str:
     return path
 
 
-def _opj_decompress(bitstream: bytes, folder: Path) -> np.ndarray:
+def _opj_decompress(bitstream: bytes, folder: Path, *more: str) -> np.ndarray:
     (folder / "in.jp2").write_bytes(bitstream)
-    command = [_tool("opj_decompress"), "-i", str(folder / "in.jp2"), "-o", str(folder / "out.png"), "-quiet"]
+    command = [_tool("opj_decompress"), "-i", str(folder / "in.jp2"), "-o", str(folder / "out.png"), "-quiet", *more]
     subprocess.run(command, check=True, capture_output=True)
     image = cv2.imread(str(folder / "out.png"), cv2.IMREAD_UNCHANGED)
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -47,7 +49,15 @@ def _opj_decompress(bitstream: bytes, folder: Path) -> np.ndarray:
 @pytest.mark.thorough
 @IMAGES
 @pytest.mark.parametrize(
-    "values", [{"ratio": 20}, {"lossless": True}, {"psnr_db": 35}, {"ratio": 10, "irreversible": False}]
+    "values",
+    [
+        {"ratio": 20},
+        {"lossless": True},
+        {"psnr_db": 35},
+        {"ratio": 10, "irreversible": False},
+        {"ratio": 10, "layers": 5},
+        {"lossless": True, "layers": 3},
+    ],
 )
 def test_opj_decompress_reads_the_same_pixels(image: np.ndarray, values: dict[str, Any], tmp_path: Path) -> None:
     codec = Jpeg2000.create(**values)
@@ -152,6 +162,9 @@ def test_the_irreversible_wavelet_is_the_default_and_better() -> None:
         {"lossless": False},
         {"ratio": 1},
         {"cr_percent": 100},
+        {"ratio": 8, "layers": 0},
+        {"ratio": 8, "layers": 17},
+        {"psnr_db": 8, "layers": 4},
     ],
 )
 def test_anything_but_one_rate_is_refused(values: dict[str, Any]) -> None:
@@ -198,6 +211,83 @@ def test_a_header_that_claims_too_much_is_refused() -> None:
         Jpeg2000.create(ratio=20).decode(_sealed(huge))
 
 
+LAYERED: list[dict[str, Any]] = [
+    {"ratio": 8, "layers": 6},
+    {"psnr_db": 38, "layers": 5},
+    {"cr_percent": 60, "layers": 4},
+    {"lossless": True, "layers": 6},
+]
+
+
+@IMAGES
+@pytest.mark.parametrize("values", LAYERED, ids=str)
+def test_layers_cost_little_and_keep_what_is_asked_for(image: np.ndarray, values: dict[str, Any]) -> None:
+    layered, plain = Jpeg2000.create(**values), Jpeg2000.create(**{**values, "layers": 1})
+    ours, theirs = layered.encode(image), plain.encode(image)
+    assert ours != theirs
+    assert len(ours) <= 1.05 * len(theirs)
+    decoded, expected = layered.decode(ours), plain.decode(theirs)
+    if layered.is_lossless():
+        assert np.array_equal(decoded, image)
+    else:
+        assert peak_signal_noise_ratio(image, decoded) > peak_signal_noise_ratio(image, expected) - 0.5
+
+
+def test_one_layer_is_what_it_was_before_there_was_a_choice() -> None:
+    assert Jpeg2000.create(ratio=20).encode(GRAY) == Jpeg2000.create(ratio=20, layers=1).encode(GRAY)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 200), (17, 33, 3)])
+def test_layers_of_small_images_have_room(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+    image = rng.integers(0, 256, shape, dtype=np.uint8)
+    assert np.array_equal(Jpeg2000.create(lossless=True, layers=16).decode(
+        Jpeg2000.create(lossless=True, layers=16).encode(image)), image)  # fmt: skip
+    codec = Jpeg2000.create(ratio=30, layers=16)
+    assert codec.decode(codec.encode(image)).shape == shape
+
+
+@IMAGES
+def test_the_beginning_of_layers_is_a_better_picture_than_that_of_one(image: np.ndarray) -> None:
+    """A half, a quarter and an eighth of the bytes: within 3 dB of a file that was made for that size."""
+    psnr = {}
+    for layers in (1, 6):
+        codec = Jpeg2000.create(ratio=6, layers=layers)
+        bitstream = codec.encode(image)
+        for share in (2, 4, 8):
+            part = codec.decode_partial([Fragment(0, bitstream[: len(bitstream) // share])]).image
+            psnr[layers, share] = peak_signal_noise_ratio(image, part)
+    for share in (2, 4, 8):
+        alone = Jpeg2000.create(ratio=6 * share)
+        assert psnr[6, share] > peak_signal_noise_ratio(image, alone.decode(alone.encode(image))) - 3
+    assert all(psnr[6, share] > psnr[1, share] + 1 for share in (2, 4, 8)), psnr
+
+
+@IMAGES
+def test_with_layers_no_byte_more_makes_a_picture_much_worse(image: np.ndarray) -> None:
+    codec = Jpeg2000.create(ratio=8, layers=6)
+    bitstream = codec.encode(image)
+    ends = np.linspace(len(bitstream) // 20, len(bitstream) - 3, 40).astype(int)
+    parts = [codec.decode_partial([Fragment(0, bitstream[:end])]).image for end in ends]
+    quality = [float(peak_signal_noise_ratio(image, part)) for part in parts]
+    assert all(after > before - 0.3 for before, after in pairwise(quality)), quality
+
+
+@IMAGES
+@pytest.mark.parametrize("layers", [1, 6])
+def test_opj_decompress_makes_the_same_of_a_cut_file(image: np.ndarray, layers: int, tmp_path: Path) -> None:
+    """Of the bytes as they are: with one layer cut anywhere behind the headers, with more where the last packet ends
+    that a cut leaves whole."""
+    codec = Jpeg2000.create(ratio=8, layers=layers)
+    bitstream = codec.encode(image)
+    headers = bitstream.index(b"\xff\x93") + 2
+    for end in np.linspace(headers + 900, len(bitstream) - 3, 5).astype(int):
+        file, _ = jp2_syntax.cut_file(bitstream[:end])
+        kept = len(file) - 2  # less EOC
+        assert kept == end if layers == 1 else end - 6000 < kept <= end
+        theirs = _opj_decompress(bitstream[:kept], tmp_path, "-allow-partial")
+        np.testing.assert_array_equal(codec.decode_partial([Fragment(0, bitstream[:end])]).image, theirs)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
@@ -216,6 +306,13 @@ def test_hostile_files_with_a_right_checksum_are_refused(old: bytes, new: bytes,
     assert old in bitstream
     with pytest.raises(BitstreamError, match=reason):
         Jpeg2000.create(ratio=20).decode(_sealed(bitstream.replace(old, new, 1)))
+
+
+def test_lengths_of_packets_that_no_file_has_are_refused() -> None:
+    bitstream = Jpeg2000.create(ratio=20, layers=3).encode(GRAY)
+    place = bitstream.index(b"\xff\x58") + 5
+    with pytest.raises(BitstreamError, match="PLT claims a packet"):
+        Jpeg2000.create(ratio=20).decode(_sealed(bitstream[:place] + b"\xff" * 9 + bitstream[place + 9 :]))
 
 
 def test_damage_inside_the_packets_with_a_right_checksum_neither_crashes_nor_raises(rng: np.random.Generator) -> None:
