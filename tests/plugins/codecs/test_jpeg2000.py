@@ -272,6 +272,7 @@ def test_with_layers_no_byte_more_makes_a_picture_much_worse(image: np.ndarray) 
     assert all(after > before - 0.3 for before, after in pairwise(quality)), quality
 
 
+@pytest.mark.thorough
 @IMAGES
 @pytest.mark.parametrize("layers", [1, 6])
 def test_opj_decompress_makes_the_same_of_a_cut_file(image: np.ndarray, layers: int, tmp_path: Path) -> None:
