@@ -97,7 +97,7 @@ function pathViewer(tell) {
     $("path-error").hidden = !known && !lost.some(Boolean) && !told;
     error = chart($("path-error"), [{ name: course.quantity, x: course.frames, y: errors, colour: "var(--accent)" }, ...(told ? [] : [missing])],
       known || !told ? [{ low: 0, high: 0, value: 0, colour: "var(--line)" }] : [], {
-        height: 170 + LANE * course.lanes.length, x: { label: "frame" }, y: { label: `${course.quantity} [${course.unit}]` },
+        height: 190 + LANE * course.lanes.length, x: { label: "frame" }, y: { label: `${course.quantity} [${course.unit}]` },
         lanes: { from: course.frames[0], to: course.last, of: course.lanes },
         label: `Timeline. ${known ? `${course.quantity}: at most ${shown(most)} ${course.unit}` : `No ${course.quantity} is known`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
       });
@@ -126,7 +126,7 @@ function pathViewer(tell) {
       return /[1-9]/.test(lane.levels.slice(first, last + 1));
     });
     const known = far !== null ? `${course.quantity} ${from < to ? "up to " : ""}${shown(far)} ${course.unit}`
-      : course.x && course.x[place] === null ? "no pose" : `no ${course.quantity} known`;
+      : course.x && course.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no ${course.quantity} known`;
     $("path-caption").textContent = `${here().drawing.caption}. Frame${from < to ? `s ${from} to ${to}` : ` ${from}`}: ${[...lanes.map((lane) => lane.name), known].join(", ")}`;
   };
   const closest = (frame) => courseOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);
