@@ -18,6 +18,7 @@ from codecbench.core.results.choosing.candidates import Candidate, Demand, NotMe
 from codecbench.core.results.choosing.least_error import least_errors
 from codecbench.core.results.choosing.overview import chosen
 from codecbench.core.results.choosing.words import choices
+from codecbench.core.results.report.render import render
 from codecbench.core.results.table import CellResult
 
 WAIT = Metric("wait", "ms", "lower", "", need="delay")
@@ -274,3 +275,11 @@ def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:
         chosen(run_of(size(1.0), *delivered(1.0, 10)), Demand(""))
     with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio"):
         chosen(run_of(*BY_ERROR), Demand("light"))
+
+
+def test_the_report_begins_with_what_to_take_over_each_link() -> None:
+    html = render(run_of(*BY_ERROR), lambda _: {"frames": [], "originals": []})
+    answer = html[html.index('<section id="answer"') :]
+    table = answer[answer.index('<div id="links">') : answer.index("</table>")]
+    assert "<td" in table
+    assert all(word in table for word in ("radio", "plain q=2.0", "better than 1 of 2 others"))
