@@ -57,7 +57,7 @@ if TYPE_CHECKING:
         decoder_of,
         encoder_of,
     )
-    from codecbench.core.contracts.view import Course, Drawing, Line, Marks, View
+    from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
     from codecbench.core.engine.planning.one_codec import codec
@@ -94,7 +94,7 @@ _HOMES = {
         "LOST", "Loss", "Packet", "Picture", "StreamCodec", "StreamDecoder", "StreamEncoder",
         "decoder_of", "encoder_of",
     ),
-    _CONTRACTS + "view": ("Course", "Drawing", "Line", "Marks", "View"),
+    _CONTRACTS + "view": ("Course", "Drawing", "Lane", "Line", "Marks", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
     "codecbench.core.results.bundles": ("bundle", "open_bundle"),

@@ -31,7 +31,7 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 
 @click.command()
 @click.argument("source", metavar="RUN|MATRIX", type=click.Path(path_type=Path))
-@click.option("--link", required=True, metavar="LINK", help="The link over which pictures come.")
+@click.option("--link", metavar="LINK", help="The link over which pictures come; of a RUN, by default each of its.")
 @click.option("--deadline", type=quantity({"ms": 1.0, "s": 1000.0}), metavar="TIME",
               help="The oldest that a picture may be when it is there, such as 100ms.")  # fmt: skip
 @click.option("--error", type=quantity({"m": 1.0, "cm": 0.01, "mm": 0.001}), metavar="LENGTH",
@@ -48,7 +48,7 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 @click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 def choose(
     source: Path,
-    link: str,
+    link: str | None,
     deadline: float | None,
     error: float | None,
     share: float,
@@ -63,25 +63,30 @@ def choose(
     Of a MATRIX is run first what that takes, in its run folder, going on where an earlier run stopped. Evaluators of
     the link that it lacks are added, and repeats of what reads the pictures as far as they decide.
 
-    Settings stand in order of rate, and the first that holds is the one to take. Of the deadline and the error at
-    least one is given. A setting holds where more than half of all runs that there could be would succeed, at 95 %.
+    Settings stand in order of rate, and the first that holds is the one to take. A setting holds where more than half
+    of all runs that there could be would succeed, at 95 %. Where neither a deadline nor an error is given, the setting
+    of a RUN is named that errs least, and how sure that is; of a MATRIX one of them, and the link, are needed.
     """
     from codecbench.core.results.begun import begun_run
     from codecbench.core.results.choosing.candidates import Demand
-    from codecbench.core.results.choosing.words import choices
+    from codecbench.core.results.choosing.overview import chosen
     from codecbench.trial.choosing import MINUTES, is_matrix
 
-    if deadline is None and error is None:
-        raise click.UsageError("say what is asked: --deadline, --error or both")
-    demand = Demand(link, deadline, error, share, device_factor)
     if is_matrix(source):
+        if link is None:
+            raise click.UsageError("say over which link: --link, such as wifi_edge; `codecbench list links` names all")
+        if deadline is None and error is None:
+            raise click.UsageError("say what is asked: --deadline, --error or both")
+        demand = Demand(link, deadline, error, share, device_factor)
         _run_and_choose(source, demand, out, workers, MINUTES if minutes is None else minutes, format_)
         return
     of_matrix = {"--out": out, "--workers": workers, "--minutes": minutes}
     if given := [name for name, value in of_matrix.items() if value is not None]:
         raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
+    if device_factor is not None and deadline is None and error is None:
+        raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
     result = begun_run(source)
-    show_found(result, choices(result, demand), format_)
+    show_found(result, chosen(result, Demand(link or "", deadline, error, share, device_factor)), format_)
 
 
 def _run_and_choose(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 import pytest
 from click.testing import CliRunner
@@ -22,7 +24,10 @@ def test_anything_else_is_refused(text: str) -> None:
         TIME(text)
 
 
-def test_something_must_be_asked() -> None:
-    result = CliRunner().invoke(choose, ["runs/x", "--link", "lte"])
-    assert result.exit_code == 2
-    assert "--deadline, --error or both" in result.output
+def test_of_a_matrix_a_link_and_something_else_must_be_asked(tmp_path: Path) -> None:
+    matrix = tmp_path / "matrix.yaml"
+    matrix.write_text("version: 1\n")
+    for given, wanted in ((["--error", "5cm"], "--link"), (["--link", "lte"], "--deadline, --error or both")):
+        result = CliRunner().invoke(choose, [str(matrix), *given])
+        assert result.exit_code == 2
+        assert wanted in result.output

@@ -11,7 +11,7 @@ from measured_runs import METRICS, cell_result, run_of
 
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.contracts.view import Course, Drawing, Line, Marks, View
+from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
 from codecbench.core.results.meaning import Meaning
 from codecbench.core.results.report.frame_views import frame_view
 from codecbench.core.results.run_result import RunResult
@@ -81,7 +81,10 @@ def _drawing(drift: float) -> Drawing:
     errors = np.linalg.norm(positions - truth, axis=1)
     known = positions[~np.isnan(positions[:, 0])]
     lines = (Line("ground truth", "truth", truth), Line("optimised", "after", known))
-    return Drawing(lines, f"error {drift:.3g} m", True, course=Course(np.arange(300), positions, errors, "m"))
+    lost = np.isnan(errors)
+    lanes = (Lane("tracked", "good", ~lost), Lane("waiting", "fair", np.arange(300) < 3), Lane("lost", "bad", lost))
+    course = Course(np.arange(300), positions, errors, "m", lanes)
+    return Drawing(lines, f"error {drift:.3g} m", True, course=course)
 
 
 def report_frames(run: RunResult, frames: tuple[int, ...] = (75, 225)) -> dict[str, Any]:

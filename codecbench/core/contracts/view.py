@@ -12,6 +12,7 @@ from codecbench.core.contracts.errors import PluginError
 
 ViewKind = Literal["curve", "bars", "map"]
 Stroke = Literal["truth", "before", "after"]
+Tone = Literal["good", "fair", "bad"]
 
 _METRICS: Final[dict[ViewKind, tuple[int, int]]] = {"curve": (1, 2), "bars": (1, 100), "map": (0, 0)}
 """How many metrics a view of each kind names, at the least and at the most."""
@@ -63,26 +64,49 @@ class Marks:
 
 
 @dataclass(frozen=True)
-class Course:
-    """What became of each frame on a map, in order.
+class Lane:
+    """Frames of a course that share a fate: its name, how good that is, and of which frames it holds (N,)."""
 
-    frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none.
-    errors: (N,) how far off each is, NaN where that is not known. unit: of errors.
+    name: str
+    tone: Tone
+    holds: NDArray[np.bool_] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if self.tone not in get_args(Tone):
+            raise PluginError(f"lane {self.name!r}: tone is {self.tone!r}; it is one of {', '.join(get_args(Tone))}")
+        if self.holds.ndim != 1 or self.holds.dtype != np.bool_:
+            raise PluginError(
+                f"lane {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it is (N,) of bool"
+            )
+
+
+@dataclass(frozen=True)
+class Course:
+    """What became of each frame, in order.
+
+    frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none; None
+    where the drawing is no map. errors: (N,) how far off each is, NaN where that is not known. unit: of errors. lanes:
+    what became of frames, in the order in which it is shown. quantity: what errors are, for people.
     """
 
     frames: NDArray[np.int64] = field(repr=False)
-    positions: NDArray[np.float64] = field(repr=False)
+    positions: NDArray[np.float64] | None = field(repr=False)
     errors: NDArray[np.float64] = field(repr=False)
     unit: str
+    lanes: tuple[Lane, ...] = ()
+    quantity: str = "error"
 
     def __post_init__(self) -> None:
         count = len(self.frames)
-        if self.positions.shape != (count, 2) or self.errors.shape != (count,):
+        shape = None if self.positions is None else self.positions.shape
+        if shape not in (None, (count, 2)) or self.errors.shape != (count,):
             raise PluginError(
-                f"course: {count} frames, positions {self.positions.shape} and errors {self.errors.shape}; "
-                "they are (N, 2) and (N,)"
+                f"course: {count} frames, positions {shape} and errors {self.errors.shape}; they are (N, 2) and (N,)"
             )
-        if np.isinf(self.positions).any() or np.isinf(self.errors).any():
+        for lane in self.lanes:
+            if len(lane.holds) != count:
+                raise PluginError(f"course: lane {lane.name!r} is of {len(lane.holds)} frames; the course has {count}")
+        if any(np.isinf(values).any() for values in (self.positions, self.errors) if values is not None):
             raise PluginError("course: a position or error is infinite; what is not known is NaN")
 
 
@@ -108,7 +132,7 @@ class Drawing:
     """What a cell left, as lines on a map. holds: whether its task succeeded, or None where that is not known.
 
     axes: what the two axes show, where they have scales of their own; empty for a plane, whose axes have one.
-    course: what became of each frame, where the lines are paths.
+    course: what became of each frame.
     """
 
     lines: tuple[Line, ...]

@@ -32,10 +32,12 @@ class Answer:
 
 @dataclass(frozen=True)
 class Answers:
-    """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out."""
+    """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out. about:
+    by what, in a few words."""
 
     basis: str
     answers: tuple[Answer, ...] = ()
+    about: str = ""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -49,18 +51,35 @@ def answers(run: RunResult) -> Answers:
     Where the run has headlines of role `success` each codec is judged by how far it may compress until they fail, else
     by its place in the first ranking, of a task or, without one, of quality. A run without a rate answers nothing.
     """
+    return answers_of_settings(run)[0]
+
+
+def answers_of_settings(run: RunResult) -> list[Answers]:
+    """The answers of a run, and after them those of the same by every other setting of its evaluators."""
     if run.rate is None:
-        return Answers(_NO_RATE)
-    judged = successes(run)
-    return _held(run, judged[0]) if judged else _ranked(run)
+        return [Answers(_NO_RATE)]
+    if judged := successes(run):
+        return [_held(run, columns) for columns in judged]
+    column = judged_column(run)
+    if column is None:
+        return [Answers("Neither a task nor quality was measured, so that codecs cannot be judged.")]
+    same = [other for other in run.headlines(column.metric.role) if other != column
+            and (other.evaluator.name, other.measure) == (column.evaluator.name, column.measure)]  # fmt: skip
+    ranked = {ranking.column: ranking for ranking in reversed(rankings(run, brief=True))}
+    return [_ranked(run, each, ranked.get(each)) for each in (column, *same)]
 
 
 def judged_column(run: RunResult) -> Column | None:
-    """The column of the curve that belongs to the answers: of a task whose success is judged, else the first task."""
+    """The column of the curve that belongs to the answers: of a task whose success is judged, else the first task.
+
+    Of an evaluator that uses a link, the error that is made of what comes over it.
+    """
     judged, tasks = successes(run), run.headlines("task")
     if judged:
         tasks = [column for column in tasks if column.evaluator == judged[0][0].evaluator] or tasks
-    ranked = [column for column in (*tasks, *run.headlines("quality")) if column.metric.better != "neither"]
+    linked = [column for column in tasks if any(used.kind == "link" for used in column.evaluator.uses)]
+    over_link = [column for column in linked if column.metric.need == "error"]
+    ranked = [column for column in (*over_link, *tasks, *run.headlines("quality")) if column.metric.better != "neither"]
     return next(iter(ranked), None)
 
 
@@ -87,7 +106,7 @@ def _held(run: RunResult, columns: list[Column]) -> Answers:
     basis = f"Judged by “{what}”, {where(on)}, {_counted(most, 'run')} a setting"
     if raw is not None and baseline.settings:
         basis += f"; {raw[0]} itself: {baseline.settings[0]}"
-    return Answers(f"{basis}.", tuple(_limited(run, on, curve, own[curve], like) for curve in curves))
+    return Answers(f"{basis}.", tuple(_limited(run, on, curve, own[curve], like) for curve in curves), what)
 
 
 def _limited(run: RunResult, on: str, curve: str, limit: Limit, like: str) -> Answer:
@@ -109,11 +128,8 @@ def _limited(run: RunResult, on: str, curve: str, limit: Limit, like: str) -> An
     return Answer(curve, f"{named} {held} at {share}, too few to tell; at least {last.more_runs} more would tell.")
 
 
-def _ranked(run: RunResult) -> Answers:
-    column, on = judged_column(run), _on(run)
-    if column is None:
-        return Answers("Neither a task nor quality was measured, so that codecs cannot be judged.")
-    ranking = next((found for found in rankings(run, brief=True) if found.column == column), None)
+def _ranked(run: RunResult, column: Column, ranking: Ranking | None) -> Answers:
+    on = _on(run)
     what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
     basis = f"Judged {what}, {where(on)}"
     if ranking is not None:
@@ -129,7 +145,7 @@ def _ranked(run: RunResult) -> Answers:
         if ranking is not None and curve in ranking.left_out:
             parts.append(f"not compared: {ranking.left_out[curve]}")
         found.append(Answer(curve, f"{curve}: {'; '.join(filter(None, parts))}."))
-    return Answers(f"{basis}.", tuple(found))
+    return Answers(f"{basis}.", tuple(found), column.label)
 
 
 def _spanned(run: RunResult, on: str, curve: str, column: Column) -> str:

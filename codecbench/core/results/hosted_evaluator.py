@@ -14,7 +14,7 @@ from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Course, Drawing, Line, View
+from codecbench.core.contracts.view import Course, Drawing, Lane, Line, View
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.planning.declared import read_declared
@@ -66,17 +66,25 @@ class HostedEvaluator:
             for name, stroke, points in answer["lines"]
         )
         axes = tuple(clean_line(name) for name in answer["axes"])
-        course = answer["course"] and Course(
-            np.array(answer["course"]["frames"], np.int64),
-            np.array(answer["course"]["positions"], float).reshape(-1, 2),
-            np.array(answer["course"]["errors"], float),
-            clean_line(answer["course"]["unit"]),
-        )
+        course = answer["course"] and _course(answer["course"])
         return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, course)
 
     def _ask(self, function: Any, *outcomes: Any) -> Any:
         asked: tuple[Kind, str] = "evaluator", self._setting.name
         return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[asked])
+
+
+def _course(answer: dict[str, Any]) -> Course:
+    """The course of a drawing, from JSON types."""
+    positions = answer["positions"]
+    return Course(
+        np.array(answer["frames"], np.int64),
+        None if positions is None else np.array(positions, float).reshape(-1, 2),
+        np.array(answer["errors"], float),
+        clean_line(answer["unit"]),
+        tuple(Lane(clean_line(name), tone, np.array(holds, bool)) for name, tone, holds in answer["lanes"]),
+        clean_line(answer["quantity"]),
+    )
 
 
 def compared(
@@ -97,7 +105,7 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
     drawing = evaluator.drawing(_outcome(outcome))
     if drawing is None:
         return None
-    on_course = 0 if drawing.course is None else len(drawing.course.frames)
+    on_course = 0 if drawing.course is None else len(drawing.course.frames) * (1 + len(drawing.course.lanes))
     if (points := on_course + sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
         raise PluginError(f"its drawing has {points:,} points; at most {_MOST_POINTS:,} are drawn")
     if not all(np.isfinite(line.points).all() for line in drawing.lines):
@@ -112,9 +120,13 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
         "course": course
         and {
             "frames": course.frames.tolist(),
-            "positions": [[_known(value) for value in place] for place in course.positions.tolist()],
+            "positions": None
+            if course.positions is None
+            else [[_known(value) for value in place] for place in course.positions.tolist()],
             "errors": [_known(value) for value in course.errors.tolist()],
             "unit": str(course.unit),
+            "lanes": [(str(lane.name), lane.tone, lane.holds.tolist()) for lane in course.lanes],
+            "quantity": str(course.quantity),
         },
     }
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from codecbench.core.results.columns import Column
+from codecbench.core.results.numbers import three_digits
 from codecbench.core.results.run_result import Key, RunResult
 from codecbench.core.results.verdicts import Place, Points, SequenceCurve, values_of_repeats
 
@@ -105,7 +106,7 @@ class Limit:
             return self.reason
         if self.lowest is None:
             return self.after_words()
-        spent = f"{self.lowest.rate * rate.factor:.3g} {rate.unit}"
+        spent = f"{three_digits(self.lowest.rate * rate.factor)} {rate.unit}"
         return f"{self.lowest.point or 'its setting'} ({spent}, {self.lowest}); {self.after_words()}"
 
     def after_words(self) -> str:

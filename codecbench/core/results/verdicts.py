@@ -93,28 +93,26 @@ def from_quality(quality: float, column: Column) -> float:
     return float(10.0**-quality) if column.metric.scale == "log" else -quality
 
 
-_Pair = tuple[CellResult, CellResult]
-
-
 def _bd_rates_over_frames(
     run: RunResult, rate: Column, qualities: list[CellResult], column: Column, anchor: str, resamples: int
 ) -> dict[SequenceCurve, BdRate]:
-    """Frames that lack the metric in every setting do not count."""
+    """Frames that lack the metric in every setting do not count; repeats of a setting count with their mean."""
     coded = {_row(result): result for result in run.of(rate.evaluator.title)}
-    curves: dict[str, dict[str, list[_Pair]]] = defaultdict(lambda: defaultdict(list))
+    curves: dict[str, dict[str, dict[Key, list[CellResult]]]] = defaultdict(lambda: defaultdict(dict))
     for result in qualities:
-        if _row(result) in coded:
-            sequence, *setting = _row(result)
-            curves[sequence][run.curves[setting[0], setting[1]].curve].append((coded[_row(result)], result))
+        if (row := _row(result)) in coded:
+            curves[row[0]][run.curves[row[1:]].curve].setdefault(row, []).append(result)
 
-    def arrays(members: list[_Pair]) -> tuple[np.ndarray, np.ndarray]:
-        rates = frame_matrix([pair[0] for pair in members], rate.metric.name, rate.stage)[1]
-        values = frame_matrix([pair[1] for pair in members], column.metric.name, column.stage)[1]
-        return rates, as_quality(values, column)
+    def arrays(members: dict[Key, list[CellResult]]) -> tuple[np.ndarray, np.ndarray]:
+        rates = frame_matrix([coded[row] for row in members], rate.metric.name, rate.stage)[1]
+        values = [
+            frame_matrix(repeats, column.metric.name, column.stage)[1].mean(axis=0) for repeats in members.values()
+        ]
+        return rates, as_quality(np.array(values), column)
 
     found = {}
     for sequence, lines in curves.items():
-        against = _against(lines, anchor, run.meaning.anchors)
+        against = _against({curve: list(rows) for curve, rows in lines.items()}, anchor, run.meaning.anchors)
         if against is None:
             continue
         base = arrays(lines[against])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
@@ -19,10 +20,11 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.metric import Metric, Need
-from codecbench.core.contracts.view import Drawing, Line, View
+from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
 from codecbench.core.simulation.receiver import Fate
 from codecbench.core.simulation.settings import LinkSettings
+from codecbench.plugins.evaluators.fates import lanes_of_fates
 
 _UNTIMELY: Final[dict[Fate, tuple[str, str]]] = {
     "late": ("share of the pictures that came too late, or after a newer one", "too late"),
@@ -33,7 +35,7 @@ _UNTIMELY: Final[dict[Fate, tuple[str, str]]] = {
 
 
 _TIMELINE: Final = "timeline.csv"
-"""For each frame, when it was taken and when it was there: seconds, infinite where it never was in time."""
+"""For each frame, when it was taken, when it was there and its fate: seconds, infinite where it never was in time."""
 _NOTE: Final = (
     "The age of the newest picture falls when one comes, and rises until the next; beside it the delay of each."
 )
@@ -140,10 +142,12 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         yield from _rates(found, len(found.fates) / coded.sequence.frame_rate_hz)
         for name in ("sent", "arrived", "late", "lost", "dropped"):
             yield Measurement(f"packets_{name}", float(getattr(found.packets, name)))
-        np.savetxt(context.artifacts / _TIMELINE, np.column_stack([found.captured_s, found.handed_s]), "%.6f", ",")
+        rows = zip(found.captured_s, found.handed_s, found.fates, strict=True)
+        lines = [f"{taken_s:.6f},{handed_s:.6f},{fate}\n" for taken_s, handed_s, fate in rows]
+        (context.artifacts / _TIMELINE).write_text("".join(lines))
 
     def drawing(self, outcome: Outcome) -> Drawing:
-        captured_s, handed_s = np.loadtxt(outcome.artifacts / _TIMELINE, delimiter=",", ndmin=2).T
+        captured_s, handed_s, fates = _read_timeline(outcome.artifacts / _TIMELINE)
         came = np.isfinite(handed_s)
         shares = [(fate, outcome.value(f"{fate}_share")) for fate in _UNTIMELY]
         words = [f"{100 * share:.0f} % {fate}" for fate, share in shares if share >= 0.005]
@@ -152,7 +156,19 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[came]),
         )
         caption = ", ".join([f"{100 * came.mean():.0f} % on time", *words])
-        return Drawing(tuple(line for line in lines if len(line.points)), caption, axes=("time [s]", "age [s]"))
+        known = np.searchsorted(handed_s[came], captured_s, side="right")
+        ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[came]])[known]
+        frames = np.arange(len(captured_s))
+        course = Course(frames, None, ages_s, "s", lanes_of_fates(fates), "age of the newest picture")
+        drawn = tuple(line for line in lines if len(line.points))
+        return Drawing(drawn, caption, axes=("time [s]", "age [s]"), course=course)
+
+
+def _read_timeline(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
+    """When each frame was taken and there, and its fate; none of them in a file from before fates were kept."""
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    captured_s, handed_s = (np.array([float(row[column]) for row in rows]) for column in (0, 1))
+    return captured_s, handed_s, [row[2] for row in rows if len(row) > 2]
 
 
 def _saw(taken_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: float) -> NDArray[np.float64]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from codecbench import Course, Drawing, Line, Marks, Metric, NoParams, SequenceEvaluator, View
+from codecbench import Course, Drawing, Lane, Line, Marks, Metric, NoParams, SequenceEvaluator, View
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
 from codecbench.core.engine import aggregate
@@ -173,6 +174,16 @@ def test_curves_of_a_codec_share_its_colour_and_24_are_told_apart() -> None:
 def test_a_course_has_a_place_and_an_error_for_each_frame(values: tuple[np.ndarray, np.ndarray]) -> None:
     with pytest.raises(PluginError, match="course: "):
         Course(np.arange(2), *values, "m")
+
+
+@pytest.mark.parametrize(
+    ("tone", "holds", "words"),
+    [("bad", np.zeros(3, bool), "is of 3 frames; the course has 2"), ("poor", np.zeros(2, bool), "one of good, fair"),
+     ("bad", np.zeros(2), "it is .N,. of bool")],
+)  # fmt: skip
+def test_a_lane_says_of_each_frame_whether_it_holds(tone: Any, holds: np.ndarray, words: str) -> None:
+    with pytest.raises(PluginError, match=words):
+        Course(np.arange(2), None, np.zeros(2), "m", (Lane("gone", tone, holds),))
 
 
 def test_marks_have_a_verdict_for_each_place() -> None:

@@ -16,7 +16,7 @@ import pytest
 from codecbench import PluginError, Unsupported
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Course, Drawing, Line
+from codecbench.core.contracts.view import Course, Drawing, Lane, Line
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
@@ -108,7 +108,8 @@ def test_the_course_of_a_drawing_arrives_with_what_is_not_known(
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     positions, errors = np.array([[0.5, 1.0], [np.nan, np.nan]]), np.array([0.25, np.nan])
-    course = Course(np.array([3, 4]), positions, errors, "m")
+    lanes = (Lane("gone", "bad", np.array([False, True])),)
+    course = Course(np.array([3, 4]), positions, errors, "m", lanes, "how far off")
     answering(monkeypatch, "drawing", lambda *_: Drawing((), "a path", course=course))
     found = evaluator.drawing(OUTCOME)
     assert found is not None
@@ -116,7 +117,15 @@ def test_the_course_of_a_drawing_arrives_with_what_is_not_known(
     assert found.course.frames.tolist() == [3, 4]
     assert np.array_equal(found.course.positions, positions, equal_nan=True)
     assert np.array_equal(found.course.errors, errors, equal_nan=True)
-    assert found.course.unit == "m"
+    assert (found.course.unit, found.course.quantity) == ("m", "how far off")
+    ((name, tone, holds),) = [(lane.name, lane.tone, lane.holds) for lane in found.course.lanes]
+    assert (name, tone, holds.tolist(), holds.dtype) == ("gone", "bad", [False, True], np.dtype(bool))
+    no_map = Course(np.array([3, 4]), None, errors, "s")
+    answering(monkeypatch, "drawing", lambda *_: Drawing((), "ages", course=no_map))
+    again = evaluator.drawing(OUTCOME)
+    assert again is not None
+    assert again.course is not None
+    assert again.course.positions is None
 
 
 def test_one_that_is_missing_something_is_refused(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -213,6 +213,19 @@ def test_a_frame_that_a_codec_never_gave_counts_for_neither() -> None:
     assert over_frames(plain=lost, mine=anchor)["s", "mine"].percent == pytest.approx(100.0)
 
 
+def test_repeats_of_frames_are_one_setting_with_their_mean() -> None:
+    results = []
+    for codec, factor in (("plain", 1.0), ("mine", 0.5)):
+        for rate in RATES:
+            results.append(cell_result(codec, factor * rate, "size", {("bits", ""): [factor * rate] * 5}))
+            for repeat, share in enumerate((0.8, 1.2)):
+                drifts = [share * 0.01 / rate] * 5
+                results.append(cell_result(codec, factor * rate, "look", {("drift", ""): drifts}, repeat=repeat))
+    run = run_of(*results)
+    found = bd_rates(run, run.columns["look.drift.median"], resamples=0)
+    assert found["s", "mine"].percent == pytest.approx(-50.0)
+
+
 def test_an_error_of_nothing_has_no_logarithm_and_a_reason() -> None:
     perfect: list[tuple[float, Sequence[float]]] = [(rate, [0.01 / rate] * 4 + [0.0]) for rate in RATES]
     with np.errstate(all="raise"):

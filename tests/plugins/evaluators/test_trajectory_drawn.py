@@ -89,7 +89,24 @@ def test_a_failure_is_said_and_an_unknown_is_no_failure(folder: Path) -> None:
     assert unknown.caption == "no error known, 50 % tracked"
 
 
-def test_nothing_tracked_is_nothing_drawn_and_no_truth_is_no_line(folder: Path, tmp_path: Path) -> None:
+def test_a_frame_is_on_the_lane_of_what_slam_made_of_it(folder: Path) -> None:
+    lanes = {lane.name: (lane.tone, np.flatnonzero(lane.holds)) for lane in drawn(outcome(folder)).course.lanes}
+    assert {name: (tone, len(holds)) for name, (tone, holds) in lanes.items()} == {
+        "tracked": ("good", 40), "track lost": ("bad", 10)
+    }  # fmt: skip
+    assert lanes["track lost"][1].tolist() == list(range(10))
+
+
+def test_where_nothing_was_tracked_the_true_path_and_the_timeline_are_left(folder: Path) -> None:
+    files.write_tum(folder / files.TRAJECTORY, path(STAMPS_S[:0]))
+    files.write_tum(folder / files.TRAJECTORY_BEFORE_LOOPS, path(STAMPS_S[:0]))
+    drawing = drawn(outcome(folder))
+    assert [line.stroke for line in drawing.lines] == ["truth"]
+    assert np.isnan(drawing.course.errors).all()
+    assert [lane.name for lane in drawing.course.lanes] == ["tracked", "track lost"]
+
+
+def test_nothing_tracked_and_no_truth_is_nothing_drawn(folder: Path, tmp_path: Path) -> None:
     (folder / files.GROUND_TRUTH).unlink()
     assert [line.stroke for line in drawn(outcome(folder)).lines] == ["before", "after"]
     files.write_tum(folder / files.TRAJECTORY, path(STAMPS_S[:0]))

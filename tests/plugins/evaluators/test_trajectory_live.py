@@ -151,6 +151,10 @@ def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
     assert np.isnan(errors_m[:3]).all(), "no picture was there yet"
     known = errors_m[~np.isnan(errors_m)]
     assert rms(known) == pytest.approx(found["live_position_error_m"].value, rel=1e-4)
+    lanes = {lane.name: lane.holds for lane in drawn.course.lanes}
+    assert list(lanes) == ["on time", "lost", "tracked"]
+    assert np.array_equal(lanes["on time"], ~lanes["lost"])
+    assert np.array_equal(lanes["tracked"], lanes["on time"]), "the told poses are of every frame that was read"
 
 
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,6 +20,9 @@ from codecbench.core.results.table import CellResult
 from codecbench.core.simulation.settings import LinkSettings
 
 TOO_OLD: Final = "older than the deadline"
+
+RunKey = tuple[str, int]
+"""A sequence and a repeat on it: a run that every setting meets with the same luck."""
 
 
 class NotMeasured(CodecbenchError):
@@ -46,7 +49,7 @@ class Candidate:
     way: what tells its transport and so on from others of the run. rate: of the table; NaN where not known. timely,
     exact: how many runs had enough pictures in time, and how many erred little enough; None where not measured or
     asked. share: of pictures in time. error_m: median over runs. causes: shares of the pictures that were not in time,
-    by label, largest first.
+    by label, largest first. errors_m: of each run, NaN where it failed.
     """
 
     sequence: str
@@ -60,6 +63,7 @@ class Candidate:
     exact: Standing | None
     error_m: float
     unmeasured: tuple[str, ...]
+    errors_m: Mapping[RunKey, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -89,12 +93,12 @@ class _Runs:
 
     shares: list[float] = field(default_factory=list)
     causes: list[dict[str, float]] = field(default_factory=list)
-    errors_m: list[float] = field(default_factory=list)
+    errors_m: dict[RunKey, float] = field(default_factory=dict)
 
     def add(self, other: _Runs) -> None:
         self.shares += other.shares
         self.causes += other.causes
-        self.errors_m += other.errors_m
+        self.errors_m |= other.errors_m
 
 
 _Way = tuple[tuple[str, str], ...]
@@ -120,7 +124,7 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
             row = result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
             _collect(found[*row, _way(result.cell.evaluator)], result, demand, encode_ms.get(row, 0.0))
     if not found:
-        links = sorted({link for result in run.results for link in _links(result.cell.evaluator)})
+        links = links_of(run)
         there = f"it has {', '.join(links)}" if links else "no evaluator of it has a link"
         raise NotMeasured(f"{run.folder}: nothing was measured over link {demand.link!r}; {there}")
     rates = dict(run.rates)
@@ -139,6 +143,11 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
 def _place(candidate: Candidate) -> tuple[bool, str, bool, float]:
     """All sequences together first; a rate that is not known comes last."""
     return candidate.sequence != POOLED, candidate.sequence, math.isnan(candidate.rate), candidate.rate
+
+
+def links_of(run: RunResult) -> list[str]:
+    """The links over which a run has measured something, in the order of its plan."""
+    return list(dict.fromkeys(link for result in run.results for link in _links(result.cell.evaluator)))
 
 
 def _links(evaluator: PluginSetting) -> list[str]:
@@ -194,7 +203,7 @@ def _collect(runs: _Runs, result: CellResult, demand: Demand, encode_ms: float) 
         runs.causes.append({**causes, TOO_OLD: max(0.0, 1.0 - share - sum(causes.values()))})
     if error is not None and demand.error_m is not None:
         values = [found.value for found in result.measurements if found.metric == error.name]
-        runs.errors_m.append(values[0] if values else math.nan)
+        runs.errors_m[result.cell.sequence.name, result.cell.repeat] = values[0] if values else math.nan
 
 
 def _with_need(result: CellResult, need: Need) -> Metric | None:
@@ -205,7 +214,7 @@ def _judged(run: RunResult, setting: _Setting, runs: _Runs, rate: float, way: st
     sequence, codec, label, _ = setting
     point = run.curves[codec, label]
     enough = [share >= demand.share - 1e-9 for share in runs.shares]
-    near = [demand.error_m is not None and error <= demand.error_m for error in runs.errors_m]
+    near = [demand.error_m is not None and error <= demand.error_m for error in runs.errors_m.values()]
     asked = (("pictures in time", demand.deadline_ms, enough), ("the error", demand.error_m, near))
     labels = dict.fromkeys(label for causes in runs.causes for label in causes)
     means = {label: float(np.mean([causes.get(label, 0.0) for causes in runs.causes])) for label in labels}
@@ -219,6 +228,7 @@ def _judged(run: RunResult, setting: _Setting, runs: _Runs, rate: float, way: st
         float(np.mean(runs.shares)) if runs.shares else math.nan,
         dict(sorted(means.items(), key=lambda pair: -pair[1])),
         Standing(point.point, rate, sum(near), len(near)) if near else None,
-        float(np.median(runs.errors_m)) if runs.errors_m else math.nan,
+        float(np.median(list(runs.errors_m.values()))) if runs.errors_m else math.nan,
         tuple(what for what, limit, measured in asked if limit is not None and not measured),
+        runs.errors_m,
     )

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import groupby
 
 from codecbench.core.results.choosing.candidates import Candidate, Demand, candidates
+from codecbench.core.results.numbers import three_digits
 from codecbench.core.results.ranking.words import Verdict, where
 from codecbench.core.results.run_result import RunResult
 
@@ -28,22 +29,24 @@ def _verdict(run: RunResult, demand: Demand, sequence: str, found: list[Candidat
     heads += ["error [m]"] if demand.error_m is not None else []
     heads += ["verdict", "limited by"]
     rows = tuple(tuple(_row(run, demand, candidate)) for candidate in found)
-    return Verdict(_title(demand, sequence), tuple(heads), rows, tuple(_sentences(run, demand, found)))
+    title = f"{where(sequence)}: over {demand.link}, {asked_words(demand)}"
+    return Verdict(title, tuple(heads), rows, tuple(_sentences(run, demand, found)))
 
 
-def _title(demand: Demand, sequence: str) -> str:
+def asked_words(demand: Demand) -> str:
+    """What is asked, without the link."""
     asked = []
     if demand.deadline_ms is not None:
         device = "" if demand.device_factor is None else f" of a device {demand.device_factor:g} times slower"
         asked.append(f"{100 * demand.share:g} % of the pictures{device} within {demand.deadline_ms:g} ms")
     if demand.error_m is not None:
         asked.append(f"an error of at most {demand.error_m:g} m")
-    return f"{where(sequence)}: over {demand.link}, {' and '.join(asked)}"
+    return " and ".join(asked)
 
 
 def _row(run: RunResult, demand: Demand, candidate: Candidate) -> Iterator[str]:
     yield candidate.name
-    yield _rate(run, candidate)
+    yield rate_of(run, candidate)
     if demand.deadline_ms is not None:
         timely = candidate.timely
         yield "–" if timely is None else f"{100 * candidate.share:.0f} % ({timely.successes}/{timely.runs} runs)"
@@ -54,8 +57,9 @@ def _row(run: RunResult, demand: Demand, candidate: Candidate) -> Iterator[str]:
     yield "" if candidate.verdict == "holds" else limit_of(candidate)
 
 
-def _rate(run: RunResult, candidate: Candidate) -> str:
-    return "–" if run.rate is None or math.isnan(candidate.rate) else f"{candidate.rate * run.rate.factor:.3g}"
+def rate_of(run: RunResult, candidate: Candidate) -> str:
+    """The rate of a setting in the unit that people are shown."""
+    return "–" if run.rate is None or math.isnan(candidate.rate) else three_digits(candidate.rate * run.rate.factor)
 
 
 def limit_of(candidate: Candidate) -> str:
@@ -75,7 +79,7 @@ def _sentences(run: RunResult, demand: Demand, found: list[Candidate]) -> Iterat
     if holding:
         taken = holding[0]
         sure = "; ".join(str(standing) for standing in taken.standings)
-        spent = "" if run.rate is None else f", {_rate(run, taken)} {run.rate.unit}"
+        spent = "" if run.rate is None else f", {rate_of(run, taken)} {run.rate.unit}"
         many = f"{'the first' if run.rate is None else 'the least'} of {len(holding)} settings that hold"
         why = many if len(holding) > 1 else "the only setting that holds"
         yield f"Over {demand.link} take {taken.name}{spent}, {why} ({sure})."

@@ -12,6 +12,7 @@ import numpy as np
 
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import POOLED, Limit, limits, pooled_rates
+from codecbench.core.results.numbers import three_digits
 from codecbench.core.results.ranking.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import SequenceCurve
@@ -98,7 +99,7 @@ def _taken(run: RunResult, ranking: Ranking) -> str:
 
 def _spent(run: RunResult, rate: float) -> str:
     assert run.rate is not None
-    return f"{rate * run.rate.factor:.3g} {run.rate.unit}"
+    return f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
 
 
 def _value(column: Column, ranked: Ranked) -> str:

@@ -62,19 +62,28 @@ function withRange(low, high, log, pixels) {
   return { at, low, high, ends: log ? [10 ** low, 10 ** high] : [low, high], log };
 }
 
+/* Colour and shape of what became of frames: a fate has a row of its own too, so that neither colour nor shape is needed. */
+const TONES = { good: { colour: "var(--good)", symbol: "circle" }, fair: { colour: "var(--fair)", symbol: "triangle-up" }, bad: { colour: "var(--bad)", symbol: "x" } };
+const LANE = 17;
+
 /* traces: {name, x, y, text, colour, symbol, dashes, width, errors: [[low, high]|null], keys}. bands: {name, low, high, value, colour}.
-   options: x and y {label, log}, equal, height, front: [[x, y]], pick(key), chosen, label, plain. Gives {cursor(x, y)}. */
+   options: x and y {label, log}, equal, height, front: [[x, y]], pick(key), chosen, label, lanes: {from, to, of: [{name, tone, share, levels}]}.
+   Gives {cursor(x, y)}. */
 function chart(host, traces, bands, options) {
   host.replaceChildren();
   const width = Math.max(220, host.clientWidth || 600), height = options.height;
-  const svg = shape("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": options.label, class: "chart" }, host);
+  const svg = shape("svg", { width, height, role: "img", "aria-label": options.label, class: "chart" }, host);
   const xs = [...traces.flatMap((trace) => trace.x), ...(options.front || []).map((point) => point[0])];
   const ys = [...traces.flatMap((trace) => trace.y), ...bands.flatMap((band) => [band.low, band.high]),
     ...traces.flatMap((trace) => (trace.errors || []).flatMap((ends) => ends || []))];
-  const top = 10, bottom = height - (options.x.label ? 42 : 24);
+  const lanes = options.lanes ? options.lanes.of : [];
+  const below = lanes.length ? LANE * lanes.length + 8 : 0, flat = below && !ys.some(Number.isFinite);
+  const top = 10, foot = flat ? top + below : height - (options.x.label ? 42 : 24), bottom = foot - below;
+  if (flat) svg.setAttribute("height", foot + 42);
   let y = scaleOf(ys, options.y.log, [bottom, top]);
-  const yTicks = ticksOf(...y.ends, y.log, Math.max(2, Math.floor(height / 60)));
-  const left = (options.y.label ? 30 : 10) + 7 * Math.max(...yTicks.map((tick) => tickText(tick).length), 1);
+  const yTicks = flat ? [] : ticksOf(...y.ends, y.log, Math.max(2, Math.floor(height / 60)));
+  const left = Math.max((options.y.label ? 30 : 10) + 7 * Math.max(...yTicks.map((tick) => tickText(tick).length), 1),
+    ...lanes.map((lane) => 24 + 6.6 * laneText(lane).length));
   const right = width - 12;
   let x = scaleOf(xs, options.x.log, [left, right]);
   if (options.equal) [x, y] = equal(x, y, right - left, bottom - top, [left, right], [bottom, top]);
@@ -86,11 +95,11 @@ function chart(host, traces, bands, options) {
   }
   const room = Math.max(2, Math.floor((right - left) / 75));
   for (const tick of ticksOf(...x.ends, x.log, room)) {
-    shape("line", { x1: x.at(tick), x2: x.at(tick), y1: top, y2: bottom }, grid);
-    shape("text", { x: x.at(tick), y: bottom + 16, "text-anchor": "middle", class: "tick x" }, grid).textContent = tickText(tick);
+    shape("line", { x1: x.at(tick), x2: x.at(tick), y1: top, y2: foot }, grid);
+    shape("text", { x: x.at(tick), y: foot + 16, "text-anchor": "middle", class: "tick x" }, grid).textContent = tickText(tick);
   }
-  if (options.x.label) shape("text", { x: (left + right) / 2, y: height - 6, "text-anchor": "middle", class: "axis" }, svg).textContent = options.x.label;
-  if (options.y.label) {
+  if (options.x.label) shape("text", { x: (left + right) / 2, y: foot + 36, "text-anchor": "middle", class: "axis" }, svg).textContent = options.x.label;
+  if (options.y.label && !flat) {
     const middle = (top + bottom) / 2;
     shape("text", { x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})`, class: "axis" }, svg).textContent = options.y.label;
   }
@@ -102,8 +111,25 @@ function chart(host, traces, bands, options) {
   const place = (point) => `${x.at(point[0]).toFixed(1)},${y.at(point[1]).toFixed(1)}`;
   if (options.front && options.front.length) shape("polyline", { points: options.front.map(place).join(" "), class: "front" }, svg);
   for (const trace of traces) drawTrace(svg, trace, x, y, options, host);
+  lanes.forEach((lane, row) => drawLane(svg, lane, options.lanes, x, left, bottom + 8 + LANE * (row + 1)));
   const cursor = shape("g", { class: "cursor" }, svg);
-  return { cursor: (at, up) => drawCursor(cursor, at, up, x, y, top, bottom) };
+  return { cursor: (at, up) => drawCursor(cursor, at, up, x, y, top, foot) };
+}
+const percent = (share) => share > 0 && share < 0.005 ? "<1 %" : share < 1 && share > 0.995 ? ">99 %" : `${Math.round(100 * share)} %`;
+const laneText = (lane) => `${lane.name} ${percent(lane.share)}`;
+/* A row of bars, as high as the share of the frames there: one a frame, or one for several where there are many. */
+function drawLane(svg, lane, { from, to }, x, left, base) {
+  const { colour, symbol } = TONES[lane.tone], parts = lane.levels, each = (to + 1 - from) / parts.length;
+  const group = shape("g", { class: "lane" }, svg);
+  shape("path", { d: MARKERS[symbol], fill: colour, transform: `translate(${left - 12} ${base - 6})` }, group);
+  shape("text", { x: left - 21, y: base - 2, "text-anchor": "end", class: "tick" }, group).textContent = laneText(lane);
+  let path = "";
+  for (let i = 0, end; i < parts.length; i = end) {
+    for (end = i + 1; end < parts.length && parts[end] === parts[i];) end++;
+    const [x0, x1] = [i, end].map((at) => x.at(from - 0.5 + at * each)), high = 13 * Number(parts[i]) / 9;
+    if (high) path += `M${x0.toFixed(1)},${base}v${-high.toFixed(1)}h${Math.max(1, x1 - x0).toFixed(1)}v${high.toFixed(1)}z`;
+  }
+  shape("path", { d: path, fill: colour }, group);
 }
 function equal(x, y, across, up, xPixels, yPixels) {
   const unit = Math.max((x.high - x.low) / across, (y.high - y.low) / up);

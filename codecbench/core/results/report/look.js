@@ -79,14 +79,32 @@ function frameViewer(tell) {
   };
 }
 
+/* What became of each frame: its way on a map, if it has one, and below it what was made of it and how far off that was. */
 function pathViewer(tell) {
   const host = $("path");
   if (!host) return { show() {}, at() {} };
   let found = [], place = 0, map = null, error = null;
-  const courseOf = () => found[Number($("path-way").value) || 0].drawing.course;
+  const here = () => found[Number($("path-way").value) || 0], courseOf = () => here().drawing.course;
+  const wayOf = ({ drawing, view }) => [view.title, drawing.way].filter(Boolean).join(": ");
   const draw = () => {
-    const { drawing, view } = found[Number($("path-way").value) || 0], course = drawing.course;
-    const lost = course.frames.map((_, i) => course.x[i] === null);
+    const { drawing, view } = here(), course = drawing.course;
+    $("path-map").hidden = $("path-strokes").hidden = !course.x;
+    const lost = course.frames.map((_, i) => Boolean(course.x) && course.x[i] === null);
+    if (course.x) drawMap(drawing, view, course, lost);
+    const errors = course.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
+    const known = errors.some(Number.isFinite), told = course.lanes.map(laneText).join(", ");
+    const missing = { name: "lost", x: course.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
+    $("path-error").hidden = !known && !lost.some(Boolean) && !told;
+    error = chart($("path-error"), [{ name: course.quantity, x: course.frames, y: errors, colour: "var(--accent)" }, ...(told ? [] : [missing])],
+      known || !told ? [{ low: 0, high: 0, value: 0, colour: "var(--line)" }] : [], {
+        height: 190 + LANE * course.lanes.length, x: { label: "frame" }, y: { label: `${course.quantity} [${course.unit}]` },
+        lanes: { from: course.frames[0], to: course.last, of: course.lanes },
+        label: `Timeline. ${known ? `${course.quantity}: at most ${shown(most)} ${course.unit}` : `No ${course.quantity} is known`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
+      });
+    $("path-scrub").max = course.frames.length - 1;
+    move();
+  };
+  const drawMap = (drawing, view, course, lost) => {
     const lines = drawing.lines.map((line) => {
       const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
       return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
@@ -96,33 +114,34 @@ function pathViewer(tell) {
     const losses = { name: "lost", x: before.map((i) => course.x[i]), y: before.map((i) => course.y[i]), colour: "var(--bad)", symbol: "x", line: false,
       text: before.map((i) => `lost after frame ${course.frames[i]}`) };
     map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: {}, y: {}, label: `Path: ${drawing.caption}` });
-    const errors = course.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
-    const missing = { name: "lost", x: course.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
-    const known = errors.some(Number.isFinite);
-    $("path-error").hidden = !known && !lost.some(Boolean);
-    error = chart($("path-error"), [{ name: "error", x: course.frames, y: errors, colour: "var(--accent)" }, missing], [{ low: 0, high: 0, value: 0, colour: "var(--line)" }],
-      { height: 170, x: { label: "frame" }, y: { label: `error [${course.unit}]` }, label: `Error over time, at most ${shown(most)} ${course.unit}; frames without a pose are marked` });
-    $("path-scrub").max = course.frames.length - 1;
-    move();
   };
   const move = () => {
-    const course = courseOf(), x = course.x[place] ?? NaN, y = course.y[place] ?? NaN;
+    const course = courseOf(), from = course.frames[place], to = (course.frames[place + 1] ?? course.last + 1) - 1;
     $("path-scrub").value = place;
-    map.cursor(x, y); error.cursor(course.frames[place]);
+    if (course.x) map.cursor(course.x[place] ?? NaN, course.y[place] ?? NaN);
+    error.cursor(from);
     const far = course.errors[place];
-    $("path-caption").textContent = [`${found[Number($("path-way").value) || 0].drawing.caption}. Frame ${course.frames[place]}`,
-      course.x[place] === null ? "no pose (lost)" : far === null ? "no true position known" : `${shown(far)} ${course.unit} off`].join(": ");
+    const lanes = course.lanes.filter((lane) => {
+      const [first, last] = [from, to].map((frame) => Math.floor((frame - course.frames[0]) / (course.last + 1 - course.frames[0]) * lane.levels.length));
+      return /[1-9]/.test(lane.levels.slice(first, last + 1));
+    });
+    const known = far !== null ? `${course.quantity} ${from < to ? "up to " : ""}${shown(far)} ${course.unit}`
+      : course.x && course.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no ${course.quantity} known`;
+    $("path-caption").textContent = `${here().drawing.caption}. Frame${from < to ? `s ${from} to ${to}` : ` ${from}`}: ${[...lanes.map((lane) => lane.name), known].join(", ")}`;
   };
-  $("path-scrub").addEventListener("input", () => { place = Number($("path-scrub").value); move(); tell(courseOf().frames[place], "path"); });
-  $("path-way").addEventListener("change", () => { place = 0; draw(); });
-  whenResized($("path-map"), () => { if (found.length) draw(); });
   const closest = (frame) => courseOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);
+  $("path-scrub").addEventListener("input", () => { place = Number($("path-scrub").value); move(); tell(courseOf().frames[place], "path"); });
+  $("path-way").addEventListener("change", () => { remember({ of: wayOf(here()) }); place = 0; draw(); });
+  whenResized(host, () => { if (found.length) draw(); });
   return {
+    /* What moves on a map comes first, and what was looked at last stays. */
     show: (drawings) => {
       const before = found.length ? courseOf().frames[place] : Number(STATE.frame ?? 0);
-      found = drawings; host.hidden = !found.length;
+      found = [...drawings].sort((a, b) => Number(!a.drawing.course.x) - Number(!b.drawing.course.x)); host.hidden = !found.length;
       if (!found.length) return;
-      fill($("path-way"), found.map((_, i) => i), 0, (i) => found[i].drawing.way || found[i].view.title);
+      const titles = new Set(found.map(({ view }) => view.title));
+      fill($("path-way"), found.map((_, i) => i), Math.max(0, found.findIndex((each) => wayOf(each) === STATE.of)),
+        (i) => titles.size > 1 || !found[i].drawing.way ? wayOf(found[i]) : found[i].drawing.way);
       $("path-way").parentElement.hidden = found.length < 2;
       place = closest(before); draw();
     },
@@ -147,7 +166,7 @@ function multiples(view, id) {
       const words = `${named(drawing)} ${drawing.way}`.trim() + `: ${drawing.caption}`;
       if (drawing.course) {
         const open = element("button", "link", words); open.type = "button";
-        open.addEventListener("click", () => look(keyOf(drawing), true));
+        open.addEventListener("click", () => { remember({ of: [view.title, drawing.way].filter(Boolean).join(": ") }); look(keyOf(drawing), true); });
         caption.append(open);
       } else caption.textContent = words;
       box.append(host, caption);

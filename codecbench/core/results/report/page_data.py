@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.contracts.view import Course
+from codecbench.core.contracts.view import Course, Lane
 from codecbench.core.results.answers import judged_column
 from codecbench.core.results.columns import Column
 from codecbench.core.results.export import json_value
@@ -141,11 +141,39 @@ def _map(view: Map) -> dict[str, Any]:
     return {"title": view.view.title, "note": view.view.note, "strokes": strokes, "paths": kept, "drawings": drawings}
 
 
-def _course(course: Course, most: int, step: float) -> dict[str, Any]:
-    picks = _picks(len(course.frames), most)
-    errors = [None if np.isnan(error) else _rounded(error) for error in course.errors[picks].tolist()]
-    x, y = (_steps(course.positions[picks, axis], step) for axis in (0, 1))
-    return {"frames": course.frames[picks].tolist(), "x": x, "y": y, "errors": errors, "unit": course.unit}
+def _course(course: Course, most: int, step: float) -> dict[str, Any] | None:
+    """A course in at most so many parts, of which each keeps its largest error; its lanes in parts of their own."""
+    count = len(course.frames)
+    if not count:
+        return None
+    starts = _starts(count, most)
+    worst = np.fmax.reduceat(course.errors, starts)
+    x, y = (
+        (None, None) if course.positions is None else (_steps(course.positions[starts, axis], step) for axis in (0, 1))
+    )
+    return {
+        "frames": course.frames[starts].tolist(),
+        "last": int(course.frames[-1]),
+        "x": x,
+        "y": y,
+        "errors": [None if np.isnan(error) else _rounded(error) for error in worst.tolist()],
+        "unit": course.unit,
+        "quantity": course.quantity,
+        "lanes": [_lane(lane) for lane in course.lanes],
+    }
+
+
+def _lane(lane: Lane) -> dict[str, Any]:
+    """A lane with a digit for each part: in how many ninths of its frames it holds, rounded up to hide none."""
+    starts = _starts(len(lane.holds), _MOST_POINTS)
+    shares = np.add.reduceat(lane.holds, starts) / np.diff([*starts, len(lane.holds)])
+    levels = "".join(str(level) for level in np.ceil(9 * shares).astype(int))
+    return {"name": lane.name, "tone": lane.tone, "share": _rounded(float(lane.holds.mean())), "levels": levels}
+
+
+def _starts(count: int, most: int) -> np.ndarray:
+    """Where parts of a series begin that are as long as each other, at most so many."""
+    return np.linspace(0, count, min(count, most), endpoint=False).astype(int)
 
 
 def _picks(count: int, most: int) -> np.ndarray:

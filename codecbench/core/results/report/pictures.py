@@ -28,6 +28,7 @@ from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCach
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.results.numbers import three_digits
 from codecbench.core.results.relocation import SAME_PLACE, relocated
 from codecbench.core.results.report.frame_views import FrameView, frame_view
 from codecbench.core.results.run_result import RunResult
@@ -160,7 +161,7 @@ def _holds_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[P
 
 def _spent(run: RunResult, rate: float) -> str:
     """A rate for people; nothing where it is not known."""
-    return "" if run.rate is None or np.isnan(rate) else f"{rate * run.rate.factor:.3g} {run.rate.unit}"
+    return "" if run.rate is None or np.isnan(rate) else f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
 
 
 _Views = tuple[PluginSetting, float, list[FrameView]]

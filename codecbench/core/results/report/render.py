@@ -12,10 +12,11 @@ from typing import Any, Final
 import jinja2
 
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
-from codecbench.core.results.answers import answers, judged_column
+from codecbench.core.results.answers import answers_of_settings, judged_column
+from codecbench.core.results.choosing.overview import least_error_verdicts
 from codecbench.core.results.columns import Column
 from codecbench.core.results.notes import caveats, sequence_notes, setting_notes
-from codecbench.core.results.ranking.words import successes, verdicts
+from codecbench.core.results.ranking.words import Verdict, successes, verdicts
 from codecbench.core.results.report.page_data import page_data
 from codecbench.core.results.report.verdict_tables import verdict_tables
 from codecbench.core.results.run_result import RunResult
@@ -62,7 +63,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         data=_trusted(_script_json(data)),
         can_look=bool(data["frames"] or courses),
         has_paths=bool(courses),
-        path_strokes=courses[0]["strokes"] if courses else {},
+        path_strokes={name: stroke for view in courses for name, stroke in view["strokes"].items() if _is_map(view)},
         map_views=data["map_views"],
         bars_views=data["bars_views"],
         strokes=STROKES,
@@ -70,9 +71,10 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
             (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
         ),
         cards=_cards(run),
-        answers=answers(run),
+        over_links=least_error_verdicts(run),
+        answers=answers_of_settings(run),
         ranked=ranked,
-        decided=others,
+        decided=_grouped(others),
         verdicts=tables,
         sequence_notes=sequence_notes(run),
         notes=[*caveats(run), *setting_notes(run)],
@@ -90,6 +92,20 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         folder=run.folder.name,
         version=version("codecbench"),
     )
+
+
+def _grouped(found: list[Verdict]) -> list[list[Verdict]]:
+    """Verdicts by what they are about, those of single sequences after that of all."""
+    groups: dict[str, list[Verdict]] = {}
+    for verdict in found:
+        _, _, words = verdict.title.partition(": ")
+        groups.setdefault(words if verdict.about is None else verdict.about.name, []).append(verdict)
+    return list(groups.values())
+
+
+def _is_map(view: dict[str, Any]) -> bool:
+    """Whether courses of the view go over a plane."""
+    return any(drawing["course"] and drawing["course"]["x"] for drawing in view["drawings"])
 
 
 def _script_json(value: Any) -> str:

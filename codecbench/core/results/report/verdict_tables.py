@@ -10,6 +10,7 @@ import numpy as np
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import Limit, limits
+from codecbench.core.results.numbers import three_digits
 from codecbench.core.results.ranking.ranking import Ranking, rankings
 from codecbench.core.results.ranking.words import beside_ranking
 from codecbench.core.results.run_result import RunResult
@@ -50,9 +51,8 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
     heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
-    heads += [f"BD-rate{f' beside {anchor}' if anchor else ''}, {column.label}" for column, anchor in judged.rates]
-    heads += [f"{column.label} down to" for column in judged.limits]
-    heads += [column.heading for column in times]
+    last_heads = [f"{column.label} down to" for column in judged.limits]
+    last_heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
     ranked = {(found.column, found.sequence): found for found in rankings(run)}
     tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
@@ -67,20 +67,42 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
         if not any(anchor for _, anchor in judged.rates) and own:
             anchors[own] = None
         rows = []
+        told = {key: found for key, found in judged.rates.items() if _has_number(found, entry.name)}
         for curve, records in curves.items():
             key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
             row += [
                 "anchor" if curve == (anchor or own) else str(found.get(key, "–"))
-                for (_, anchor), found in judged.rates.items()
+                for (_, anchor), found in told.items()
             ]
             row += [found[key].words(run.rate) if key in found else "–" for found in judged.limits.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
         words = _in_words(entry.name, own, judged, run.rate, ranked)
-        tables.append({"sequence": entry.name, "heads": heads, "rows": rows, "note": note, "words": words})
+        untold = _untold({key: found for key, found in judged.rates.items() if key not in told}, entry.name)
+        bd_heads = [f"BD-rate{f' beside {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
+        own_heads = [*heads, *bd_heads, *last_heads]
+        tables.append(
+            {"sequence": entry.name, "heads": own_heads, "rows": rows, "note": note, "words": words, "untold": untold}
+        )
     return tables, " and ".join(anchors) if judged.rates else ""
+
+
+def _has_number(found: dict[SequenceCurve, BdRate], sequence: str) -> bool:
+    return any(name == sequence and not rate.reason for (name, _), rate in found.items())
+
+
+def _untold(judged: dict[tuple[Column, str], dict[SequenceCurve, BdRate]], sequence: str) -> list[str]:
+    """What has no BD-rate of any curve on a sequence, each reason once."""
+    found: dict[str, list[str]] = {}
+    for (column, _), rates in judged.items():
+        for reason in [rate.reason for (name, _), rate in rates.items() if name == sequence][:1]:
+            found.setdefault(reason.split(":")[0], []).append(column.label)
+    return [
+        f"No curve has a BD-rate at equal {', '.join(dict.fromkeys(labels))}: {reason}."
+        for reason, labels in found.items()
+    ]
 
 
 def _in_words(
@@ -118,5 +140,5 @@ def _range(records: list[Any], column: Column) -> str:
     if not len(values):
         return "–"
     low, high = values.min(), values.max()
-    text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-    return text.replace("inf", "∞")
+    least, most = three_digits(low), three_digits(high)
+    return (least if least == most else f"{least} to {most}").replace("inf", "∞")

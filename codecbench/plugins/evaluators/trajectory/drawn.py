@@ -1,4 +1,5 @@
-"""A trajectory cell's files as a drawing: paths over ground truth, from where the true path spreads most."""
+"""A trajectory cell's files as a drawing: paths over ground truth, from where the true path spreads most, and what
+became of each frame."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Outcome
-from codecbench.core.contracts.view import Course, Drawing, Line
+from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Tone
+from codecbench.plugins.evaluators.fates import lanes_of_fates
 from codecbench.plugins.evaluators.trajectory import files
 from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
@@ -20,6 +22,13 @@ NOTE: Final = (
     "similarity. Estimated is as tracked, optimised is after loops were closed. Over a link, the error of a frame is "
     "of where the camera was thought to be when it was taken."
 )
+_STATES: Final[dict[str, tuple[str, Tone]]] = {
+    "tracked": ("tracked", "good"),
+    "not_initialized": ("no map yet", "fair"),
+    "refused": ("refused", "fair"),
+    "lost": ("track lost", "bad"),
+}
+"""What SLAM says of a frame, and how that is called on a timeline."""
 _SAME_S: Final = 1e-6
 """Files keep microseconds."""
 _MARGIN_S: Final = 0.5
@@ -27,12 +36,12 @@ _MARGIN_S: Final = 0.5
 
 
 def drawing(outcome: Outcome) -> Drawing | None:
-    """Ground truth, the path as tracked and after all corrections, in metres; None where nothing was tracked."""
+    """Ground truth, the path as tracked and after all corrections, in metres; None where there is neither."""
     folder = outcome.artifacts
     optimised, estimated = (_positions(folder / name) for name in (files.TRAJECTORY, files.TRAJECTORY_BEFORE_LOOPS))
-    if not len(optimised):
-        return None
     truth = _positions(folder / files.GROUND_TRUTH)
+    if not len(optimised) and not len(truth):
+        return None
     span_s = _span_s(folder / files.STATES)
     if span_s is not None:
         truth = truth[(truth[:, 0] >= span_s[0] - _MARGIN_S) & (truth[:, 0] <= span_s[1] + _MARGIN_S)]
@@ -62,16 +71,29 @@ def _course(
     if not (folder / files.STATES).exists():
         return None
     with (folder / files.STATES).open(newline="") as stream:
-        rows = [(int(row["frame"]), float(row["timestamp_s"])) for row in csv.DictReader(stream)]
+        rows = [(int(row["frame"]), float(row["timestamp_s"]), row["state"]) for row in csv.DictReader(stream)]
     indices, stamps_s = np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows])
-    if rows and (folder / files.LIVE).exists():
-        frames, taken_s, places = files.read_live(folder / files.LIVE)
-        stamps_s = taken_s + (stamps_s[0] - taken_s[frames == indices[0]][0])
-        return Course(frames, (places - centre) @ axes.T, _distances(places, stamps_s, truth), "m")
+    states = {frame: state for frame, _, state in rows}
+    if (folder / files.LIVE).exists():
+        live = files.read_live(folder / files.LIVE)
+        if rows:
+            stamps_s = live.taken_s + (stamps_s[0] - live.taken_s[live.frames == indices[0]][0])
+        else:
+            stamps_s = live.taken_s
+        errors_m = _distances(live.positions, stamps_s, truth)
+        lanes = (*lanes_of_fates(live.fates), *_tracking(live.frames, states))
+        return Course(live.frames, (live.positions - centre) @ axes.T, errors_m, "m", lanes, "live position error")
     at = nearest_stamps(stamps_s, optimised[:, 0], _SAME_S)
     places = np.full((len(rows), 3), np.nan)
     places[at >= 0] = optimised[at[at >= 0], 1:]
-    return Course(indices, (places - centre) @ axes.T, _distances(places, stamps_s, truth), "m")
+    errors_m = _distances(places, stamps_s, truth)
+    return Course(indices, (places - centre) @ axes.T, errors_m, "m", _tracking(indices, states))
+
+
+def _tracking(frames: NDArray[np.int64], states: dict[int, str]) -> tuple[Lane, ...]:
+    """Lanes of what SLAM made of the frames that it was given. states: by frame."""
+    told = np.array([states.get(frame, "") for frame in frames.tolist()], dtype=object)
+    return tuple(Lane(name, tone, told == state) for state, (name, tone) in _STATES.items() if (told == state).any())
 
 
 def _distances(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -96,13 +97,23 @@ def write_live(
             writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.fates[frame], *told, *where])
 
 
-def read_live(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Frames (M,), when they were taken, and where the camera was thought to be then (M, 3), NaN where nobody knew."""
+@dataclass(frozen=True)
+class Live:
+    """What `write_live` wrote. frames, taken_s, fates: (M,). positions: (M, 3), NaN where nobody knew."""
+
+    frames: NDArray[np.int64]
+    taken_s: NDArray[np.float64]
+    fates: list[str]
+    positions: NDArray[np.float64]
+
+
+def read_live(path: Path) -> Live:
+    """What became of each frame, and where the camera was thought to be when it was taken."""
     with path.open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    places = [[float(row[axis] or "nan") for axis in "xyz"] for row in rows]
-    return (
+    return Live(
         np.array([int(row["frame"]) for row in rows], np.int64),
         np.array([float(row["taken_s"]) for row in rows]),
-        np.array(places, np.float64).reshape(-1, 3),
+        [row["fate"] for row in rows],
+        np.array([[float(row[axis] or "nan") for axis in "xyz"] for row in rows], np.float64).reshape(-1, 3),
     )

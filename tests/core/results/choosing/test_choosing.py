@@ -15,7 +15,10 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.results.choosing.candidates import Candidate, Demand, NotMeasured, candidates
+from codecbench.core.results.choosing.least_error import least_errors
+from codecbench.core.results.choosing.overview import chosen
 from codecbench.core.results.choosing.words import choices
+from codecbench.core.results.report.render import render
 from codecbench.core.results.table import CellResult
 
 WAIT = Metric("wait", "ms", "lower", "", need="delay")
@@ -191,3 +194,92 @@ def test_without_a_rate_nothing_is_called_the_least() -> None:
     (verdict,) = choices(run_of(*delivered(1.0, 10)), Demand("radio", deadline_ms=100))
     assert "No rate was measured" in verdict.sentences[1]
     assert np.array(verdict.rows).shape == (1, 5)
+
+
+ERRORS = [0.10, 0.12, 0.09, 0.11, 0.10]
+"""Of the setting q=2 on five runs; that of q=1 is ten times as much, that of q=4 a little more and a little less."""
+BY_ERROR = [
+    *(size(q) for q in (1.0, 2.0, 4.0)),
+    *delivered(1.0, 3), *read(1.0, [10 * error * (1 + 0.1 * at) for at, error in enumerate(ERRORS)]),
+    *delivered(2.0, 10), *read(2.0, ERRORS),
+    *delivered(4.0, 10), *read(4.0, [0.11, 0.11, 0.10, 0.10, 0.12]),
+]  # fmt: skip
+
+
+def test_the_setting_of_the_least_error_stands_beside_those_that_may_be_as_good() -> None:
+    (answer,) = least_errors(run_of(*BY_ERROR))
+    assert (answer.link, answer.sequence, answer.runs) == ("radio", "s", 5)
+    assert answer.best.name == "plain q=2.0"
+    assert answer.error_m == pytest.approx(np.exp(np.mean(np.log(ERRORS))))
+    assert [candidate.name for candidate in answer.worse] == ["plain q=1.0"]
+    assert [candidate.name for candidate in answer.level] == ["plain q=4.0"]
+    assert not answer.is_told
+
+
+def test_a_single_run_tells_nothing_and_one_that_failed_is_the_worst() -> None:
+    (answer,) = least_errors(run_of(*read(1.0, [1.0]), *read(2.0, [0.1])))
+    assert (answer.best.name, len(answer.worse), len(answer.level)) == ("plain q=2.0", 0, 1)
+    crashed = [replace(cell, status="crashed", measurements=()) for cell in read(1.0, [0.0] * 2)]
+    (answer,) = least_errors(run_of(*crashed, *read(2.0, [0.1, 0.2])))
+    assert answer.best.name == "plain q=2.0"
+
+
+def test_settings_that_are_alike_are_seldom_told_apart() -> None:
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(100):
+        errors = np.exp(rng.normal(0, 0.3, (5, 6)))
+        cells = [cell for q, row in enumerate(errors.tolist()) for cell in read(float(q), row)]
+        (answer,) = least_errors(run_of(*cells))
+        found += any(candidate.point == "q=0.0" for candidate in answer.worse)
+    assert found <= 5, "the first, which is as good as any, is said to be worse in at most one of twenty"
+
+
+def test_without_a_demand_the_least_error_is_named_over_each_link_with_what_limits_the_others() -> None:
+    cells = [*BY_ERROR, *delivered(1.0, 10, "wire"), *read(1.0, [0.2] * 5, "wire")]
+    (verdict,) = chosen(run_of(*cells), Demand(""))
+    assert verdict.title == "least error over each link"
+    assert verdict.heads == (
+        "link", "take", "rate [bpp]", "error [m]", "how sure", "not told apart, at less rate", "limits of the others"
+    )  # fmt: skip
+    assert verdict.rows == (
+        ("radio", "plain q=2.0", "2", "0.104", "better than 1 of 2 others", "–", "pictures gone astray: plain q=1.0"),
+        ("wire", "plain q=1.0", "1", "0.2", "the only setting", "–", "–"),
+    )
+    assert "5 runs of each setting" in verdict.sentences[0]
+    (alone,) = chosen(run_of(*cells), Demand("wire"))
+    assert [row[0] for row in alone.rows] == ["wire"]
+
+
+def test_a_demand_without_a_link_is_answered_for_each_after_a_table_of_all() -> None:
+    cells = [*BY_ERROR, *delivered(1.0, 10, "wire"), *read(1.0, [0.9] * 5, "wire")]
+    overview, *each = chosen(run_of(*cells), Demand("", error_m=0.5))
+    assert overview.title == "s: over each link, an error of at most 0.5 m"
+    assert overview.rows == (
+        ("radio", "plain q=2.0", "2", "5/5 runs, at least 57 % at 95 %", "the error: plain q=1.0"),
+        ("wire", "none is known to hold", "–", "–", "the error: plain q=1.0"),
+    )
+    assert [verdict.title.split(",")[0] for verdict in each] == ["s: over radio", "s: over wire"]
+
+
+def test_sequences_weigh_the_same_in_the_answer_of_all() -> None:
+    cells = [*read(1.0, [1.0] * 5), *read(1.0, [0.01], sequence="t"), *read(2.0, [0.5] * 5)]
+    pooled, *single = least_errors(run_of(*cells, *read(2.0, [0.1], sequence="t")))
+    assert (pooled.sequence, pooled.best.name, pooled.error_m) == ("", "plain q=1.0", pytest.approx(0.1))
+    assert [(answer.sequence, answer.best.name) for answer in single] == [("s", "plain q=2.0"), ("t", "plain q=1.0")]
+
+
+def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:
+    with pytest.raises(NotMeasured, match="no evaluator of it has a link"):
+        chosen(run_of(size(1.0)), Demand("", error_m=0.1))
+    with pytest.raises(NotMeasured, match="no error was measured over radio"):
+        chosen(run_of(size(1.0), *delivered(1.0, 10)), Demand(""))
+    with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio"):
+        chosen(run_of(*BY_ERROR), Demand("light"))
+
+
+def test_the_report_begins_with_what_to_take_over_each_link() -> None:
+    html = render(run_of(*BY_ERROR), lambda _: {"frames": [], "originals": []})
+    answer = html[html.index('<section id="answer"') :]
+    table = answer[answer.index('<div id="links">') : answer.index("</table>")]
+    assert "<td" in table
+    assert all(word in table for word in ("radio", "plain q=2.0", "better than 1 of 2 others"))

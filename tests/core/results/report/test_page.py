@@ -145,7 +145,10 @@ def test_a_click_on_a_point_shows_its_frames_and_its_path_and_the_address_keeps_
     assert page.evaluate("$('look-setting').value") == page.evaluate("STATE.at")
     assert page.evaluate("document.querySelectorAll('#curve .chosen').length") == 1
     page.evaluate("$('path-scrub').value = 130; $('path-scrub').dispatchEvent(new Event('input'))")
-    assert "no pose (lost)" in page.evaluate("$('path-caption').textContent")
+    assert "Frame 130: lost, no pose" in page.evaluate("$('path-caption').textContent")
+    told = page.evaluate("document.querySelector('#path-error svg').getAttribute('aria-label')")
+    assert "Frames: tracked 90 %, waiting 1 %, lost 10 %" in told
+    assert page.evaluate("document.querySelectorAll('#path-error .lane').length") == 3
     page.evaluate("$('path-scrub').value = 220; $('path-scrub').dispatchEvent(new Event('input'))")
     assert "frame 225" in page.evaluate("$('frame-caption').textContent"), "the nearest frame that is stored"
     page.evaluate("$('frame-mode').value = 'difference'; $('frame-mode').dispatchEvent(new Event('change'))")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
+import numpy as np
 from measured_runs import METRICS
 from report_runs import report_run
 
+from codecbench.core.contracts.view import Course, Drawing, Lane, Line
+from codecbench.core.results.report.page_data import maps
 from codecbench.core.results.report.render import render
 from codecbench.core.results.run_result import RunResult
 
@@ -39,6 +43,27 @@ def test_a_caveat_stands_once_in_every_section_that_shows_its_evaluator() -> Non
     html = page(replace(run, results=tuple(replace(result, metrics=cautious) for result in run.results)))
     for name in ("answer", "verdict", "summary", "map-0"):
         assert section(html, name).count("drift: a guess.") == 1, name
+
+
+def test_a_frame_that_was_lost_among_ten_thousand_is_on_the_timeline_and_the_largest_error_too() -> None:
+    count = 10_000
+    lost, errors = np.zeros(count, bool), np.full(count, 0.01)
+    lost[4321], errors[1234], errors[5000:] = True, 0.5, np.nan
+    lanes = (Lane("there", "good", ~lost), Lane("lost", "bad", lost))
+    course = Course(np.arange(count), None, errors, "m", lanes, "how far off")
+    run = report_run(1)
+    drawing = Drawing((Line("truth", "truth", np.zeros((2, 2))),), "a way", course=course)
+    drawn = [replace(r, drawing=lambda: drawing) if r.cell.evaluator.name == "track" else r for r in run.results]
+    found = maps(replace(run, results=tuple(drawn)))[0]["drawings"][0]["course"]
+    assert len(json.dumps(found)) < 10_000
+    assert (found["x"], found["last"], len(found["frames"])) == (None, count - 1, len(found["errors"]))
+    assert max(error for error in found["errors"] if error is not None) == 0.5
+    assert found["errors"][-1] is None
+    there, gone = found["lanes"]
+    assert (gone["name"], gone["tone"], gone["share"]) == ("lost", "bad", 1 / count)
+    assert gone["levels"].strip("0") == "1"
+    assert gone["levels"].index("1") == 4321 * len(gone["levels"]) // count
+    assert set(there["levels"]) == {"9"}
 
 
 def test_failures_of_one_setting_are_told_apart_by_their_repeat() -> None:
