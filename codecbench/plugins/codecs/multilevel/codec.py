@@ -29,7 +29,7 @@ from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
 _HERE = "codecbench.plugins.codecs.multilevel"
 STATIC_KERNELS = (
     "codecbench.plugins.codecs.dct",
-    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "scan", "search", "tables")),
+    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "rice", "scan", "search", "tables")),
 )
 _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.codecs.dct.planes", f"{_HERE}.context")
 
@@ -51,6 +51,7 @@ class Multilevel(Codec[MultilevelParams]):
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
         {"qf": 75, "keys": "random", "seed": 3, "scan": "coefficient", "table": "standard", "color": "ycbcr444"},
         {"qf": 10, "group": 2, "table": "flat", "color": "gray"},
+        {"qf": 5, "effort": "fast"},
         {"qf": 2, "profile": "context"},
         {"qf": 0.1, "profile": "context", "effort": "fast", "color": "rgb", "restart": 1},
         {"qf": 3, "profile": "context", "effort": "normal", "color": "ycbcr444", "table": "standard", "lapped": True},
@@ -85,6 +86,7 @@ class Multilevel(Codec[MultilevelParams]):
             coefficient_scan=params.scan == "coefficient",
             offset=0,
             radix=1,
+            rice=params.effort == "fast",
         )
 
     def values_of(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:

@@ -125,7 +125,7 @@ def test_defaults_are_those_of_the_profile() -> None:
         ({"profile": "context", "levels": 2}, "levels"),
         ({"profile": "context", "scan": "coefficient"}, "scan"),
         ({"profile": "context", "decoding": "search"}, "decoding"),
-        ({"effort": "fast"}, "effort"),
+        ({"lapped": True}, "lapped"),
         ({"restart": 4}, "restart"),
     ],
 )

@@ -20,6 +20,7 @@ DECODER = Multilevel.create()
 SETTINGS = (
     {},
     {"decoding": "search"},
+    {"effort": "fast"},
     {"levels": 2, "scan": "coefficient"},
     {"levels": 2, "decoding": "search", "keys": "random"},
     {"levels": 3, "group": 2, "color": "ycbcr420", "table": tuple(range(1, 65))},
@@ -78,7 +79,7 @@ def test_bad_checksum(stream: bytes) -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 3, "version 3 is not supported"),
+        (4, "B", 4, "version 4 is not supported"),
         (5, "B", 1, "profile 1"),
         (6, "B", 8, "flags 8"),
         (7, "B", 4, "colour 4"),
