@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+import codecbench
+from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import cell, table
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import bd_rates
@@ -133,15 +136,45 @@ BD_RATES["features kept"] = CODING["features kept"].name
 
 def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
     """How much more rate each curve takes than the anchor for the same quality, in percent, sequence by sequence."""
-    columns = {column.name: column for column in run.headlines("quality", "task")}
-    rates = {head: bd_rates(run, columns[name], resamples=0) for head, name in BD_RATES.items()}
+    rates = _bd_rates(run, 1)
+    shown = [head for head in heads if head in BD_RATES]
     curves = sorted({key for found in rates.values() for key in found})
-    rows = []
-    for sequence, curve in curves:
-        found = [rates[head].get((sequence, curve)) for head in heads if head in BD_RATES]
-        shown = ["–" if rate is None or rate.reason else f"{rate.percent:+.1f}" for rate in found]
-        rows.append([sequence, curve, *shown])
+    rows = [[key[0], shortest(key[1]), *(rates[head].get(key, "–") for head in shown)] for key in curves]
     yield table(heads, rows)
+
+
+def rates_side_by_side(run: RunResult, heads: Heads) -> Iterator[str]:
+    """The same of the sequences in the heads, one row a curve: by PSNR, by SSIM, and by features kept."""
+    rates = _bd_rates(run, 0)
+    rows = []
+    for curve in sorted({curve for found in rates.values() for _, curve in found}):
+        cells = [" / ".join(found.get((sequence, curve), "–") for found in rates.values()) for sequence in heads[1:]]
+        rows.append([shortest(curve), *cells])
+    yield table(heads, rows)
+
+
+def _bd_rates(run: RunResult, decimals: int) -> dict[str, dict[tuple[str, str], str]]:
+    """By quality, then by sequence and curve: percent beside the anchor, as shown."""
+    columns = {column.name: column for column in run.headlines("quality", "task")}
+    return {
+        head: {
+            key: "–" if rate.reason else f"{rate.percent:+.{decimals}f}"
+            for key, rate in bd_rates(run, columns[name], resamples=0).items()
+        }
+        for head, name in BD_RATES.items()
+    }
+
+
+def shortest(curve: str) -> str:
+    """A curve's name without what its codec takes anyway."""
+    name, *words = curve.split(" ")
+    said = dict(word.split("=", 1) for word in words)
+    for key in [*said]:
+        others = {other: value for other, value in said.items() if other != key}
+        with suppress(ParamsError):
+            if codecbench.codec(name, **others).params == codecbench.codec(name, **said).params:
+                said = others
+    return " ".join([name, *(f"{key}={value}" for key, value in said.items())])
 
 
 def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:
