@@ -69,7 +69,8 @@ class Multilevel(Codec[MultilevelParams]):
         """
         image = check_image(image)
         if self.params.profile == "context":
-            return profile.encoded(image, self._context_header(self._picture(image)), self.params.effort, trace)
+            context = self._context_header(self._picture(image))
+            return profile.encoded(image, context, self.params.effort, trace, threads=self.params.threads)
         header = self.header_of(image)
         values = self.values_of(image, header, trace)
         found = minimised(values, self.params.levels, self._key_maker(), trace)
@@ -132,13 +133,13 @@ class Multilevel(Codec[MultilevelParams]):
         return blocks
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        """The image of a bitstream; of this instance's parameters only `search` matters, and only for speed.
+        """The image of a bitstream; `search` and `threads` alone of this instance matter, and only for speed.
 
         Raises BitstreamError for damaged or foreign bytes, ParamsError where `search: sequential` would take
         too long.
         """
         if version_of(bitstream) == CONTEXT_VERSION:
-            return profile.decoded(bitstream, trace)
+            return profile.decoded(bitstream, trace, threads=self.params.threads)
         parts: Bitstream = unpack(bitstream)
         header = parts.header
         ranks, tuples = entropy_coding.decoded(parts, self.params.search, trace)

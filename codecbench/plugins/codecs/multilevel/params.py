@@ -20,7 +20,7 @@ Step = Annotated[int, Field(ge=1, le=65535)]
 
 _CONTEXT_DEFAULTS = {"table": "flat", "color": "ycbcr420"}
 _ONLY_STATIC = ("levels", "group", "keys", "seed", "decoding", "search", "scan")
-_ONLY_CONTEXT = ("lapped", "chroma", "restart")
+_ONLY_CONTEXT = ("lapped", "chroma", "restart", "threads")
 
 
 class MultilevelParams(Params):
@@ -57,6 +57,9 @@ class MultilevelParams(Params):
     restart: int = Field(
         0, ge=0, le=MAX_RESTART, description="context: rows of 16 pixels from one restart point to the next, 0 for none"
     )
+    threads: int = Field(
+        1, ge=1, le=64, description="context: slices between restart points coded at once, to the same bytes"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -72,6 +75,12 @@ class MultilevelParams(Params):
         for name in names:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"{name}: the profile {self.profile} has none; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _check_threads(self) -> Self:
+        if self.threads > 1 and not self.restart:
+            raise ValueError("threads: what they share are slices between restart points; give restart too")
         return self
 
     @model_validator(mode="after")
