@@ -128,7 +128,9 @@ def decode_ordered_tuples(data: Any, radix: Any, total: Any, usual: Any, tuples:
 def _new_means(group: Any) -> Any:
     """Sum and number of the last numbers of every kind: of digits, after equal ones or not, and of counts."""
     kinds = 2 * group + COUNT_KINDS
-    return np.full(kinds, _FIRST_SUM, np.int64), np.ones(kinds, np.int64)
+    sums = np.full(kinds, _FIRST_SUM, np.int64)
+    seen = np.ones(kinds, np.int64)
+    return sums, seen
 
 
 @kernel

@@ -12,6 +12,7 @@ from multilevel_pictures import textured
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.multilevel import Multilevel, MultilevelParams, describe
 from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN
 from codecbench.plugins.codecs.multilevel.bitstream import pack, unpack
@@ -115,6 +116,19 @@ def test_fast_codes_the_same_pixels_in_another_version(setting: dict[str, object
         assert (usual[4], fast[4]) == (1, RICE_VERSION)
         assert np.array_equal(Multilevel.create().decode(usual), Multilevel.create().decode(fast))
         assert describe(usual).payload == describe(fast).payload
+
+
+@pytest.mark.thorough
+def test_operations_are_counted_and_fewer() -> None:
+    image = textured(61, 77)
+    encoding, decoding = {}, {}
+    for effort in ("best", "fast"):
+        codec, traces = Multilevel.create(effort=effort), (CountingTrace(), CountingTrace())
+        stream = codec.encode(image, trace=traces[0])
+        assert np.array_equal(codec.decode(stream, trace=traces[1]), codec.decode(stream))
+        encoding[effort], decoding[effort] = (trace.counts for trace in traces)
+    assert encoding["fast"]["table_coding"].total < encoding["best"]["table_coding"].total / 2
+    assert decoding["fast"]["table_decoding"].total < decoding["best"]["table_decoding"].total
 
 
 def test_fast_has_no_codes_to_search() -> None:
