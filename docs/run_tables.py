@@ -69,7 +69,7 @@ def beside_photographs(run: RunResult, heads: Heads) -> Iterator[str]:
         still = stills.get((row["codec"], row["setting"]))
         own = [CODING[head].shown(row) for head in heads if head in CODING]
         beside = [CODING[head].shown(still) for head in ("bit/px", "features kept")]
-        lines.append([row["codec"], row["setting"], *own, *beside])
+        lines.append([row["codec"], shortest_setting(run, row), *own, *beside])
     yield table(heads, lines)
     yield (
         "“Features kept” is the share of the original frame's ORB keypoints that are found again in the decoded frame, "
@@ -126,8 +126,11 @@ def first_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
 
 
 def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
-    rows = rows_of(run, sequence)
-    return table(heads, [[CODING[head].shown(row) if head in CODING else row[head] for head in heads] for row in rows])
+    lines = []
+    for row in rows_of(run, sequence):
+        said = {"codec": row["codec"], "setting": shortest_setting(run, row)}
+        lines.append([said[head] if head in said else CODING[head].shown(row) for head in heads])
+    return table(heads, lines)
 
 
 BD_RATES = {head: CODING[shown].name for head, shown in (("PSNR", "PSNR dB"), ("SSIM", "SSIM"))}
@@ -175,6 +178,13 @@ def shortest(curve: str) -> str:
             if codecbench.codec(name, **others).params == codecbench.codec(name, **said).params:
                 said = others
     return " ".join([name, *(f"{key}={value}" for key, value in said.items())])
+
+
+def shortest_setting(run: RunResult, row: Row) -> str:
+    """A setting's label without what its codec takes anyway, but for the parameter that is swept."""
+    point = run.curves[row["codec"], row["setting"]]
+    shown = {*shortest(point.curve).split(" "), *point.point.split(" ")}
+    return " ".join(word for word in str(row["setting"]).split(" ") if word in shown)
 
 
 def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:
