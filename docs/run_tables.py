@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -113,7 +113,7 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     for entry in run.plan.sequences:
         yield f"### {entry.name}\n"
         yield f"{entry.frames} frames.\n"
-        yield coding_table(run, entry.name, heads)
+        yield coding_table(run, entry.name, heads, shortest_setting)
     reasons = sorted({f"{r.cell.evaluator.name} of {r.cell.codec.name} ({r.reason})" for r in run.results if r.reason})
     done = sum(result.status == "ok" for result in run.results)
     yield f"{done} of {len(run.plan.cells)} cells" + (f"; not computed: {'; '.join(reasons)}." if reasons else ".")
@@ -122,13 +122,13 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
 def first_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     """What the first run prints at its end, with the machine that it ran on."""
     yield f"Processor time on one core of a shared {machine(run)}:\n"
-    yield coding_table(run, run.plan.sequences[0].name, heads)
+    yield coding_table(run, run.plan.sequences[0].name, heads, lambda _, row: str(row["setting"]))
 
 
-def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
+def coding_table(run: RunResult, sequence: str, heads: Heads, label: Callable[[RunResult, Row], str]) -> str:
     lines = []
     for row in rows_of(run, sequence):
-        said = {"codec": row["codec"], "setting": shortest_setting(run, row)}
+        said = {"codec": row["codec"], "setting": label(run, row)}
         lines.append([said[head] if head in said else CODING[head].shown(row) for head in heads])
     return table(heads, lines)
 
