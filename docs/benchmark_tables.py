@@ -33,12 +33,14 @@ def codecs(found: Benchmarks, heads: Heads) -> Iterator[str]:
 
 
 def multilevel(found: Benchmarks, heads: Heads) -> Iterator[str]:
-    """Medians of encoding and decoding together, one row a kind of picture and number of levels."""
+    """Medians of encoding and decoding together, one row a kind of picture, number of levels and effort."""
     times: dict[str, dict[int, float]] = {}
     for benchmark in of_file(found, "test_multilevel"):
         if test_name(benchmark) == "test_encode_and_decode":
             params = benchmark["params"]
-            times.setdefault(f"{params['picture']}, levels {params['levels']}", {})[params["qf"]] = median_ms(benchmark)
+            what = f"{params['picture']}, levels {params['levels']}"
+            what += ", fast" if params.get("effort") == "fast" else ""
+            times.setdefault(what, {})[params["qf"]] = median_ms(benchmark)
     rows = [[what, *(f"{row[qf]:.1f} ms" for qf in (5, 20, 100))] for what, row in sorted(times.items())]
     yield table(heads, rows)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+import codecbench
+from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import cell, table
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import bd_rates
@@ -66,7 +69,7 @@ def beside_photographs(run: RunResult, heads: Heads) -> Iterator[str]:
         still = stills.get((row["codec"], row["setting"]))
         own = [CODING[head].shown(row) for head in heads if head in CODING]
         beside = [CODING[head].shown(still) for head in ("bit/px", "features kept")]
-        lines.append([row["codec"], row["setting"], *own, *beside])
+        lines.append([row["codec"], shortest_setting(run, row), *own, *beside])
     yield table(heads, lines)
     yield (
         "“Features kept” is the share of the original frame's ORB keypoints that are found again in the decoded frame, "
@@ -110,7 +113,7 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     for entry in run.plan.sequences:
         yield f"### {entry.name}\n"
         yield f"{entry.frames} frames.\n"
-        yield coding_table(run, entry.name, heads)
+        yield coding_table(run, entry.name, heads, shortest_setting)
     reasons = sorted({f"{r.cell.evaluator.name} of {r.cell.codec.name} ({r.reason})" for r in run.results if r.reason})
     done = sum(result.status == "ok" for result in run.results)
     yield f"{done} of {len(run.plan.cells)} cells" + (f"; not computed: {'; '.join(reasons)}." if reasons else ".")
@@ -119,12 +122,15 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
 def first_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     """What the first run prints at its end, with the machine that it ran on."""
     yield f"Processor time on one core of a shared {machine(run)}:\n"
-    yield coding_table(run, run.plan.sequences[0].name, heads)
+    yield coding_table(run, run.plan.sequences[0].name, heads, lambda _, row: str(row["setting"]))
 
 
-def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
-    rows = rows_of(run, sequence)
-    return table(heads, [[CODING[head].shown(row) if head in CODING else row[head] for head in heads] for row in rows])
+def coding_table(run: RunResult, sequence: str, heads: Heads, label: Callable[[RunResult, Row], str]) -> str:
+    lines = []
+    for row in rows_of(run, sequence):
+        said = {"codec": row["codec"], "setting": label(run, row)}
+        lines.append([said[head] if head in said else CODING[head].shown(row) for head in heads])
+    return table(heads, lines)
 
 
 BD_RATES = {head: CODING[shown].name for head, shown in (("PSNR", "PSNR dB"), ("SSIM", "SSIM"))}
@@ -133,15 +139,52 @@ BD_RATES["features kept"] = CODING["features kept"].name
 
 def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
     """How much more rate each curve takes than the anchor for the same quality, in percent, sequence by sequence."""
-    columns = {column.name: column for column in run.headlines("quality", "task")}
-    rates = {head: bd_rates(run, columns[name], resamples=0) for head, name in BD_RATES.items()}
+    rates = _bd_rates(run, 1)
+    shown = [head for head in heads if head in BD_RATES]
     curves = sorted({key for found in rates.values() for key in found})
-    rows = []
-    for sequence, curve in curves:
-        found = [rates[head].get((sequence, curve)) for head in heads if head in BD_RATES]
-        shown = ["–" if rate is None or rate.reason else f"{rate.percent:+.1f}" for rate in found]
-        rows.append([sequence, curve, *shown])
+    rows = [[key[0], shortest(key[1]), *(rates[head].get(key, "–") for head in shown)] for key in curves]
     yield table(heads, rows)
+
+
+def rates_side_by_side(run: RunResult, heads: Heads) -> Iterator[str]:
+    """The same of the sequences in the heads, one row a curve: by PSNR, by SSIM, and by features kept."""
+    rates = _bd_rates(run, 0)
+    rows = []
+    for curve in sorted({curve for found in rates.values() for _, curve in found}):
+        cells = [" / ".join(found.get((sequence, curve), "–") for found in rates.values()) for sequence in heads[1:]]
+        rows.append([shortest(curve), *cells])
+    yield table(heads, rows)
+
+
+def _bd_rates(run: RunResult, decimals: int) -> dict[str, dict[tuple[str, str], str]]:
+    """By quality, then by sequence and curve: percent beside the anchor, as shown."""
+    columns = {column.name: column for column in run.headlines("quality", "task")}
+    return {
+        head: {
+            key: "–" if rate.reason else f"{rate.percent:+.{decimals}f}"
+            for key, rate in bd_rates(run, columns[name], resamples=0).items()
+        }
+        for head, name in BD_RATES.items()
+    }
+
+
+def shortest(curve: str) -> str:
+    """A curve's name without what its codec takes anyway."""
+    name, *words = curve.split(" ")
+    said = dict(word.split("=", 1) for word in words)
+    for key in [*said]:
+        others = {other: value for other, value in said.items() if other != key}
+        with suppress(ParamsError):
+            if codecbench.codec(name, **others).params == codecbench.codec(name, **said).params:
+                said = others
+    return " ".join([name, *(f"{key}={value}" for key, value in said.items())])
+
+
+def shortest_setting(run: RunResult, row: Row) -> str:
+    """A setting's label without what its codec takes anyway, but for the parameter that is swept."""
+    point = run.curves[row["codec"], row["setting"]]
+    shown = {*shortest(point.curve).split(" "), *point.point.split(" ")}
+    return " ".join(word for word in str(row["setting"]).split(" ") if word in shown)
 
 
 def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:

@@ -77,6 +77,9 @@ BLOCKS = {
         "docs/multilevel.md", "run", "context", ("sequence", "codec", "PSNR", "SSIM", "features kept"),
         run_tables.rates_beside_anchor,
     ),
+    "method": Block(
+        "README.md", "run", "context", ("codec", "office", "photographs", "street"), run_tables.rates_side_by_side
+    ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "slam": Block(
         TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),

@@ -31,12 +31,21 @@ def picture(request: pytest.FixtureRequest, colour: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("qf", [5, 20, 100])
-@pytest.mark.parametrize("levels", [1, 2])
-def test_encode_and_decode(benchmark, picture: np.ndarray, qf: int, levels: int) -> None:  # type: ignore[no-untyped-def]
-    """Bars at one level: gray 12 ms at QF 5 and 6 ms at QF 100, RGB 33 ms at QF 5."""
-    codec = Multilevel.create(qf=qf, levels=levels)
+@pytest.mark.parametrize(("levels", "effort"), [(1, "best"), (1, "fast"), (2, "best")])
+def test_encode_and_decode(benchmark, picture: np.ndarray, qf: int, levels: int, effort: str) -> None:  # type: ignore[no-untyped-def]
+    """Bars at one level and QF 5: gray 5 ms, RGB 12 ms."""
+    codec = Multilevel.create(qf=qf, levels=levels, effort=effort)
     decoded = benchmark.pedantic(lambda: codec.decode(codec.encode(picture)), rounds=20, iterations=1, warmup_rounds=2)
     assert decoded.shape == picture.shape
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("direction", ["encode", "decode"])
+def test_slices_on_threads(benchmark, picture: np.ndarray, direction: str, threads: int) -> None:  # type: ignore[no-untyped-def]
+    """The profile `context` in two slices; by the clock, on a machine of two cores that does nothing else."""
+    codec = Multilevel.create(profile="context", qf=2, restart=15, threads=threads)
+    argument = picture if direction == "encode" else codec.encode(picture)
+    benchmark.pedantic(getattr(codec, direction), (argument,), rounds=20, iterations=1, warmup_rounds=2)
 
 
 @pytest.mark.parametrize("direction", ["encode", "decode"])

@@ -189,6 +189,28 @@ def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) 
     assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
 
 
+@pytest.mark.parametrize(
+    ("curve", "expected"),
+    [
+        ("webp", "webp"),
+        ("multilevel profile=static group=3 table=paper effort=best lapped=no", "multilevel"),
+        ("multilevel profile=static group=4 table=flat effort=best", "multilevel group=4 table=flat"),
+        ("multilevel profile=context group=3 table=flat lapped=yes", "multilevel profile=context lapped=yes"),
+    ],
+)
+def test_names_of_curves_leave_out_what_the_codec_takes_anyway(curve: str, expected: str) -> None:
+    assert run_tables.shortest(curve) == expected
+
+
+def test_the_method_is_judged_at_the_paper_s_setting_and_at_its_best() -> None:
+    """In the README's table, whose rows are also those of the page."""
+    rows = {row[0] for row in table_rows(block(ROOT / "README.md", "method"))}
+    assert {"multilevel", "multilevel profile=context", "jpeg2000"} <= rows
+    assert "multilevel group=4 color=ycbcr420 scan=coefficient table=flat" in rows
+    page = {row[1] for row in table_rows(block(DOCS / "multilevel.md", "rates-beside-jpeg"))}
+    assert rows == page
+
+
 @pytest.mark.thorough
 def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_path: Path) -> None:
     pictures = [np.random.default_rng(seed).integers(0, 256, (40, 56, 3), np.uint8) for seed in range(2)]

@@ -72,20 +72,16 @@ class JpegQf(Codec[JpegQfParams]):
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)
         header = self._header(image)
-        planes = planes_from_image(image, self.params.color, trace)
-        blocks = np.concatenate(
-            [
-                blocks_from_plane(
-                    padded(plane, 8 * component.h, trace),
-                    _natural(self._quantisers[component.table]),
-                    _SHIFT,
-                    trace=trace,
-                )
-                for plane, component in zip(planes, header.components, strict=True)
-            ]
-        )
+        layout = scan_layout(header)
+        blocks = np.empty((len(layout.order), 64), np.int32)
+        start = 0
+        for plane, component in zip(planes_from_image(image, self.params.color, trace), header.components, strict=True):
+            plane = padded(plane, 8 * component.h, trace)
+            out = blocks[start : start + plane.size // 64]
+            blocks_from_plane(plane, _natural(self._quantisers[component.table]), _SHIFT, out=out, trace=trace)
+            start += len(out)
         selectors = tuple((component.table, component.table) for component in header.components)
-        huffman_tables, scan_data = write_scan(blocks, scan_layout(header), selectors, self.params.optimize, trace)
+        huffman_tables, scan_data = write_scan(blocks, layout, selectors, self.params.optimize, trace)
         quantisers = {component.table: self._quantisers[component.table] for component in header.components}
         return write_file(CodedPicture(header, quantisers, huffman_tables, selectors, 0, scan_data))
 

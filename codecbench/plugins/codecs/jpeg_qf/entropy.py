@@ -28,17 +28,13 @@ PADDING_BYTES = 8
 _END_OF_BLOCK, _SIXTEEN_ZEROS = 0x00, 0xF0
 _MAX_DC_SIZE, _MAX_AC_SIZE = 11, 10
 _MAX_DC = 2047
+_SIZES = np.array([magnitude.bit_length() for magnitude in range(2 * _MAX_DC + 2)], np.uint8)
 
 
 @kernel
 def bit_size(value):  # type: ignore[no-untyped-def]
     """Bits of the magnitude of a coefficient: SSSS of T.81 tables F.1 and F.2."""
-    size = 0
-    magnitude = abs(value)
-    while magnitude > 0:
-        magnitude >>= 1
-        size += 1
-    return size
+    return np.int64(_SIZES[abs(value)])
 
 
 @kernel
@@ -68,14 +64,13 @@ def count_symbols(blocks, order, pattern, selectors, frequencies):  # type: igno
 
 
 @kernel
-def put_bits(output, state, value, count):  # type: ignore[no-untyped-def]
-    """Append the low `count` bits of `value`; `state` holds pending bits, their number and the bytes written.
+def put_bits(output, pending, bits, written, value, count):  # type: ignore[no-untyped-def]
+    """Append the low `count` bits of `value`; returns the new pending bits, their number and the bytes written.
 
     A byte FF is followed by 00 (T.81 F.1.2.3).
     """
-    pending = (state[0] << count) | value
-    bits = state[1] + count
-    written = state[2]
+    pending = (pending << count) | value
+    bits += count
     while bits >= 8:
         bits -= 8
         byte = (pending >> bits) & 0xFF
@@ -84,23 +79,22 @@ def put_bits(output, state, value, count):  # type: ignore[no-untyped-def]
         if byte == 0xFF:
             output[written] = 0
             written += 1
-    state[0] = pending & ((1 << bits) - 1)
-    state[1] = bits
-    state[2] = written
+    return pending & ((1 << bits) - 1), bits, written
 
 
 @kernel
-def put_symbol(output, state, code, length, value, size):  # type: ignore[no-untyped-def]
+def put_symbol(output, pending, bits, written, code, length, value, size):  # type: ignore[no-untyped-def]
     """Append a Huffman code and the `size` low bits of a coefficient, of one less if negative (T.81 F.1.2.1)."""
     low = value if value >= 0 else value - 1
-    put_bits(output, state, (np.int64(code) << size) | (low & ((1 << size) - 1)), np.int64(length) + size)
+    code = (np.int64(code) << size) | (low & ((1 << size) - 1))
+    return put_bits(output, pending, bits, written, code, np.int64(length) + size)
 
 
 @kernel
 def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # type: ignore[no-untyped-def]
     """Write the entropy-coded segment into `output`, large enough for the worst case; returns its bytes."""
     predictions = np.zeros(selectors.shape[0], np.int64)
-    state = np.zeros(3, np.int64)
+    pending, bits, written = np.int64(0), np.int64(0), np.int64(0)
     for i in range(order.shape[0]):
         block = order[i]
         component = pattern[i % pattern.shape[0]]
@@ -109,7 +103,8 @@ def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # t
         difference = value - predictions[component]
         predictions[component] = value
         size = bit_size(difference)
-        put_symbol(output, state, codes[0, dc, size], lengths[0, dc, size], difference, size)
+        code, length = codes[0, dc, size], lengths[0, dc, size]
+        pending, bits, written = put_symbol(output, pending, bits, written, code, length, difference, size)
         zeros = 0
         for k in range(1, 64):
             value = np.int64(blocks[block, k])
@@ -117,19 +112,20 @@ def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # t
                 zeros += 1
                 continue
             while zeros > 15:
-                put_bits(
-                    output, state, np.int64(codes[1, ac, _SIXTEEN_ZEROS]), np.int64(lengths[1, ac, _SIXTEEN_ZEROS])
-                )
+                code, length = codes[1, ac, _SIXTEEN_ZEROS], lengths[1, ac, _SIXTEEN_ZEROS]
+                pending, bits, written = put_symbol(output, pending, bits, written, code, length, np.int64(0), 0)
                 zeros -= 16
             size = bit_size(value)
             symbol = (zeros << 4) | size
-            put_symbol(output, state, codes[1, ac, symbol], lengths[1, ac, symbol], value, size)
+            code, length = codes[1, ac, symbol], lengths[1, ac, symbol]
+            pending, bits, written = put_symbol(output, pending, bits, written, code, length, value, size)
             zeros = 0
         if zeros > 0:
-            put_bits(output, state, np.int64(codes[1, ac, _END_OF_BLOCK]), np.int64(lengths[1, ac, _END_OF_BLOCK]))
-    if state[1] > 0:
-        put_bits(output, state, np.int64(0x7F) >> (state[1] - 1), 8 - state[1])  # filled up with ones
-    return state[2]
+            code, length = codes[1, ac, _END_OF_BLOCK], lengths[1, ac, _END_OF_BLOCK]
+            pending, bits, written = put_symbol(output, pending, bits, written, code, length, np.int64(0), 0)
+    if bits > 0:  # filled up with ones
+        pending, bits, written = put_bits(output, pending, bits, written, np.int64(0x7F) >> (bits - 1), 8 - bits)
+    return written
 
 
 @kernel

@@ -114,9 +114,10 @@ def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, conte
     """
     split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
     _adapt(models, context, bit)
-    if bit:
-        return encode_interval(low, width, position, out, 0, 1, split)
-    return encode_interval(low + split, width, position, out, 0, 1, width - split)
+    # Choices, not branches: which bit comes is what a processor cannot foretell.
+    start = 0 if bit else split
+    size = split if bit else width - split
+    return encode_interval(low + start, width, position, out, 0, 1, size)
 
 
 @kernel
@@ -138,12 +139,10 @@ def decode_bit(code: Any, width: Any, position: Any, data: Any, models: Any, con
 @kernel
 def _adapt(models: Any, context: Any, bit: Any) -> None:
     """Move both estimates toward the bit, by a 16th and by a 128th; neither ever reaches 0 or 65536."""
-    if bit:
-        models[context, 0] += (65535 - models[context, 0]) >> 4
-        models[context, 1] += (65535 - models[context, 1]) >> 7
-    else:
-        models[context, 0] -= models[context, 0] >> 4
-        models[context, 1] -= models[context, 1] >> 7
+    fast = models[context, 0]
+    slow = models[context, 1]
+    models[context, 0] = fast + ((65535 - fast) >> 4) if bit else fast - (fast >> 4)
+    models[context, 1] = slow + ((65535 - slow) >> 7) if bit else slow - (slow >> 7)
 
 
 @kernel

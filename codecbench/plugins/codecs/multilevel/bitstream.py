@@ -4,7 +4,7 @@ All numbers are little-endian. A bitstream is a header, one section a level, the
 
     offset  size  header
          0     4  magic "CBML"
-         4     1  version, 1
+         4     1  version, 1, or 3 where tables are Rice codes (header mode only)
          5     1  profile: 0 static, as described here; 1 is reserved for `context`
          6     1  flags: bit 0 search mode, bit 1 coefficient scan, bit 2 three channels; the others 0
          7     1  colour: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
@@ -50,6 +50,7 @@ from codecbench.plugins.codecs.multilevel.header import (
     CONTEXT_VERSION,
     MAGIC,
     MAX_SYMBOLS,
+    RICE_VERSION,
     VERSION,
     Header,
     Reader,
@@ -113,16 +114,18 @@ def version_of(bitstream: bytes) -> int:
         )
     if len(data) < _SHORTEST:
         raise BitstreamError(f"truncated: {len(data)} bytes, the shortest header has {_SHORTEST}")
-    if data[4] not in (VERSION, CONTEXT_VERSION):
-        raise BitstreamError(f"version {data[4]} is not supported, only {VERSION} and {CONTEXT_VERSION}")
+    if data[4] not in (VERSION, CONTEXT_VERSION, RICE_VERSION):
+        raise BitstreamError(
+            f"version {data[4]} is not supported, only {VERSION}, {CONTEXT_VERSION} and {RICE_VERSION}"
+        )
     return data[4]
 
 
-def checked(bitstream: bytes, version: int) -> Reader:
-    """A reader of a bitstream of this version whose checksum is right. Raises BitstreamError with the reason."""
+def checked(bitstream: bytes, *versions: int) -> Reader:
+    """A reader of a bitstream of one of these versions, its checksum right. Raises BitstreamError with the reason."""
     data = bytes(bitstream)
-    if version_of(data) != version:
-        raise BitstreamError(f"version {data[4]} where {version} is expected")
+    if version_of(data) not in versions:
+        raise BitstreamError(f"version {data[4]} where {' or '.join(map(str, versions))} is expected")
     (expected,) = _WORD.unpack(data[-_WORD.size :])
     if (found := zlib.crc32(data[: -_WORD.size])) != expected:
         raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
@@ -146,7 +149,7 @@ def unpack(bitstream: bytes) -> Bitstream:
 
     Raises BitstreamError with the reason.
     """
-    reader = checked(bitstream, VERSION)
+    reader = checked(bitstream, VERSION, RICE_VERSION)
     header = unpack_header(reader)
     levels = _unpack_levels(reader, header)
     (size,) = _WORD.unpack(reader.take(_WORD.size, "payload size"))

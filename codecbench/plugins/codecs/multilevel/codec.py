@@ -29,7 +29,7 @@ from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
 _HERE = "codecbench.plugins.codecs.multilevel"
 STATIC_KERNELS = (
     "codecbench.plugins.codecs.dct",
-    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "scan", "search", "tables")),
+    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "rice", "scan", "search", "tables")),
 )
 _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.codecs.dct.planes", f"{_HERE}.context")
 
@@ -51,6 +51,7 @@ class Multilevel(Codec[MultilevelParams]):
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
         {"qf": 75, "keys": "random", "seed": 3, "scan": "coefficient", "table": "standard", "color": "ycbcr444"},
         {"qf": 10, "group": 2, "table": "flat", "color": "gray"},
+        {"qf": 5, "effort": "fast"},
         {"qf": 2, "profile": "context"},
         {"qf": 0.1, "profile": "context", "effort": "fast", "color": "rgb", "restart": 1},
         {"qf": 3, "profile": "context", "effort": "normal", "color": "ycbcr444", "table": "standard", "lapped": True},
@@ -68,7 +69,8 @@ class Multilevel(Codec[MultilevelParams]):
         """
         image = check_image(image)
         if self.params.profile == "context":
-            return profile.encoded(image, self._context_header(self._picture(image)), self.params.effort, trace)
+            context = self._context_header(self._picture(image))
+            return profile.encoded(image, context, self.params.effort, trace, threads=self.params.threads)
         header = self.header_of(image)
         values = self.values_of(image, header, trace)
         found = minimised(values, self.params.levels, self._key_maker(), trace)
@@ -85,6 +87,7 @@ class Multilevel(Codec[MultilevelParams]):
             coefficient_scan=params.scan == "coefficient",
             offset=0,
             radix=1,
+            rice=params.effort == "fast",
         )
 
     def values_of(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
@@ -130,13 +133,13 @@ class Multilevel(Codec[MultilevelParams]):
         return blocks
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        """The image of a bitstream; of this instance's parameters only `search` matters, and only for speed.
+        """The image of a bitstream; `search` and `threads` alone of this instance matter, and only for speed.
 
         Raises BitstreamError for damaged or foreign bytes, ParamsError where `search: sequential` would take
         too long.
         """
         if version_of(bitstream) == CONTEXT_VERSION:
-            return profile.decoded(bitstream, trace)
+            return profile.decoded(bitstream, trace, threads=self.params.threads)
         parts: Bitstream = unpack(bitstream)
         header = parts.header
         ranks, tuples = entropy_coding.decoded(parts, self.params.search, trace)

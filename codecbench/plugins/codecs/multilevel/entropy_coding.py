@@ -15,6 +15,7 @@ from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, che
 from codecbench.plugins.codecs.multilevel.header import Header
 from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
 from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
+from codecbench.plugins.codecs.multilevel.rice import decode_ordered_tuples, encode_ordered_tuples
 from codecbench.plugins.codecs.multilevel.search import (
     FREE_PRUNED_TESTS,
     MAX_SEQUENTIAL_TESTS,
@@ -50,7 +51,7 @@ def encoded(header: Header, minimised: Minimised, trace: Trace) -> Bitstream:
     levels = []
     for number, table in enumerate(minimised.tables, start=1):
         counts = table.counts if number == header.levels else _NO_COUNTS
-        data = filled_up(_encoded_table(table, counts, header.search, trace), len(table.codes))
+        data = filled_up(_encoded_table(table, counts, header, trace), len(table.codes))
         if header.search:
             _check_searchable(table, len(data), number)
         levels.append(Level(len(table.codes), data, table.keys if header.search else _NO_COUNTS))
@@ -61,14 +62,17 @@ def encoded(header: Header, minimised: Minimised, trace: Trace) -> Bitstream:
     return Bitstream(header, levels, filled_up(out[:size].tobytes(), header.samples))
 
 
-def _encoded_table(table: LevelTable, counts: NDArray[np.int64], search: bool, trace: Trace) -> bytes:
+def _encoded_table(table: LevelTable, counts: NDArray[np.int64], header: Header, trace: Trace) -> bytes:
     room = 4096 + 8 * table.tuples.size
     with trace.stage("table_coding") as run:
         while True:
             out = np.empty(room, np.uint8)
-            size = (
-                run(encode_codes, table.codes, counts, out) if search else run(encode_tuples, table.tuples, counts, out)
-            )
+            if header.search:
+                size = run(encode_codes, table.codes, counts, out)
+            elif header.rice:
+                size = run(encode_ordered_tuples, table.tuples, counts, table.filler, out)
+            else:
+                size = run(encode_tuples, table.tuples, counts, out)
             if size >= 0:
                 return out[:size].tobytes()
             room *= 4
@@ -109,7 +113,7 @@ def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.
         if header.search:
             tuples.append(_searched_tuples(level, number, radix, groups, counts, search, trace))
         else:
-            tuples.append(_sent_tuples(level, number, radix, groups, counts, header.group, trace))
+            tuples.append(_sent_tuples(level, number, radix, groups, counts, header, trace))
         radix = level.entries
     ranks = np.empty(groups, np.int32)
     with trace.stage("arithmetic_decoding") as run:
@@ -122,11 +126,16 @@ def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.
 
 
 def _sent_tuples(
-    level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], group: int, trace: Trace
+    level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], header: Header, trace: Trace
 ) -> NDArray[np.int32]:
-    tuples = np.empty((level.entries, group), np.int32)
+    tuples = np.empty((level.entries, header.group), np.int32)
+    data = np.frombuffer(level.table, np.uint8)
     with trace.stage("table_decoding") as run:
-        read = run(decode_tuples, np.frombuffer(level.table, np.uint8), radix, groups, tuples, counts)
+        if header.rice:
+            usual = -header.offset if number == 1 else 0
+            read = run(decode_ordered_tuples, data, radix, groups, usual, tuples, counts)
+        else:
+            read = run(decode_tuples, data, radix, groups, tuples, counts)
     _check_table(level, read, number)
     return tuples
 

@@ -17,6 +17,8 @@ from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE, PAPER, Table
 MAGIC = b"CBML"
 VERSION = 1
 CONTEXT_VERSION = 2
+RICE_VERSION = 3
+"""The static profile with tables by Rice codes: `effort: fast`."""
 STATIC_PROFILE = 0
 CONTEXT_PROFILE = 1
 """Adaptive contexts in place of tables: `context`."""
@@ -76,7 +78,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Header(Picture):
-    """What stands before the tables. offset, radix: indices are offset..offset+radix-1."""
+    """What stands before the tables. offset, radix: indices are offset..offset+radix-1. rice: how tables are coded."""
 
     levels: int
     group: int
@@ -84,6 +86,7 @@ class Header(Picture):
     coefficient_scan: bool
     offset: int
     radix: int
+    rice: bool = False
 
 
 class Reader:
@@ -108,7 +111,7 @@ def pack_header(header: Header) -> bytes:
     flags = _SEARCH * header.search + _COEFFICIENT * header.coefficient_scan + _THREE_CHANNELS * (header.channels == 3)
     fixed = _FIXED.pack(
         MAGIC,
-        VERSION,
+        RICE_VERSION if header.rice else VERSION,
         STATIC_PROFILE,
         flags,
         COLORS.index(header.color),
@@ -137,10 +140,10 @@ def pack_table(table: Table) -> bytes:
 def unpack_header(reader: Reader) -> Header:
     """The header that comes next, checked. Raises BitstreamError with the field that is not allowed."""
     fields = _FIXED.unpack(reader.take(HEADER_SIZE, "header"))
-    _, _, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
+    _, version, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
     require_fields(
         ("profile", profile, profile == STATIC_PROFILE),
-        ("flags", flags, flags < 8),
+        ("flags", flags, flags < 8 and not (version == RICE_VERSION and flags & _SEARCH)),
         ("levels", levels, 1 <= levels <= MAX_LEVELS),
         ("group", group, MIN_GROUP <= group <= MAX_GROUP),
         ("reserved byte", reader.data[11], reader.data[11] == 0),
@@ -155,6 +158,7 @@ def unpack_header(reader: Reader) -> Header:
         coefficient_scan=bool(flags & _COEFFICIENT),
         offset=offset,
         radix=radix,
+        rice=version == RICE_VERSION,
     )
     header.require_room()
     return header

@@ -34,11 +34,13 @@ KeyMaker = Callable[[int, int], Keys]
 class LevelTable:
     """A level's distinct codes, sorted.
 
-    radix: digits are 0..radix-1. codes: (U,) int64. counts: (U,) int64, how often each occurs. tuples: (U, g)
-    int32, the digits of each.
+    radix: digits are 0..radix-1. filler: the digit that fills up the last group, that of a zero coefficient, or above
+    level 1 rank 0. codes: (U,) int64. counts: (U,) int64, how often each occurs. tuples: (U, g) int32, the digits of
+    each.
     """
 
     radix: int
+    filler: int
     keys: Keys
     codes: NDArray[np.int64]
     counts: NDArray[np.int64]
@@ -65,7 +67,6 @@ def minimised(values: NDArray[np.int32], levels: int, make_keys: KeyMaker, trace
     tables: list[LevelTable] = []
     offset, radix = smallest, largest - smallest + 1
     for level in range(1, levels + 1):
-        # The last group is filled up with the digit of a zero coefficient; above level 1 with rank 0.
         table, values = _minimised_once(values, offset, radix, make_keys(level, radix), level, trace)
         tables.append(table)
         offset, radix = 0, len(table.codes)
@@ -99,6 +100,7 @@ def _minimised_once(
         run(sort_order, distinct[:found], order)
         table = LevelTable(
             radix,
+            filler,
             keys,
             codes=np.empty(found, np.int64),
             counts=np.empty(found, np.int64),

@@ -20,7 +20,7 @@ Step = Annotated[int, Field(ge=1, le=65535)]
 
 _CONTEXT_DEFAULTS = {"table": "flat", "color": "ycbcr420"}
 _ONLY_STATIC = ("levels", "group", "keys", "seed", "decoding", "search", "scan")
-_ONLY_CONTEXT = ("effort", "lapped", "chroma", "restart")
+_ONLY_CONTEXT = ("lapped", "chroma", "restart", "threads")
 
 
 class MultilevelParams(Params):
@@ -46,13 +46,19 @@ class MultilevelParams(Params):
         "paper", description="quantisation table, or its 64 steps row by row"
     )
 
-    effort: Effort = Field("best", description="context: without mixing, mixing, or indices chosen by their cost too")
+    effort: Effort = Field(
+        "best",
+        description="context: without mixing, mixing, or indices chosen by their cost too; static: fast or best tables",
+    )
     lapped: bool = Field(False, description="context: filter across the borders between blocks")
     chroma: float = Field(
         1.5, ge=1 / CHROMA_UNITS, le=255 / CHROMA_UNITS, description="context: factor on the steps of other planes"
     )
     restart: int = Field(
         0, ge=0, le=MAX_RESTART, description="context: rows of 16 pixels from one restart point to the next, 0 for none"
+    )
+    threads: int = Field(
+        1, ge=1, le=64, description="context: slices between restart points coded at once, to the same bytes"
     )
 
     @model_validator(mode="before")
@@ -69,6 +75,23 @@ class MultilevelParams(Params):
         for name in names:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"{name}: the profile {self.profile} has none; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _check_threads(self) -> Self:
+        if self.threads > 1 and not self.restart:
+            raise ValueError("threads: what they share are slices between restart points; give restart too")
+        return self
+
+    @model_validator(mode="after")
+    def _check_effort(self) -> Self:
+        """Of the profile `static`, `fast` is for tables that are sent as tuples, which ascend under their keys."""
+        if self.profile == "context" or self.effort == "best":
+            return self
+        if self.effort == "normal":
+            raise ValueError("effort: the profile static has no normal; take fast or best")
+        if self.decoding == "search" or not isinstance(self.keys, str):
+            raise ValueError("effort: fast takes tuples in the header and keys in order; leave out decoding and keys")
         return self
 
     @model_validator(mode="after")

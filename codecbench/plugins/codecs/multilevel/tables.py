@@ -27,7 +27,7 @@ from codecbench.plugins.codecs.multilevel.arithmetic import (
 _NUMBER = 128
 """Contexts of one kind of number: 64 for its length, 64 for the bit after the leading one."""
 
-_COUNT_KINDS = 4
+COUNT_KINDS = 4
 _GAP_KINDS = 4
 _LONGEST = 62
 _ROOM = 192
@@ -91,7 +91,7 @@ def _decode_number(code: Any, width: Any, position: Any, data: Any, models: Any,
 
 
 @kernel
-def _magnitude(number: Any, kinds: Any) -> Any:
+def magnitude(number: Any, kinds: Any) -> Any:
     """How large a number is: 0 for 0, then one more for every two bits, below `kinds`."""
     kind = 0
     while number > 0 and kind < kinds - 1:
@@ -130,7 +130,7 @@ def encode_tuples(tuples: Any, counts: Any, out: Any) -> Any:
                 low, width, position = encode_bit(low, width, position, out, models, context, sign)
                 changed = 1
         if counts.shape[0] > 0:
-            kind = 2 * group + _magnitude(before, _COUNT_KINDS)
+            kind = 2 * group + magnitude(before, COUNT_KINDS)
             low, width, position = _encode_number(low, width, position, out, models, kind, counts[row] - 1)
             before = counts[row] - 1
     return finish_encoder(low, position, out)
@@ -138,12 +138,12 @@ def encode_tuples(tuples: Any, counts: Any, out: Any) -> Any:
 
 @kernel
 def _tuple_contexts(group: Any) -> Any:
-    return (2 * group + _COUNT_KINDS) * _NUMBER + 2 * group
+    return (2 * group + COUNT_KINDS) * _NUMBER + 2 * group
 
 
 @kernel
 def _sign_context(group: Any, kind: Any) -> Any:
-    return (2 * group + _COUNT_KINDS) * _NUMBER + kind
+    return (2 * group + COUNT_KINDS) * _NUMBER + kind
 
 
 @kernel
@@ -184,7 +184,7 @@ def decode_tuples(data: Any, radix: Any, total: Any, tuples: Any, counts: Any) -
         if row > 0 and changed == 0:
             return REPEATED
         if counts.shape[0] > 0:
-            kind = 2 * group + _magnitude(before, _COUNT_KINDS)
+            kind = 2 * group + magnitude(before, COUNT_KINDS)
             before, code, width, position = _decode_number(code, width, position, data, models, kind)
             if before < 0 or before >= left:
                 return BAD_COUNTS
@@ -201,7 +201,7 @@ def encode_codes(codes: Any, counts: Any, out: Any) -> Any:
 
     counts and the return value are as for `encode_tuples`.
     """
-    models = np.full(((_GAP_KINDS + _COUNT_KINDS) * _NUMBER, 2), _EVEN_CHANCE, np.int32)
+    models = np.full(((_GAP_KINDS + COUNT_KINDS) * _NUMBER, 2), _EVEN_CHANCE, np.int32)
     low = np.int64(0)
     width = np.int64(TOP - 1)
     position = 0
@@ -211,12 +211,12 @@ def encode_codes(codes: Any, counts: Any, out: Any) -> Any:
     for row in range(codes.shape[0]):
         if position + 3 * _ROOM > out.shape[0]:
             return -1
-        kind = _magnitude(gap, _GAP_KINDS)
+        kind = magnitude(gap, _GAP_KINDS)
         gap = codes[row] - previous - 1
         previous = codes[row]
         low, width, position = _encode_number(low, width, position, out, models, kind, gap)
         if counts.shape[0] > 0:
-            kind = _GAP_KINDS + _magnitude(before, _COUNT_KINDS)
+            kind = _GAP_KINDS + magnitude(before, COUNT_KINDS)
             low, width, position = _encode_number(low, width, position, out, models, kind, counts[row] - 1)
             before = counts[row] - 1
     return finish_encoder(low, position, out)
@@ -228,7 +228,7 @@ def decode_codes(data: Any, largest: Any, total: Any, codes: Any, counts: Any) -
 
     Codes increase by construction: a gap is never negative.
     """
-    models = np.full(((_GAP_KINDS + _COUNT_KINDS) * _NUMBER, 2), _EVEN_CHANCE, np.int32)
+    models = np.full(((_GAP_KINDS + COUNT_KINDS) * _NUMBER, 2), _EVEN_CHANCE, np.int32)
     code = first_code(data)
     width = np.int64(TOP - 1)
     position = LOOK_AHEAD
@@ -239,14 +239,14 @@ def decode_codes(data: Any, largest: Any, total: Any, codes: Any, counts: Any) -
     for row in range(codes.shape[0]):
         if position > data.shape[0] + UNWRITTEN:
             return OVERRUN
-        kind = _magnitude(gap, _GAP_KINDS)
+        kind = magnitude(gap, _GAP_KINDS)
         gap, code, width, position = _decode_number(code, width, position, data, models, kind)
         if gap < 0 or gap > largest - previous - 1:
             return OUT_OF_RANGE
         previous += gap + 1
         codes[row] = previous
         if counts.shape[0] > 0:
-            kind = _GAP_KINDS + _magnitude(before, _COUNT_KINDS)
+            kind = _GAP_KINDS + magnitude(before, COUNT_KINDS)
             before, code, width, position = _decode_number(code, width, position, data, models, kind)
             if before < 0 or before >= left:
                 return BAD_COUNTS

@@ -60,7 +60,7 @@ def test_sizes_are_described() -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 3, "version 3 is not supported"),
+        (4, "B", 4, "version 4 is not supported"),
         (5, "B", 0, "profile 0"),
         (6, "B", 8 | 32, "flags"),
         (7, "B", 9, "colour 9"),

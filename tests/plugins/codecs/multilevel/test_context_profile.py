@@ -10,7 +10,7 @@ import pytest
 from multilevel_pictures import textured
 from pydantic import ValidationError
 
-from codecbench import Image
+from codecbench import BitstreamError, Image
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.multilevel import Multilevel, MultilevelParams
@@ -125,13 +125,39 @@ def test_defaults_are_those_of_the_profile() -> None:
         ({"profile": "context", "levels": 2}, "levels"),
         ({"profile": "context", "scan": "coefficient"}, "scan"),
         ({"profile": "context", "decoding": "search"}, "decoding"),
-        ({"effort": "fast"}, "effort"),
+        ({"lapped": True}, "lapped"),
+        ({"threads": 2}, "threads"),
         ({"restart": 4}, "restart"),
     ],
 )
 def test_parameters_of_the_other_profile_are_refused(params: dict[str, Any], name: str) -> None:
     with pytest.raises(ValidationError, match=f"{name}: the profile"):
         MultilevelParams(**params)
+
+
+def test_threads_share_slices_and_change_nothing() -> None:
+    image = textured(120, 72, 3)
+    for setting in ({"qf": 1}, {"qf": 0.5, "effort": "fast", "lapped": True}):
+        one, three = (codec(restart=2, threads=threads, **setting) for threads in (1, 3))
+        stream = one.encode(image)
+        assert three.encode(image) == stream
+        assert np.array_equal(three.decode(stream), one.decode(stream))
+        trace = CountingTrace()
+        assert three.encode(image, trace=trace) == stream
+        assert trace.counts["context_coding"].total > 0
+
+
+def test_damage_is_refused_by_threads_too() -> None:
+    threads = codec(restart=1, threads=2)
+    stream = bytearray(threads.encode(textured(64, 40)))
+    stream[-30] ^= 1
+    with pytest.raises(BitstreamError, match="CRC-32"):
+        threads.decode(bytes(stream))
+
+
+def test_threads_need_slices() -> None:
+    with pytest.raises(ValidationError, match="give restart too"):
+        codec(threads=2)
 
 
 def test_a_noisy_picture_at_the_finest_step_fits() -> None:

@@ -26,6 +26,7 @@ GOLDEN: dict[str, tuple[int, dict[str, object]]] = {
     "random_keys": (1, {"decoding": "search", "keys": "random", "seed": 7}),
     "manual_keys": (1, {"decoding": "search", "keys": (0.1234567891, 0.52345678987, 0.87987654321), "qf": 50}),
     "groups_of_four_by_frequency": (3, {"group": 4, "scan": "coefficient", "color": "ycbcr420", "qf": 15}),
+    "fast": (1, {"effort": "fast"}),
     "custom_table": (3, {"table": tuple(range(2, 66)), "color": "ycbcr444", "qf": 0.75}),
     "standard_table_as_gray": (3, {"table": "standard", "color": "gray", "qf": 1}),
     "context_gray": (1, {"profile": "context", "qf": 1.5}),

@@ -25,7 +25,7 @@ MAX_BLOCK_BYTES = 4096
 """More than any block takes."""
 
 
-@kernel
+@kernel(nogil=True)
 def code_blocks(
     coder: Any,
     data: Any,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +47,7 @@ from codecbench.plugins.codecs.multilevel.context.transform import forward_trans
 
 Effort = Literal["fast", "normal", "best"]
 Indices = NDArray[np.int32]
+T = TypeVar("T")
 
 REACH_ROWS = 10
 """So far at most what is lost of a slice reaches beyond it: where blocks overlap, in chroma of half the height."""
@@ -52,23 +55,44 @@ _OPTIMISATIONS = 2
 _REASONS = {TRUNCATED: "truncated", BAD_INDEX: "an index is out of range"}
 
 
-def encoded(image: Image, header: ContextHeader, effort: Effort, trace: Trace = NULL_TRACE) -> bytes:
-    """The bitstream of an image whose settings are in `header`; its biases are chosen here."""
+def encoded(
+    image: Image, header: ContextHeader, effort: Effort, trace: Trace = NULL_TRACE, *, threads: int = 1
+) -> bytes:
+    """The bitstream of an image whose settings are in `header`; its biases are chosen here.
+
+    threads: so many slices are coded at once; the bytes are the same.
+    """
     indices = []
     for number, plane in enumerate(planes_from_image(image, header.color, trace)):
         plane = padded(plane, trace=trace)
         chosen, header.biases[number] = _quantised(plane, _steps(header, number), header.lapped, effort, trace)
         indices.append(chosen)
-    return pack(header, [_coded_slice(header, number, indices, trace) for number in range(header.slices)])
+    return pack(
+        header,
+        _of_each(range(header.slices), lambda number: _coded_slice(header, number, indices, trace), threads, trace),
+    )
 
 
-def decoded(bitstream: bytes, trace: Trace = NULL_TRACE) -> Image:
-    """The image of a bitstream. Raises BitstreamError for damaged or foreign bytes."""
+def decoded(bitstream: bytes, trace: Trace = NULL_TRACE, *, threads: int = 1) -> Image:
+    """The image of a bitstream, so many slices decoded at once. Raises BitstreamError for damaged or foreign bytes."""
     header, payloads = unpack(bitstream)
     indices = _no_indices(header)
-    for number, payload in enumerate(payloads):
-        _decode_slice(header, number, payload, indices, trace)
+    _of_each(
+        range(header.slices),
+        lambda number: _decode_slice(header, number, payloads[number], indices, trace),
+        threads,
+        trace,
+    )
     return _image(header, indices, trace)
+
+
+def _of_each(numbers: range, work: Callable[[int], T], threads: int, trace: Trace) -> list[T]:
+    """What `work` returns of each slice; one after another where operations are counted, for all count in one place."""
+    threads = min(threads, len(numbers)) if trace is NULL_TRACE else 1
+    if threads == 1:
+        return [work(number) for number in numbers]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, numbers))
 
 
 @dataclass(frozen=True)
