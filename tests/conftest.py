@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 TIERS = ("thorough", "slow")
 """Marks of tests that take longer, and options that run them: a tier's option runs those of the shorter tiers too."""
 
-LONGEST = ("test_whole_run.py", "test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
+LONGEST = ("test_whole_run.py", "test_cli.py", "test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
 """Files that begin first, so that no process is left alone with one of them in the end."""
 
 
@@ -49,6 +50,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen.sort(key=lambda item: item.path.name not in LONGEST)
     items[:] = chosen
     config.hook.pytest_deselected(items=rest)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: no garbage collection has to look through all of it again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -30,7 +30,7 @@ from codecbench.core.counting.checking import CountingCompiler, counted
 from codecbench.core.counting.expressions import COUNTED, UncountableError
 from codecbench.core.counting.operations import new_counters
 from codecbench.core.counting.rewriting import counting_tree
-from codecbench.core.kernels.compiled import compiled, kept
+from codecbench.core.kernels.compiled import UNCALLED, compiled, kept
 from codecbench.core.kernels.source import function_tree
 
 
@@ -80,7 +80,7 @@ class Kernel:
     @cached_property
     def counting_build(self) -> Any:
         function, callees = self._counting_function()
-        dispatcher = numba.njit(pipeline_class=CountingCompiler, **self.options)(function)
+        dispatcher = numba.njit(pipeline_class=CountingCompiler, **UNCALLED, **self.options)(function)
         for name, callee in callees.items():
             function.__globals__[name] = dispatcher if callee is self else callee.counting_build
         return kept(dispatcher, self.python, self.options, "counting", _rewriting_digest())

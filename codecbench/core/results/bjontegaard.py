@@ -7,19 +7,16 @@ We deviate in one way: a pair of curves on which the number is not meaningful ge
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import Akima1DInterpolator, PchipInterpolator
 
 from codecbench.core.results.blocks import drawn_blocks
 
 Method = Literal["pchip", "akima"]
 
-_INTERPOLATORS: Final[dict[str, Callable[..., Any]]] = {"pchip": PchipInterpolator, "akima": Akima1DInterpolator}
 _LEAST_POINTS: Final = {"pchip": 3, "akima": 4}
 """A curve of fewer points is not the shape that the method assumes."""
 
@@ -83,7 +80,10 @@ def bd_rate(
     reason = next(filter(None, (curve.fault(method) for curve in curves)), "") or _poor(overlap, low, high)
     if reason:
         return BdRate(float("nan"), method, overlap, reason, dropped, failures)
-    areas = [_INTERPOLATORS[method](c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
+    from scipy.interpolate import Akima1DInterpolator, PchipInterpolator  # load for half a second
+
+    interpolator = {"pchip": PchipInterpolator, "akima": Akima1DInterpolator}[method]
+    areas = [interpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
     anchor, test = (float(area(high) - area(low)) for area in areas)
     percent = 100.0 * (10.0 ** ((test - anchor) / (high - low)) - 1.0)
     return BdRate(float(percent), method, overlap, "", dropped, failures)

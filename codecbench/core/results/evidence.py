@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,16 @@ class Evidence:
             return 0.0
         if not (self.freedom >= 1 and self.variance > (_ROUNDING * self.mean) ** 2):
             return 1.0
+        from scipy.special import stdtr  # as in student_quantile
+
         return float(2.0 * stdtr(self.freedom, -abs(self.mean) / math.sqrt(self.variance)))
+
+
+def student_quantile(level: float, freedom: float) -> float:
+    """The value that Student's t with `freedom` degrees of freedom stays below with the probability `level`."""
+    from scipy.special import stdtrit  # loads for a quarter of a second, and many commands ask for no quantile
+
+    return float(stdtrit(freedom, level))
 
 
 def evidence_of_repeats(differences: Array) -> Evidence:

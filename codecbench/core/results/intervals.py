@@ -7,11 +7,10 @@ from collections import defaultdict
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from codecbench.core.engine.aggregate import aggregate
 from codecbench.core.results.columns import Column
-from codecbench.core.results.evidence import evidence_of_frames, evidence_of_repeats
+from codecbench.core.results.evidence import evidence_of_frames, evidence_of_repeats, student_quantile
 from codecbench.core.results.run_result import Key, RunResult
 from codecbench.core.results.table import CellResult
 from codecbench.core.results.verdicts import values_in
@@ -57,5 +56,5 @@ def _of_mean(values: NDArray[np.float64], *, over_frames: bool) -> Interval | No
     evidence = evidence_of_frames(values) if over_frames else evidence_of_repeats(values)
     if not (evidence.freedom >= 1 and math.isfinite(evidence.variance)):
         return None
-    half = float(student.ppf(0.5 + CONFIDENCE / 2, evidence.freedom)) * math.sqrt(evidence.variance)
+    half = student_quantile(0.5 + CONFIDENCE / 2, evidence.freedom) * math.sqrt(evidence.variance)
     return evidence.mean - half, evidence.mean + half

@@ -10,7 +10,6 @@ from itertools import takewhile
 from typing import Final, Literal, TypeVar
 
 import numpy as np
-from scipy.stats import binomtest
 
 from codecbench.core.results.columns import Column
 from codecbench.core.results.numbers import three_digits
@@ -43,6 +42,8 @@ class Standing:
     @cached_property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
+        from scipy.stats import binomtest  # loads for half a second, and few runs have a task
+
         found = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
         return float(found.low), float(found.high)
 

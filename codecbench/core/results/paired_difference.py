@@ -8,9 +8,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
-from codecbench.core.results.evidence import FEWEST_FRAMES, evidence_of_frames
+from codecbench.core.results.evidence import FEWEST_FRAMES, evidence_of_frames, student_quantile
 
 Values = NDArray[np.float64]
 
@@ -58,7 +57,7 @@ def paired_difference(first: Values, second: Values) -> PairedDifference:
     found = evidence_of_frames(differences)
     error, freedom = math.sqrt(found.variance), found.freedom
     reach, more = (
-        float(student.ppf(level, freedom)) * error if error else 0.0 for level in (1 - SIGNIFICANCE / 2, POWER)
+        student_quantile(level, freedom) * error if error else 0.0 for level in (1 - SIGNIFICANCE / 2, POWER)
     )
     interval = (found.mean - reach, found.mean + reach)
     return PairedDifference(found.mean, error, freedom, interval, found.p_value, reach + more, count, missing)

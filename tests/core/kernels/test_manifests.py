@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from codecbench.core.contracts.hooks import KINDS
@@ -45,11 +47,15 @@ evaluators: [trajectory]
 CODEC_MATRIX = """
 version: 1
 name: manifest
-sequences: [{use: synthetic, params: {stop: 1, width: 64, height: 48}}]
+sequences: [SEQUENCE]
 codecs: [{use: multilevel, params: SETTING}]
-evaluators: [quality]
+evaluators: [EVALUATOR]
 run: {workers: 1}
 """
+RENDERED = "{use: synthetic, params: {stop: 1, width: 64, height: 48}}"
+READ = "{use: folder, params: {path: pictures}}"
+TIMED = "{use: timing, params: {frames: 1, repeats: 1, warmup: 1, min_ms: 0}}"
+"""An evaluator without kernels, as `folder` is a dataset without any: only those of the codec are compiled."""
 
 
 def test_every_listed_kernel_is_there() -> None:
@@ -117,10 +123,23 @@ def test_what_a_setting_leaves_out_is_not_compiled_ahead(setting: dict[str, str]
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("setting", [{}, {"decoding": "search"}, {"profile": "context"}], ids=str)
-def test_after_its_kernels_a_setting_compiles_nothing(setting: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("setting", "sequence", "evaluator"),
+    [
+        ({}, RENDERED, "quality"),
+        ({"decoding": "search"}, READ, TIMED),
+        ({"profile": "context"}, READ, TIMED),
+    ],
+    ids=["static", "search", "context"],
+)
+def test_after_its_kernels_a_setting_compiles_nothing(
+    setting: dict[str, str], sequence: str, evaluator: str, tmp_path: Path
+) -> None:
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite(str(tmp_path / "pictures" / "0.png"), np.random.default_rng(1).integers(0, 256, (48, 64, 3), np.uint8))
     matrix = tmp_path / "matrix.yaml"
-    matrix.write_text(CODEC_MATRIX.replace("SETTING", json.dumps(setting)))
+    text = CODEC_MATRIX.replace("SETTING", json.dumps(setting))
+    matrix.write_text(text.replace("SEQUENCE", sequence).replace("EVALUATOR", evaluator))
     environment = {**os.environ, "CODECBENCH_CACHE": str(tmp_path / "cache")}
     for words in (["warm-up", "matrix.yaml"], ["run", "matrix.yaml", "--out", "run"]):
         command = [sys.executable, "-m", "codecbench", *words]

@@ -23,7 +23,6 @@ from codecbench.slam.map.frame import TrackingFrame
 pytestmark = pytest.mark.thorough
 
 STRIDE = 2
-FRAME = TrackingFrame.of(0, 0.0, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64)))
 BLACK = range(60, 120)  # four seconds; the round ends where it began at 170
 
 
@@ -132,6 +131,12 @@ class Lost:
         return self.inliers if keyframe == 2 else 0
 
 
+@pytest.fixture
+def frame() -> TrackingFrame:
+    """One without a feature."""
+    return TrackingFrame.of(0, 0.0, features_at(np.empty((0, 2)), np.empty((0, 4), np.uint64)))
+
+
 def many_maps(monkeypatch: pytest.MonkeyPatch, tried: list[tuple[int, int]], inliers: int = 0) -> Atlas:
     """Five maps, the second active; the frame looks like four keyframes of each."""
     maps = Atlas(CAMERA, np.random.default_rng(0))
@@ -142,24 +147,26 @@ def many_maps(monkeypatch: pytest.MonkeyPatch, tried: list[tuple[int, int]], inl
     return maps
 
 
-def test_a_lost_camera_is_looked_for_in_all_maps_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_camera_is_looked_for_in_all_maps_within_bounds(
+    monkeypatch: pytest.MonkeyPatch, frame: TrackingFrame
+) -> None:
     tried: list[tuple[int, int]] = []
     maps = many_maps(monkeypatch, tried)
-    assert maps.find(FRAME) == 0
+    assert maps.find(frame) == 0
     assert len(tried) == thresholds.RELOCALIZATION_CANDIDATES
     assert [number for number, _ in tried[:5]] == [1, 0, 2, 3, 4]  # the active map first
     assert maps.active is maps.maps[1]
 
 
-def test_where_the_camera_is_found_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_camera_is_found_it_goes_on(monkeypatch: pytest.MonkeyPatch, frame: TrackingFrame) -> None:
     tried: list[tuple[int, int]] = []
     maps = many_maps(monkeypatch, tried, inliers=70)
     monkeypatch.setattr(thresholds, "RELOCALIZATION_CANDIDATES", 20)
     maps.active = maps.maps[3]
-    assert maps.find(FRAME) == 70
+    assert maps.find(frame) == 70
     assert tried[-1] == (3, 2)
     maps.active = None
-    assert maps.find(FRAME) == 70
+    assert maps.find(frame) == 70
     assert maps.active is maps.maps[0]
 
 

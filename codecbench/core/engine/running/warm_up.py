@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import psutil
 
@@ -19,7 +19,9 @@ from codecbench.core.contracts.executor import Executor, Finished, Task, retirem
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
-from codecbench.core.kernels.manifest import Entry, ManifestError, listed
+
+if TYPE_CHECKING:
+    from codecbench.core.kernels.manifest import Entry
 
 log = logging.getLogger("codecbench.run")
 
@@ -142,8 +144,12 @@ def all_kernels(registry: Registry) -> WarmUp:
     return WarmUp([*found], companies=found)
 
 
-def missing(registry: Registry, calls: Iterable[_Call], *builds: str) -> dict[Entry, tuple[str, ...]]:
+def missing(registry: Registry, calls: Collection[_Call], *builds: str) -> dict[Entry, tuple[str, ...]]:
     """The listed kernels of packages and modules, in these builds, that the cache does not have, with their company."""
+    if not calls:
+        return {}
+    from codecbench.core.kernels.manifest import Entry  # loads numba, which a plan without kernels has no need of
+
     by_plugin: dict[tuple[Kind, str], list[str]] = {}
     for kind, name, kernels in calls:
         by_plugin.setdefault((kind, name), []).append(kernels)
@@ -174,6 +180,8 @@ def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, 
 
 def entries_missing(_: Registry, names: list[str], builds: list[str]) -> dict[str, Any]:
     """As JSON types: `entries` of manifests for these packages that the cache does not have, and `problems`."""
+    from codecbench.core.kernels.manifest import ManifestError, listed
+
     entries: dict[Entry, None] = {}
     problems: list[str] = []
     for name in names:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import mannwhitneyu
 
 from codecbench.core.results.comparison.snapshot import Series, Snapshot
 
@@ -160,6 +159,8 @@ def _timed(
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
         return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
+    from scipy.stats import mannwhitneyu  # loads for half a second, and few runs repeat their times
+
     chance = float(mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
     if not same_machine:

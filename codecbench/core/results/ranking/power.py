@@ -9,11 +9,9 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.special import betaincinv
-from scipy.stats import t as student
 
 from codecbench.core.results.columns import Column
-from codecbench.core.results.evidence import Evidence
+from codecbench.core.results.evidence import Evidence, student_quantile
 from codecbench.core.results.limits import Standing, limits
 from codecbench.core.results.paired_difference import POWER
 from codecbench.core.results.ranking.curve_values import Of
@@ -99,6 +97,8 @@ class LimitPower:
 
     @cached_property
     def told_from(self) -> float:
+        from scipy.special import betaincinv  # as in student_quantile
+
         runs = self.standing.runs
         least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "holds"), None)
         return math.nan if least is None else float(betaincinv(least, runs - least + 1, self.power))
@@ -116,7 +116,7 @@ def smallest_difference(evidence: Evidence, level: float, power: float) -> float
     """
     if not (evidence.freedom >= 1 and evidence.variance > 0.0):
         return math.nan
-    reach = float(student.ppf(1.0 - level / 2.0, evidence.freedom)) + float(student.ppf(power, evidence.freedom))
+    reach = student_quantile(1.0 - level / 2.0, evidence.freedom) + student_quantile(power, evidence.freedom)
     return reach * math.sqrt(evidence.variance)
 
 

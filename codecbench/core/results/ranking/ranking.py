@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import kendalltau
 
 from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
@@ -163,6 +162,8 @@ def _foretold(curves: list[str], values: dict[str, dict[str, CurveValues]], at: 
 
     if len(values) < 2 or len(curves) < 2:
         return {}
+    from scipy.stats import kendalltau  # loads for half a second, and few runs have two sequences
+
     return {
         name: float(kendalltau(scores([name]), scores([other for other in values if other != name])).statistic)
         for name in values

@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from scipy.special import betaln
-
 from codecbench.core.results.limits import HOLDS_ABOVE, Holding, Standing
 
 CHANCE: Final = 0.05
@@ -24,6 +22,8 @@ FEWEST: Final = 4
 
 def stands(successes: int, runs: int) -> bool:
     """Whether the verdict on so many runs would stand whatever comes after them."""
+    from scipy.special import betaln  # loads for a quarter of a second, and few runs are added to
+
     mixed = float(betaln(successes + 1, runs - successes + 1))
     at_limit = successes * math.log(HOLDS_ABOVE) + (runs - successes) * math.log(1.0 - HOLDS_ABOVE)
     return mixed - at_limit >= -math.log(CHANCE)
