@@ -10,7 +10,7 @@ from codecbench.core.kernels.compiled import compiled
 
 
 @compiled
-def _count_bits(word):  # type: ignore[no-untyped-def]
+def count_bits(word: Any) -> Any:
     """Bits set in a uint64; the compiler makes this loop the processor's own instruction."""
     count = np.uint64(0)
     while word != np.uint64(0):
@@ -23,8 +23,8 @@ def _count_bits(word):  # type: ignore[no-untyped-def]
 def hamming(descriptors_a: Any, i: int, descriptors_b: Any, j: int) -> int:
     """Bits that differ between row i of `descriptors_a` (N, 4) and row j of `descriptors_b` (M, 4), both uint64."""
     return int(
-        _count_bits(descriptors_a[i, 0] ^ descriptors_b[j, 0])
-        + _count_bits(descriptors_a[i, 1] ^ descriptors_b[j, 1])
-        + _count_bits(descriptors_a[i, 2] ^ descriptors_b[j, 2])
-        + _count_bits(descriptors_a[i, 3] ^ descriptors_b[j, 3])
+        count_bits(descriptors_a[i, 0] ^ descriptors_b[j, 0])
+        + count_bits(descriptors_a[i, 1] ^ descriptors_b[j, 1])
+        + count_bits(descriptors_a[i, 2] ^ descriptors_b[j, 2])
+        + count_bits(descriptors_a[i, 3] ^ descriptors_b[j, 3])
     )

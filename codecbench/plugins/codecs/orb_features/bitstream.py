@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
 from codecbench.plugins.codecs.multilevel.arithmetic import UNWRITTEN
-from codecbench.plugins.codecs.multilevel.context.binary import POSITION, finish, new_coder, start_decoding
+from codecbench.plugins.codecs.multilevel.context.binary import (
+    ENCODING,
+    POSITION,
+    finish,
+    new_coder,
+    start_decoding,
+)
 from codecbench.plugins.codecs.orb_features.coding import (
     CODED,
     MAX_LEVELS,
@@ -20,11 +26,23 @@ from codecbench.plugins.codecs.orb_features.coding import (
     NO_CANDIDATE,
     OUTSIDE,
     RAW,
+    code_lengths,
     code_set,
     new_model,
 )
-from codecbench.plugins.codecs.orb_features.keypoints import CodedKeypoints, Grid
-from codecbench.plugins.codecs.orb_features.prediction import BIASES, WEIGHTS
+from codecbench.plugins.codecs.orb_features.descriptors import (
+    END,
+    LANES,
+    MOST_WORDS,
+    UNWRITTEN_WORDS,
+    WORD_BITS,
+    code_descriptors,
+    finish_lanes,
+    new_lanes,
+    start_lanes,
+)
+from codecbench.plugins.codecs.orb_features.keypoints import CodedKeypoints, grid_of
+from codecbench.plugins.codecs.orb_features.prediction import BIASES, NIBBLES
 
 MAX_KEYPOINTS = 10_000
 MAX_ANGLE_BITS = 30
@@ -32,10 +50,12 @@ MAX_STEP = 64
 MAX_LIKE = 80
 
 _MAGIC = b"CBOF"
-_VERSION = 1
+_VERSION = 2
 _STARTS, _CODED = 1, 2
 _FIXED = struct.Struct("<4sBBHHBBBBI")
 _WORD = struct.Struct("<I")
+_WORD_BYTES = WORD_BITS // 8
+_ONES = np.full((1, 4), 2**64 - 1, np.uint64)
 _REASONS = {OUTSIDE: "a place is outside its level", NO_CANDIDATE: "a reference is not there"}
 
 
@@ -76,11 +96,11 @@ def pack(found: CodedKeypoints, memory: Memory | None, coded: bool, like: int) -
     """
     starts = memory is None
     memory = memory or Memory.empty()
-    descriptors, places = found.descriptors.copy(), np.zeros((len(found), 2), np.int64)
-    coder, data = new_coder(True, 0), np.zeros(MOST_BYTES * (len(found) + 1), np.uint8)
-    _run(coder, data, memory, found.grid, found.octave_starts, found.cells.copy(), places, found.angles.copy(),
-         descriptors, found.angle_bits, coded, like)  # fmt: skip
-    payload = data[: finish(coder, data)].tobytes()
+    coder, data = new_coder(True, 0), np.empty(MOST_BYTES * (len(found) + LANES + 1), np.uint8)
+    work = _Work(memory, found.descriptors, coded, like)
+    work.code_set(coder, data, found)
+    lanes = work.encode_lanes(coder, data) if coded else found.descriptors.astype("<u8").tobytes()
+    payload = data[: finish(coder, data)].tobytes() + lanes
     grid, flags = found.grid, (_STARTS if starts else 0) | (_CODED if coded else 0)
     header = _FIXED.pack(
         _MAGIC, _VERSION, flags, grid.width, grid.height, grid.levels, grid.step, found.angle_bits, like,
@@ -89,8 +109,7 @@ def pack(found: CodedKeypoints, memory: Memory | None, coded: bool, like: int) -
     counts = np.diff(found.octave_starts).astype("<u2").tobytes()
     content = header + counts + payload
     checksum = zlib.crc32(content)
-    after = Memory(memory.model, found.octave_starts, places, found.angles, descriptors, found.angle_bits, checksum)
-    return content + _WORD.pack(checksum), after
+    return content + _WORD.pack(checksum), work.memory_after(found, checksum)
 
 
 def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
@@ -115,41 +134,107 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
     ):
         if not is_allowed:
             raise BitstreamError(f"orb_features: header: {name} {value} is not allowed")
-    starts = bool(flags & _STARTS)
+    starts, coded = bool(flags & _STARTS), bool(flags & _CODED)
     if not starts and (memory is None or memory.checksum != before or memory.angle_bits != angle_bits):
         return None
     memory = Memory.empty() if starts or memory is None else memory
+    if len(content) < _FIXED.size + 2 * levels:
+        raise BitstreamError(f"orb_features: cut off: {len(content)} bytes do not hold the counts of {levels} levels")
     counts = np.frombuffer(content[_FIXED.size : _FIXED.size + 2 * levels], "<u2").astype(np.int64)
     total = int(counts.sum())
-    if len(counts) != levels or total > MAX_KEYPOINTS:
+    if total > MAX_KEYPOINTS:
         raise BitstreamError(f"orb_features: header: {total} keypoints; at most {MAX_KEYPOINTS} are allowed")
-    payload = content[_FIXED.size + 2 * levels :]
-    octave_starts = np.concatenate([[0], np.cumsum(counts)])
-    grid = Grid(width, height, levels, step)
-    cells, angles = np.zeros(total, np.int64), np.zeros(total, np.int64)
-    places, descriptors = np.zeros((total, 2), np.int64), np.zeros((total, 4), np.uint64)
-    coder, data = new_coder(True, 0), np.frombuffer(bytearray(payload), np.uint8)
+    coder, data = new_coder(True, 0), np.frombuffer(bytearray(content[_FIXED.size + 2 * levels :]), np.uint8)
     start_decoding(coder, data)
-    wrong = _run(coder, data, memory, grid, octave_starts, cells, places, angles, descriptors, angle_bits,
-                 bool(flags & _CODED), like)  # fmt: skip
+    work = _Work(memory, np.zeros((total, 4), np.uint64), coded, like)
+    found = CodedKeypoints(
+        grid_of(width, height, levels, step), angle_bits, np.concatenate([[0], np.cumsum(counts)]),
+        np.zeros(total, np.int64), np.zeros(total, np.int64), work.descriptors,
+    )  # fmt: skip
+    wrong = work.code_set(coder, data, found)
     if wrong:
         raise BitstreamError(f"orb_features: damaged: {_REASONS[wrong]}")
-    if int(coder[POSITION]) != len(payload) + UNWRITTEN:
+    if not (work.decode_lanes(coder, data) if coded else work.read_raw(coder, data)):
         raise BitstreamError("orb_features: damaged: the payload does not end where its keypoints do")
-    found = CodedKeypoints(grid, angle_bits, octave_starts, cells, angles, descriptors)
-    after = Memory(memory.model, octave_starts, places, angles, descriptors, angle_bits, checksum)
-    return Unpacked(found, after, starts)
+    return Unpacked(found, work.memory_after(found, checksum), starts)
 
 
-def _run(
-    coder: NDArray[np.int64], data: NDArray[np.uint8], memory: Memory, grid: Grid, octave_starts: NDArray[np.int64],
-    cells: NDArray[np.int64], places: NDArray[np.int64], angles: NDArray[np.int64], descriptors: NDArray[np.uint64],
-    angle_bits: int, coded: bool, like: int,
-) -> int:  # fmt: skip
-    return int(
-        code_set(
-            coder, data, memory.model, WEIGHTS, BIASES, grid.level_units, octave_starts, cells, places, angles,
-            descriptors, angle_bits, CODED if coded else RAW, like,
-            memory.octave_starts, memory.places, memory.angles, memory.descriptors,
+class _Work:
+    """A set being coded.
+
+    known: (M + N + 1, 4): descriptors of the set before, of this one, and one of ones; see `code_descriptors`.
+    """
+
+    def __init__(self, memory: Memory, descriptors: NDArray[np.uint64], coded: bool, like: int) -> None:
+        count = len(descriptors)
+        self._memory, self._mode, self._like = memory, CODED if coded else RAW, like
+        self._before = len(memory.descriptors)
+        self._known = np.concatenate([memory.descriptors, descriptors, _ONES])
+        self._places = np.zeros((count, 2), np.int64)
+        self._sources, self._copied = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+
+    @property
+    def descriptors(self) -> NDArray[np.uint64]:
+        """(N, 4): of this set, as a decoder has them."""
+        return self._known[self._before : -1]
+
+    def memory_after(self, found: CodedKeypoints, checksum: int) -> Memory:
+        """What is remembered of the set."""
+        return Memory(
+            self._memory.model, found.octave_starts, self._places, found.angles, self.descriptors, found.angle_bits,
+            checksum,
+        )  # fmt: skip
+
+    def code_set(self, coder: NDArray[np.int64], data: NDArray[np.uint8], found: CodedKeypoints) -> int:
+        """All but the descriptors; returns as the kernel."""
+        last = self._memory
+        cells, angles = (found.cells.copy(), found.angles.copy()) if coder[ENCODING] else (found.cells, found.angles)
+        return int(
+            code_set(
+                coder, data, last.model, found.grid.level_units, found.octave_starts, cells, self._places, angles,
+                self._known, self._sources, self._copied, found.angle_bits, self._mode, self._like,
+                last.octave_starts, last.places, last.angles,
+            )
+        )  # fmt: skip
+
+    def encode_lanes(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bytes:
+        """The words of all lanes; their lengths are coded."""
+        lanes, room = new_lanes(), MOST_WORDS * (len(self._sources) + 1)
+        starts = np.arange(LANES) * room
+        words = np.empty(LANES * room, np.uint32)
+        lanes[:, POSITION] = starts
+        self._code_descriptors(True, lanes, words)
+        finish_lanes(lanes, words)
+        lengths = lanes[:, POSITION] - starts
+        code_lengths(coder, data, self._memory.model, lengths)
+        written = np.concatenate([words[start : start + n] for start, n in zip(starts, lengths, strict=True)])
+        return written.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :_WORD_BYTES].tobytes()
+
+    def decode_lanes(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bool:
+        """Whether every lane, and with the last the payload, ends where its descriptors do."""
+        lengths = np.zeros(LANES, np.int64)
+        code_lengths(coder, data, self._memory.model, lengths)
+        written = data[max(int(coder[POSITION]) - UNWRITTEN, 0) :]
+        if len(written) != _WORD_BYTES * int(lengths.sum()):
+            return False
+        lanes, bytes_of_words = new_lanes(), np.zeros((len(written) // _WORD_BYTES, 4), np.uint8)
+        bytes_of_words[:, :_WORD_BYTES] = written.reshape(-1, _WORD_BYTES)
+        words = bytes_of_words.view("<u4")[:, 0].astype(np.uint32)
+        lanes[:, END] = np.cumsum(lengths)
+        lanes[:, POSITION] = lanes[:, END] - lengths
+        start_lanes(lanes, words)
+        self._code_descriptors(False, lanes, words)
+        return np.array_equal(lanes[:, POSITION], lanes[:, END] + UNWRITTEN_WORDS)
+
+    def _code_descriptors(self, encoding: bool, lanes: NDArray[np.int64], words: NDArray[np.uint32]) -> None:
+        code_descriptors(
+            encoding, lanes, words, NIBBLES, BIASES, self._known, self._before, self._sources, self._copied
         )
-    )  # fmt: skip
+
+    def read_raw(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bool:
+        """Whether the payload ends with descriptors as they are, which are then in place."""
+        written = data[max(int(coder[POSITION]) - UNWRITTEN, 0) :]
+        if len(written) != self.descriptors.nbytes:
+            return False
+        self.descriptors[:] = np.frombuffer(written.tobytes(), "<u8").reshape(-1, 4)
+        return True

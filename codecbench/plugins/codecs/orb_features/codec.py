@@ -63,7 +63,7 @@ class OrbFeatures(Configured[OrbFeaturesParams]):
     """
 
     name = "orb_features"
-    version = "1"
+    version = "2"
     params_type = OrbFeaturesParams
 
     def __init__(self, params: OrbFeaturesParams) -> None:

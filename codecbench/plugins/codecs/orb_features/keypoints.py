@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ SCALE_FACTOR: Final = 1.2
 """Between two levels of the pyramid, as ORB was published and as the SLAM has it by default."""
 
 _TURN: Final = 2.0 * math.pi
+_PLACE_BITS: Final = 32  # more than cells of the largest image take
 
 
 @dataclass(frozen=True)
@@ -27,28 +29,34 @@ class Grid:
     levels: int
     step: int
 
-    @property
+    @cached_property
     def sizes(self) -> NDArray[np.int64]:
         """(levels, 2): width and height of each level, in pixels."""
         factors = np.asarray(SCALE_FACTOR ** np.arange(self.levels), np.float64)
         return np.array([size[::-1] for size in level_sizes(self.width, self.height, factors)], np.int64)
 
-    @property
+    @cached_property
     def cells(self) -> NDArray[np.int64]:
         """(levels, 2): columns and rows of each level's cells."""
         return -(-self.sizes // self.step)
 
-    @property
+    @cached_property
     def level_units(self) -> NDArray[np.int64]:
         """As `coding.code_set` reads it."""
         sizes, whole = self.sizes, np.array([self.width, self.height], np.int64)
         units = (16 * PLACE_UNIT * self.step * whole + sizes // 2) // sizes
         return np.concatenate([self.cells, units], axis=1)
 
-    @property
+    @cached_property
     def ratios(self) -> NDArray[np.float64]:
         """(levels, 2): the image's size over each level's."""
         return np.array([self.width, self.height]) / self.sizes
+
+
+@lru_cache(maxsize=16)
+def grid_of(width: int, height: int, levels: int, step: int) -> Grid:
+    """The grid, whose tables are made once and not for every set."""
+    return Grid(width, height, levels, step)
 
 
 @dataclass(frozen=True)
@@ -72,13 +80,17 @@ class CodedKeypoints:
     @classmethod
     def of(cls, found: Keypoints, levels: int, step: int, angle_bits: int) -> CodedKeypoints:
         """Keypoints of a pyramid of so many levels, on its grid."""
-        grid = Grid(*found.size, levels, step)
+        grid = grid_of(*found.size, levels, step)
         corners = np.rint((found.pixels + 0.5) / grid.ratios[found.octaves] - 0.5).astype(np.int64)
         cells = corners[:, 1] // step * grid.cells[found.octaves, 0] + corners[:, 0] // step
         angles = np.rint(found.angles * (2**angle_bits / _TURN)).astype(np.int64) & (2**angle_bits - 1)
-        order = np.lexsort((cells, found.octaves))
-        starts = np.searchsorted(found.octaves[order], np.arange(levels + 1)).astype(np.int64)
-        return cls(grid, angle_bits, starts, cells[order], angles[order], found.descriptors[order])
+        octaves, descriptors = found.octaves, found.descriptors
+        places = (octaves.astype(np.int64) << _PLACE_BITS) | cells
+        if (places[1:] < places[:-1]).any():  # not as an extractor gives them
+            order = np.argsort(places, kind="stable")
+            octaves, cells, angles, descriptors = octaves[order], cells[order], angles[order], descriptors[order]
+        starts = np.searchsorted(octaves, np.arange(levels + 1)).astype(np.int64)
+        return cls(grid, angle_bits, starts, cells, angles, descriptors)
 
     @property
     def octaves(self) -> NDArray[np.int32]:
@@ -88,10 +100,9 @@ class CodedKeypoints:
     def keypoints(self) -> Keypoints:
         """What the server makes of them: a keypoint lies in the middle of its cell."""
         grid, octaves = self.grid, self.octaves
-        columns = grid.cells[octaves, 0]
-        cells = np.stack([self.cells % columns, self.cells // columns], axis=1)
-        corners = cells * grid.step + 0.5 * (grid.step - 1)
-        corners = np.minimum(corners, grid.sizes[octaves] - 1)
+        rows, columns = np.divmod(self.cells, grid.cells[octaves, 0])
+        cells = np.stack([columns, rows], axis=1)
+        corners = np.minimum(cells * grid.step + 0.5 * (grid.step - 1), grid.sizes[octaves] - 1)
         pixels = (corners + 0.5) * grid.ratios[octaves] - 0.5
         signed = self.angles - ((self.angles >> (self.angle_bits - 1)) << self.angle_bits)  # -pi up to pi
         angles = signed * (_TURN / 2**self.angle_bits)

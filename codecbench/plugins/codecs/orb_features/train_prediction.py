@@ -15,40 +15,102 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.plugins.codecs.orb_features.prediction import FILE, UNIT
+from codecbench.plugins.codecs.orb_features.coding import MOST_DIFFERING
+from codecbench.plugins.codecs.orb_features.prediction import (
+    BITS,
+    BLOCK,
+    CLASSES,
+    FILE,
+    LOWEST_CHANCE,
+    STEP_SHIFT,
+    STEPS,
+    UNIT,
+    class_of,
+)
 from codecbench.slam.places.train_vocabulary import extract_descriptors, load_photographs
 
 PICTURES = 200
 SEED = 1
 _RIDGE = 0.002
+_PRIOR = 400.0
+"""How many bits the smooth curve of a class counts for, beside those that were counted."""
 
 
-def train(descriptors: NDArray[np.uint64]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+def train(descriptors: NDArray[np.uint64]) -> tuple[NDArray[np.int8], NDArray[np.int16]]:
     """Weights (256, 256) and biases (256,), as `prediction` has them, from descriptors (N, 4).
 
-    With bits as -1 and 1, one Cholesky factor of their covariance holds the best linear prediction of every bit from
-    those before it. Each is divided by the variance that is left, so that all speak of log odds alike.
+    With bits as -1 and 1, the best linear prediction of a block from all bits before it. Each bit's is divided by the
+    variance that is left, so that all speak of log odds alike.
     """
-    bits = np.unpackbits(descriptors.view(np.uint8).reshape(-1, 32), axis=1, bitorder="little")
-    signs = bits.astype(np.float64) * 2.0 - 1.0
+    signs = _bits(descriptors) * 2.0 - 1.0
     means = signs.mean(axis=0)
-    factor = np.linalg.cholesky(np.cov(signs.T) + _RIDGE * np.eye(256))
-    left = np.diag(factor)
-    predictor = np.tril(np.eye(256) - left[:, None] * np.linalg.inv(factor), -1)
-    odds = UNIT / left**2
-    weights = 2.0 * np.rint((predictor * odds[:, None]).T)
-    biases = np.rint((means - predictor @ means) * odds) - 0.5 * weights.sum(axis=0)
-    if (np.abs(weights).sum(axis=0) + np.abs(biases)).max() > np.iinfo(np.int16).max:
-        raise ValueError("the sums of some bit do not fit into 16 bits; lower UNIT")
-    return weights.astype(np.int16), biases.astype(np.int16)
+    covariance = np.cov(signs.T) + _RIDGE * np.eye(BITS)
+    predictor, left = np.zeros((BITS, BITS)), np.diag(covariance).copy()
+    for start in range(BLOCK, BITS, BLOCK):
+        before, block = slice(start), slice(start, start + BLOCK)
+        predictor[block, before] = np.linalg.solve(covariance[before, before], covariance[before, block]).T
+        left[block] -= (predictor[block, before] * covariance[block, before]).sum(axis=1)
+    weights = np.rint(2.0 * UNIT * (predictor / left[:, None]).T)
+    biases = np.rint((means - predictor @ means) * (UNIT / left)) - np.rint(0.5 * weights.sum(axis=0))
+    if np.abs(weights).reshape(-1, 4, BITS).sum(axis=1).max() > np.iinfo(np.int8).max:
+        raise ValueError("what some four bits say together does not fit into 8 bits; lower UNIT")
+    if (np.abs(weights).sum(axis=0) + np.abs(biases)).max() >= (STEPS // 2) << STEP_SHIFT:
+        raise ValueError(f"the sum of some bit is beyond {STEPS} steps; lower UNIT")
+    return weights.astype(np.int8), biases.astype(np.int16)
+
+
+def train_chances(
+    descriptors: NDArray[np.uint64], pictures: NDArray[np.int64], weights: NDArray[np.int8], biases: NDArray[np.int16]
+) -> NDArray[np.uint16]:
+    """(CLASSES, STEPS), as `prediction` has them: what became of bits, by class and by what was predicted.
+
+    A descriptor's reference is the one of the same picture that is most like it.
+    """
+    counts = np.zeros((CLASSES, STEPS, 2))
+    for picture in np.unique(pictures):
+        found = descriptors[pictures == picture]
+        bits = _bits(found).astype(np.int64)
+        odds = bits @ weights.astype(np.int64) + biases
+        _count(counts, np.zeros_like(bits), odds, bits)
+        apart = np.bitwise_count(found[:, None] ^ found).sum(axis=2)
+        np.fill_diagonal(apart, BITS)
+        aimed = apart.min(axis=1) <= MOST_DIFFERING
+        bits, odds, expected = bits[aimed], odds[aimed], bits[apart.argmin(axis=1)[aimed]]
+        differing = bits ^ expected
+        before = np.arange(BITS) // BLOCK * BLOCK
+        wrong = np.concatenate([np.zeros((len(bits), 1), np.int64), differing.cumsum(axis=1)], axis=1)[:, before]
+        _count(counts, class_of(wrong, before), np.where(expected == 1, odds, -odds - 1), differing)
+    return np.stack([_chances(of_class) for of_class in counts])
+
+
+def _bits(descriptors: NDArray[np.uint64]) -> NDArray[np.uint8]:
+    return np.unpackbits(descriptors.view(np.uint8).reshape(-1, 32), axis=1, bitorder="little")
+
+
+def _count(
+    counts: NDArray[np.float64], classes: NDArray[np.int64], odds: NDArray[np.int64], bits: NDArray[np.int64]
+) -> None:
+    places = (classes * STEPS + STEPS // 2 + (odds >> STEP_SHIFT)) * 2 + bits
+    counts += np.bincount(places.ravel(), minlength=counts.size).reshape(counts.shape)
+
+
+def _chances(counts: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """(STEPS,): P(1) in 1/2^16 of counts (STEPS, 2) of zeros and ones, with a straight line of log odds where few."""
+    steps, seen = np.arange(STEPS) - (STEPS - 1) / 2, counts.sum(axis=1)
+    odds = np.log((counts[:, 1] + 0.5) / (counts[:, 0] + 0.5))
+    slope, at_zero = np.polyfit(steps, odds, 1, w=np.sqrt(seen))
+    smooth = 1.0 / (1.0 + np.exp(-np.clip(slope * steps + at_zero, -8.0, 8.0)))
+    chances = (counts[:, 1] + _PRIOR * smooth) / (seen + _PRIOR)
+    return np.asarray(np.clip(np.rint(65536.0 * chances), LOWEST_CHANCE, 65536 - LOWEST_CHANCE), np.uint16)
 
 
 def main() -> None:
     """Train with the fixed seed and write the prediction, by default over the one in the package."""
     target: Any = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(FILE))
-    descriptors, _ = extract_descriptors(load_photographs(), PICTURES, np.random.default_rng(SEED))
+    descriptors, pictures = extract_descriptors(load_photographs(), PICTURES, np.random.default_rng(SEED))
     weights, biases = train(descriptors)
-    np.savez_compressed(target, weights=weights[np.triu_indices(256, 1)], biases=biases)
+    chances = train_chances(descriptors, pictures, weights, biases)
+    np.savez_compressed(target, weights=weights[np.triu_indices(BITS, 1)], biases=biases, chances=chances)
     sys.stdout.write(f"{target}: from {len(descriptors)} descriptors, {target.stat().st_size} bytes\n")
 
 
