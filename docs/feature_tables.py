@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from codecbench import slam
 from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Sequence, Trajectory
 from codecbench.core.engine.registry import installed
@@ -28,7 +29,7 @@ from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
-from codecbench.slam.features.extractor import Keypoints
+from codecbench.plugins.slam_backends.keypoints import keypoints_of
 
 PICTURES: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("raw", {}),
@@ -60,7 +61,7 @@ class Sent:
 
     title: str
     features: int = 1000
-    received: list[Image | Keypoints] = field(default_factory=list)
+    received: list[Image | Features] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
     steps_ms: dict[str, list[float]] = field(default_factory=lambda: {head: [] for head in TIMES})
@@ -134,7 +135,7 @@ def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
         found = sent.timed("extract ms", lambda frame=frame: codec.extract(frame))
         packet = sent.timed("encode ms", lambda found=found: encoder.push(found))
         back = sent.timed("decode ms", lambda packet=packet: decoder.push(packet))
-        sent.received.append(back.keypoints)
+        sent.received.append(back.features)
         sent.sizes.append(len(packet.data))
         sent.counts.append(len(found))
     return sent
@@ -147,8 +148,8 @@ def path(sequence: Sequence, sent: Sent, start: int) -> Trajectory:
     numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     system = slam.System(slam.Camera(*numbers, camera.distortion, camera.model), slam.Options(features=sent.features))
     for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):
-        if isinstance(frame, Keypoints):
-            system.process_keypoints(frame, stamp_s)
+        if isinstance(frame, Features):
+            system.process_keypoints(keypoints_of(frame), stamp_s)
         else:
             system.process(frame, stamp_s)
     found = system.finish().trajectory

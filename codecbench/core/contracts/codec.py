@@ -2,7 +2,8 @@
 
 A `Codec` codes pictures one by one, stateless and silent about time and quality: others measure. Its bitstream is
 self-contained: `decode` gets bytes and nothing else, so no table, shape or quality may reach the decoder
-outside the bytes that are counted. Codecs with memory between frames are in `stream`; `AnyCodec` is what both are.
+outside the bytes that are counted. Codecs with memory between frames are in `stream`, those of
+features in `features`; `AnyCodec` is what all are.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class PartialImage:
 
 
 class AnyCodec(Configured[P]):
-    """What codecs of pictures and of streams have in common.
+    """What codecs of pictures, of streams and of features have in common.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
