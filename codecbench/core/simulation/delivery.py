@@ -89,7 +89,8 @@ class Delivery:
 def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
     """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
     settings = settings.timed(context.awaited)
-    if settings.concealed and isinstance(coded.codec, FeatureCodec):  # of a set that depends on a lost one nothing is made up
+    if settings.concealed and isinstance(coded.codec, FeatureCodec):
+        # What depends on a lost set is missing: nothing is made up.
         settings = settings.model_copy(update={"concealed": False})
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
     encoder = None if settings.adapt is None else AdaptiveEncoder(coded, settings.adapt)

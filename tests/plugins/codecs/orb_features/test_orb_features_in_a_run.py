@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import codecbench
@@ -58,3 +59,28 @@ def test_the_path_on_lossless_features_is_that_on_raw_pictures_to_the_bit(tmp_pa
         of_pictures = result.cell.evaluator.name in ("features", "operations")
         if of_pictures and result.cell.codec.name == "orb_features":
             assert result.status == "unsupported"
+
+
+@pytest.mark.thorough
+def test_frames_are_located_by_the_features_that_come(tmp_path: Path) -> None:
+    """Over a link, a set that never came is not there, nor those that depend on it."""
+    link = {"link": "constant", "link_params": {"rate_kbps": 100_000, "loss": 0.01}}
+    over_link = {"use": "localization", "params": {**link, "architecture": "features"}}
+    codecs = ["raw", {"use": "orb_features", "params": {"mode": "inter"}}]
+    run = codecbench.run(matrix("localization", over_link, codecs=codecs), out=tmp_path / "run")
+    status = {(result.cell.codec.name, result.cell.evaluator.label): result.status for result in run.results}
+    assert sorted(status.values()) == ["ok", "ok", "ok", "unsupported"]
+    frames = {}
+    for result in run.results:
+        if result.status == "ok":
+            found = result.frames()
+            rows = found[found.metric == "tracked_inliers"]
+            frames[result.cell.codec.name, result.cell.evaluator.params.get("link")] = rows.value.to_numpy()
+    raw, sent, delivered = frames["raw", None], frames["orb_features", None], frames["orb_features", "constant"]
+    assert np.array_equal(sent, raw, equal_nan=True)
+    assert np.nanmax(raw) > 50
+    lost = delivered != sent
+    lost[np.isnan(sent)] = False
+    assert lost.any()
+    assert not lost.all()
+    assert (delivered[lost] == 0).all()

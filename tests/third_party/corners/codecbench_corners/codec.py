@@ -33,7 +33,7 @@ _FEATURE = np.dtype(
 
 
 class CornersParams(Params):
-    features: int = Field(default=500, ge=10, le=5000, description="how many are looked for")
+    features: int = Field(default=600, ge=10, le=5000, description="how many are looked for")
     gop: int = Field(default=10, ge=1, description="sets from one that stands alone to the next")
 
 

@@ -12,29 +12,19 @@ import pytest
 from bitstream_files import JOB
 from broken_features import Broken, CountsFromOne
 from codecbench_corners.codec import Corners, CornersDecoder
+from feature_streams import PICTURES, coded_features
 from memory_sequence import FunctionCodec, MemorySequence
 
 from codecbench import Features, FeatureSet, Unsupported, decoder_of, encoder_of
-from codecbench.core.conformance.moving_pictures import pictures_with_corners
 from codecbench.core.contracts.features import gets_features
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
-from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams, write_stream
-
-PICTURES = pictures_with_corners(1)[0].pictures
-SEQUENCE = MemorySequence(PICTURES)
-
-
-def coded(codec: Any) -> CodedFrames:
-    stream = BytesIO()
-    write_stream(stream, encode_sequence(codec, SEQUENCE, WorkPosition()), JOB)
-    return CodedFrames(SEQUENCE, codec, BitstreamFile(stream.getvalue(), JOB), WorkPosition())
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
 
 
 def test_features_are_found_by_frame_in_any_order() -> None:
     codec = Corners.create(gop=3)
-    found = coded(codec)
+    found = coded_features(codec)
     expected = [codec.extract(picture) for picture in PICTURES]
     for index in (0, 1, 2, 7, 4, 4, 5, 0, 3):
         assert np.array_equal(found.features(index).descriptors, expected[index].descriptors)
@@ -44,7 +34,7 @@ def test_features_are_found_by_frame_in_any_order() -> None:
 
 
 def test_packets_tell_starts_and_sizes() -> None:
-    found = coded(Corners.create(gop=3))
+    found = coded_features(Corners.create(gop=3))
     assert [packet.starts for packet in found.packets] == [True, False, False] * 2 + [True, False]
     assert [packet.after for packet in found.packets] == list(range(1, len(PICTURES) + 1))
     assert [found.size_bytes(packet.frame) for packet in found.packets] == [one.size_bytes for one in found.packets]
@@ -60,7 +50,7 @@ def test_who_asks_in_order_has_each_packet_decoded_once() -> None:
                 pushed[packet.frame] += 1
                 return super().push(packet)
 
-    found = coded(Counted.create(gop=4))
+    found = coded_features(Counted.create(gop=4))
     for index in range(len(PICTURES)):
         found.features(index)
     assert pushed == Counter(range(len(PICTURES)))
@@ -71,7 +61,7 @@ def test_who_asks_in_order_has_each_packet_decoded_once() -> None:
 
 def test_who_asks_for_a_picture_is_told_what_to_do() -> None:
     codec = Corners.create()
-    found = coded(codec)
+    found = coded_features(codec)
     for asked in (
         lambda: found.frame(0),
         lambda: list(found),
@@ -88,14 +78,14 @@ def test_who_asks_a_codec_of_pictures_for_features_is_told_what_to_do() -> None:
     codec = FunctionCodec()
     stream = BytesIO()
     write_bitstreams(stream, [b"x"] * len(PICTURES), JOB)
-    found = CodedFrames(SEQUENCE, codec, BitstreamFile(stream.getvalue(), JOB), WorkPosition())
+    found = CodedFrames(MemorySequence(PICTURES), codec, BitstreamFile(stream.getvalue(), JOB), WorkPosition())
     for asked in (lambda: found.features(0), lambda: gets_features(codec, "features")):
         with pytest.raises(Unsupported, match="function sends pictures, not features; leave"):
             asked()
     assert not gets_features(codec, "cta")
     assert gets_features(Corners.create(), "cta")
     with pytest.raises(BitstreamDamage, match="holds single pictures"):
-        CodedFrames(SEQUENCE, Corners.create(), BitstreamFile(stream.getvalue(), JOB), WorkPosition())
+        CodedFrames(MemorySequence(PICTURES), Corners.create(), BitstreamFile(stream.getvalue(), JOB), WorkPosition())
 
 
 def test_a_session_of_a_device_extracts_and_encodes() -> None:
@@ -109,7 +99,7 @@ def test_a_session_of_a_device_extracts_and_encodes() -> None:
 
 def test_a_packet_of_another_frame_is_refused() -> None:
     with pytest.raises(CodingError, match="packet of frame 1; 0 to 0 were pushed"):
-        coded(CountsFromOne.create())
+        coded_features(CountsFromOne.create())
 
 
 @pytest.mark.parametrize(
@@ -128,7 +118,7 @@ def test_what_a_decoder_returns_is_checked(answer: Any, words: str) -> None:
                 found = super().push(packet)
                 return answer(found) if packet.frame == 1 else found
 
-    found = coded(Odd.create())
+    found = coded_features(Odd.create())
     with pytest.raises(CodingError, match=words):
         found.features(1)
     assert len(found.features(0)) > 0
