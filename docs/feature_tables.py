@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench import slam
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.stream import decoder_of, encoder_of
 from codecbench.core.engine.registry import installed
 from codecbench.core.results.markdown import table
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
@@ -36,7 +37,9 @@ PICTURES: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     *(("jpeg", {"quality": quality}) for quality in (3, 5, 10, 20, 40)),
     *(("jpeg2000", {"ratio": ratio}) for ratio in (200, 80, 40, 20)),
     *(("multilevel", {"profile": "context", "qf": qf}) for qf in (1.5, 3.0, 6.0, 12.0)),
+    *(("h264", {"crf": crf}) for crf in (20, 26, 32, 38)),
 )
+"""Those that are not installed are left out."""
 FEATURES: Final[tuple[dict[str, Any], ...]] = (
     {"descriptor": "raw"},
     {},
@@ -50,6 +53,7 @@ FEATURES: Final[tuple[dict[str, Any], ...]] = (
 HEADS: Final = ("sent", "bytes a frame", "bit/pixel", "bytes a feature", "tracked", "ATE mm", "as raw")
 TIMES: Final = ("extract ms", "encode ms", "decode ms")
 _ASSOCIATION_S: Final = 0.02
+_FRAME_RATE_HZ: Final = 30.0
 
 
 @dataclass
@@ -108,7 +112,8 @@ def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool
 def settings(frames: list[Image]) -> Iterator[Sent]:
     """Every setting, with what is received of the frames."""
     for name, params in PICTURES:
-        yield pictures(installed().create("codec", name, params), title(name, params), frames)
+        if installed().find("codec", name).missing is None:
+            yield pictures(installed().create("codec", name, params), title(name, params), frames)
     for params in FEATURES:
         yield features(OrbFeatures.create(**params), title(OrbFeatures.name, params), frames)
 
@@ -118,13 +123,14 @@ def title(name: str, params: dict[str, Any]) -> str:
     return " ".join([f"`{name}`", ", ".join(f"{key}={value}" for key, value in params.items())]).strip()
 
 
-def pictures(codec: Codec[Any], name: str, frames: list[Image]) -> Sent:
-    """Frames encoded and decoded one by one."""
-    sent = Sent(name)
+def pictures(codec: AnyCodec[Any], name: str, frames: list[Image]) -> Sent:
+    """Frames encoded and decoded in order, each at once."""
+    sent, encoder, decoder = Sent(name), encoder_of(codec, _FRAME_RATE_HZ), decoder_of(codec)
     for frame in frames:
-        bitstream = sent.timed("encode ms", lambda frame=frame: codec.encode(frame))
-        sent.received.append(sent.timed("decode ms", lambda bitstream=bitstream: codec.decode(bitstream)))
-        sent.sizes.append(len(bitstream))
+        (packet,) = sent.timed("encode ms", lambda frame=frame: encoder.push(frame))
+        (picture,) = sent.timed("decode ms", lambda packet=packet: decoder.push(packet))
+        sent.received.append(picture.image)
+        sent.sizes.append(len(packet.data))
     return sent
 
 

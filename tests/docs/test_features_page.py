@@ -10,6 +10,7 @@ import pytest
 from project import DOCS
 
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures, OrbFeaturesParams
+from codecbench.plugins.codecs.raw import Raw
 
 sys.path.insert(0, str(DOCS))
 import feature_tables
@@ -47,3 +48,10 @@ def test_what_is_sent_is_counted_and_received() -> None:
     assert sent.features == 100
     assert len(sent.received) == len(sent.sizes) == len(sent.counts) == 2
     assert all(len(taken) == 2 for taken in sent.steps_ms.values())
+
+
+def test_pictures_are_sent_one_by_one_and_received() -> None:
+    frames = [np.full((48, 64), 10 * k, np.uint8) for k in range(3)]
+    sent = feature_tables.pictures(Raw.create(), "raw", frames)
+    assert all(np.array_equal(back, frame) for back, frame in zip(sent.received, frames, strict=True))
+    assert len(sent.sizes) == 3
