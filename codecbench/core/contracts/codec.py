@@ -28,7 +28,7 @@ Reference = Literal["", "baseline", "anchor"]
 class Capabilities:
     """What a codec can do, checked before anything runs.
 
-    channels: layouts that `encode` takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
+    channels: layouts of images that it takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
     lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
     counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
     thread_safe: one instance may encode and decode from several threads at once.
