@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from run_tables import CODING, SETTING, Column, rows_of
 
 from codecbench import slam
 from codecbench.core.contracts.codec import AnyCodec
@@ -26,6 +27,7 @@ from codecbench.core.contracts.sequence import Sequence, Trajectory
 from codecbench.core.contracts.stream import decoder_of, encoder_of
 from codecbench.core.engine.registry import installed
 from codecbench.core.results.markdown import table
+from codecbench.core.results.run_result import RunResult
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
@@ -52,6 +54,14 @@ FEATURES: Final[tuple[dict[str, Any], ...]] = (
 )
 HEADS: Final = ("sent", "bytes a frame", "bit/pixel", "bytes a feature", "tracked", "ATE mm", "as raw")
 TIMES: Final = ("extract ms", "encode ms", "decode ms")
+TASKS: Final = {
+    "bit/px": CODING["bit/px"],
+    "localisation AUC": Column("localization.located_auc.mean"),
+    "map points found": Column("localization.tracked_inliers.mean"),
+    "held mm": Column("trajectory.held_ate_m.median", 1e3),
+    "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
+}
+"""Of a run of examples/features.yaml."""
 _ASSOCIATION_S: Final = 0.02
 _FRAME_RATE_HZ: Final = 30.0
 
@@ -90,6 +100,19 @@ def main() -> None:
     frames = [gray_from_image(sequence.read(index).image) for index in range(min(arguments.frames, len(sequence)))]
     heads = (*HEADS, *TIMES) if arguments.times else HEADS
     print(table(heads, rows(sequence, frames, arguments.starts, arguments.times)))
+
+
+def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
+    """Rate and tasks of every setting of a run, for docs/tables.py."""
+    (sequence,) = run.plan.sequences
+    yield f"{sequence.frames} frames at 30 Hz:\n"
+    yield table(
+        heads,
+        [
+            [row[head] if head in SETTING else TASKS[head].shown(row) for head in heads]
+            for row in rows_of(run, sequence.name)
+        ],
+    )
 
 
 def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:
