@@ -39,6 +39,14 @@ if TYPE_CHECKING:
         SequenceEvaluator,
     )
     from codecbench.core.contracts.executor import Executor, Finished, Task
+    from codecbench.core.contracts.features import (
+        FeatureCodec,
+        FeatureDecoder,
+        FeatureEncoder,
+        FeatureFrame,
+        Features,
+        FeatureSet,
+    )
     from codecbench.core.contracts.hooks import PluginSpec, hookimpl
     from codecbench.core.contracts.image import Image, check_image, gray_from_image
     from codecbench.core.contracts.link import Channel, Link, Passage, Queue
@@ -83,6 +91,9 @@ _HOMES = {
         "FrameSender", "Measurement", "Outcome", "PluginUse", "SentPacket", "SequenceEvaluator",
     ),
     _CONTRACTS + "executor": ("Executor", "Finished", "Task"),
+    _CONTRACTS + "features": (
+        "FeatureCodec", "FeatureDecoder", "FeatureEncoder", "FeatureFrame", "Features", "FeatureSet",
+    ),
     _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
     _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
     _CONTRACTS + "link": ("Channel", "Link", "Passage", "Queue"),

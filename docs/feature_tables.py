@@ -17,25 +17,31 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from run_tables import CODING, SETTING, Column, rows_of
 
 from codecbench import slam
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.stream import decoder_of, encoder_of
 from codecbench.core.engine.registry import installed
 from codecbench.core.results.markdown import table
+from codecbench.core.results.run_result import RunResult
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
-from codecbench.slam.features.extractor import Keypoints
+from codecbench.plugins.slam_backends.keypoints import keypoints_of
 
 PICTURES: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("raw", {}),
     *(("jpeg", {"quality": quality}) for quality in (3, 5, 10, 20, 40)),
     *(("jpeg2000", {"ratio": ratio}) for ratio in (200, 80, 40, 20)),
     *(("multilevel", {"profile": "context", "qf": qf}) for qf in (1.5, 3.0, 6.0, 12.0)),
+    *(("h264", {"crf": crf}) for crf in (20, 26, 32, 38)),
 )
+"""Those that are not installed are left out."""
 FEATURES: Final[tuple[dict[str, Any], ...]] = (
     {"descriptor": "raw"},
     {},
@@ -48,7 +54,16 @@ FEATURES: Final[tuple[dict[str, Any], ...]] = (
 )
 HEADS: Final = ("sent", "bytes a frame", "bit/pixel", "bytes a feature", "tracked", "ATE mm", "as raw")
 TIMES: Final = ("extract ms", "encode ms", "decode ms")
+TASKS: Final = {
+    "bit/px": CODING["bit/px"],
+    "localisation AUC": Column("localization.located_auc.mean"),
+    "map points found": Column("localization.tracked_inliers.mean"),
+    "held mm": Column("trajectory.held_ate_m.median", 1e3),
+    "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
+}
+"""Of a run of examples/features.yaml."""
 _ASSOCIATION_S: Final = 0.02
+_FRAME_RATE_HZ: Final = 30.0
 
 
 @dataclass
@@ -60,7 +75,7 @@ class Sent:
 
     title: str
     features: int = 1000
-    received: list[Image | Keypoints] = field(default_factory=list)
+    received: list[Image | Features] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
     steps_ms: dict[str, list[float]] = field(default_factory=lambda: {head: [] for head in TIMES})
@@ -87,6 +102,19 @@ def main() -> None:
     print(table(heads, rows(sequence, frames, arguments.starts, arguments.times)))
 
 
+def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
+    """Rate and tasks of every setting of a run, for docs/tables.py."""
+    (sequence,) = run.plan.sequences
+    yield f"{sequence.frames} frames at 30 Hz:\n"
+    yield table(
+        heads,
+        [
+            [row[head] if head in SETTING else TASKS[head].shown(row) for head in heads]
+            for row in rows_of(run, sequence.name)
+        ],
+    )
+
+
 def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:
     """One for each setting. The first is raw, whose paths the others' are compared with."""
     raw: list[Trajectory] = []
@@ -107,7 +135,8 @@ def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool
 def settings(frames: list[Image]) -> Iterator[Sent]:
     """Every setting, with what is received of the frames."""
     for name, params in PICTURES:
-        yield pictures(installed().create("codec", name, params), title(name, params), frames)
+        if installed().find("codec", name).missing is None:
+            yield pictures(installed().create("codec", name, params), title(name, params), frames)
     for params in FEATURES:
         yield features(OrbFeatures.create(**params), title(OrbFeatures.name, params), frames)
 
@@ -117,13 +146,14 @@ def title(name: str, params: dict[str, Any]) -> str:
     return " ".join([f"`{name}`", ", ".join(f"{key}={value}" for key, value in params.items())]).strip()
 
 
-def pictures(codec: Codec[Any], name: str, frames: list[Image]) -> Sent:
-    """Frames encoded and decoded one by one."""
-    sent = Sent(name)
+def pictures(codec: AnyCodec[Any], name: str, frames: list[Image]) -> Sent:
+    """Frames encoded and decoded in order, each at once."""
+    sent, encoder, decoder = Sent(name), encoder_of(codec, _FRAME_RATE_HZ), decoder_of(codec)
     for frame in frames:
-        bitstream = sent.timed("encode ms", lambda frame=frame: codec.encode(frame))
-        sent.received.append(sent.timed("decode ms", lambda bitstream=bitstream: codec.decode(bitstream)))
-        sent.sizes.append(len(bitstream))
+        (packet,) = sent.timed("encode ms", lambda frame=frame: encoder.push(frame))
+        (picture,) = sent.timed("decode ms", lambda packet=packet: decoder.push(packet))
+        sent.received.append(picture.image)
+        sent.sizes.append(len(packet.data))
     return sent
 
 
@@ -134,7 +164,7 @@ def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
         found = sent.timed("extract ms", lambda frame=frame: codec.extract(frame))
         packet = sent.timed("encode ms", lambda found=found: encoder.push(found))
         back = sent.timed("decode ms", lambda packet=packet: decoder.push(packet))
-        sent.received.append(back.keypoints)
+        sent.received.append(back.features)
         sent.sizes.append(len(packet.data))
         sent.counts.append(len(found))
     return sent
@@ -147,8 +177,8 @@ def path(sequence: Sequence, sent: Sent, start: int) -> Trajectory:
     numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     system = slam.System(slam.Camera(*numbers, camera.distortion, camera.model), slam.Options(features=sent.features))
     for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):
-        if isinstance(frame, Keypoints):
-            system.process_keypoints(frame, stamp_s)
+        if isinstance(frame, Features):
+            system.process_keypoints(keypoints_of(frame), stamp_s)
         else:
             system.process(frame, stamp_s)
     found = system.finish().trajectory

@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import benchmark_tables
 import decision_tables
+import feature_tables
 import link_tables
 import multilevel_table
 import run_tables
@@ -53,6 +54,14 @@ DECIDED = ("at", "take", "value", "better than", "or", "not at that rate", "orde
 TIMES = "docs/performance.md"
 WORLDS = "docs/worlds.md"
 BLOCKS = {
+    "features-by-task": Block(
+        "docs/pictures-or-features.md", "run", "features", ("codec", "setting", *feature_tables.TASKS),
+        feature_tables.every_setting,
+    ),
+    "features-order": Block(
+        "docs/pictures-or-features.md", "run", "features",
+        ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
+    ),
     "order-decided": Block(
         "docs/verdict.md", "run", "decide", ("task", "place", "codec", "group", "rate beside jpeg", "better than"),
         decision_tables.order,

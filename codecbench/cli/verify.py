@@ -18,14 +18,14 @@ from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
 from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS, STREAM_CHECKS, Check, CheckResult, checks_of
+from codecbench.core.conformance.suite import CHECKS, FEATURE_CHECKS, STREAM_CHECKS, Check, CheckResult, checks_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
-_CHECK_NAMES = list(dict.fromkeys(check.name for check in (*CHECKS, *STREAM_CHECKS)))
+_CHECK_NAMES = list(dict.fromkeys(check.name for check in (*CHECKS, *STREAM_CHECKS, *FEATURE_CHECKS)))
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
@@ -75,7 +75,7 @@ def verify(
                 report.of_corpus(write_to, _of_pictures([subject for _, subject in subjects], report), examiner)
             else:
                 for plugin, subject in subjects:
-                    checks = [check for check in checks_of(subject.is_stream) if not only or check.name in only]
+                    checks = [check for check in checks_of(subject.shape) if not only or check.name in only]
                     report.of_subject(plugin, subject, checks, examiner)
     report.finish(json_path)
     is_well = report.counts["passed"] and not report.counts["failed"]
@@ -105,9 +105,9 @@ def _subjects(
 
 def _of_pictures(subjects: list[Subject], report: _Report) -> list[Subject]:
     """Those that go into a corpus, which holds single pictures; of the others is said that they do not."""
-    for codec in dict.fromkeys(subject.codec for subject in subjects if subject.is_stream):
+    for codec in dict.fromkeys(subject.codec for subject in subjects if subject.shape != "pictures"):
         report.unchecked(codec, "skipped", "a corpus holds single pictures, and this codec codes sequences")
-    return [subject for subject in subjects if not subject.is_stream]
+    return [subject for subject in subjects if subject.shape == "pictures"]
 
 
 class _Report:

@@ -128,8 +128,8 @@ def _cases(text: str) -> list[CodecCase]:
     from pydantic import ValidationError
 
     from codecbench.core.conformance.settings import setting_from_text, setting_label
+    from codecbench.core.contracts.codec import Codec
     from codecbench.core.contracts.errors import CodecbenchError, Unsupported
-    from codecbench.core.contracts.stream import StreamCodec
     from codecbench.core.engine.registry import installed, loads
 
     registry = installed()
@@ -142,7 +142,7 @@ def _cases(text: str) -> list[CodecCase]:
         try:
             registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # what ends its process ends another
             cls = registry.load("codec", chosen)
-            if issubclass(cls, StreamCodec):
+            if not issubclass(cls, Codec):
                 raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
             for example in [setting_from_text(rest)] if rest else cls.examples:
                 codec = cls(cls.params_type.model_validate(example))

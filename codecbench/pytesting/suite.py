@@ -8,8 +8,8 @@
         settings = [{}, {"quality": 90}]
 
 Every check is a test of its own, run for each setting and each layout that the codec takes; a StreamCodec gets the
-checks for codecs with memory. The codec must be importable by its module's name in another process, as an installed
-package is.
+checks for codecs with memory, a FeatureCodec those for codecs of features. The codec must be importable by its
+module's name in another process, as an installed package is.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from typing import Any, ClassVar
 import pytest
 
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, checks_of, run_checks
+from codecbench.core.conformance.suite import CHECKS, Check, checks_of, run_checks, shape_of
 from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.stream import StreamCodec
 
 __all__ = ["CodecSuite"]
 
@@ -37,12 +36,14 @@ class CodecSuite:
     settings: ClassVar[Sequence[dict[str, Any]]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Take the tests of the other shape of codec away, and put those of a codec with memory in their place."""
+        """Take the tests of another shape of codec away, and put those of its own in their place."""
         super().__init_subclass__()
-        if not issubclass(getattr(cls, "codec", object), StreamCodec):
+        shape = shape_of(getattr(cls, "codec", object))
+        if shape == "pictures":
             return
         inherited = {f"test_{check.name}": None for check in CHECKS}
-        for name, test in {**inherited, **{f"test_{check.name}": _test_of(check) for check in checks_of(True)}}.items():
+        own = {f"test_{check.name}": _test_of(check) for check in checks_of(shape)}
+        for name, test in {**inherited, **own}.items():
             if name not in vars(cls):
                 setattr(cls, name, test)
 

@@ -1,4 +1,4 @@
-"""Speed of `orb_features` on sets of 1000 keypoints; the bar is 3 ms for encoding and decoding, on one core.
+"""Speed of `orb_features` on sets of 1000 features; the bar is 3 ms for encoding and decoding, on one core.
 
 pytest tests/benchmarks/test_orb_features.py --benchmark-only
 """
@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
-from codecbench.slam.features.extractor import Keypoints
 
 benchmark_plugin = pytest.importorskip("pytest_benchmark")
 
@@ -27,14 +27,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def film(data_folder: Path) -> list[Keypoints]:
+def film(data_folder: Path) -> list[Features]:
     sequence, codec = Tum.create(path=str(data_folder / "fr3_office_715")).open(), OrbFeatures.create()
     return [codec.extract(gray_from_image(sequence.read(index).image)) for index in range(FRAMES)]
 
 
 @pytest.mark.parametrize("direction", ["encode", "decode"])
 @pytest.mark.parametrize("setting", SETTINGS.values(), ids=SETTINGS)
-def test_one_set_after_another(benchmark: Any, film: list[Keypoints], setting: dict[str, Any], direction: str) -> None:
+def test_one_set_after_another(benchmark: Any, film: list[Features], setting: dict[str, Any], direction: str) -> None:
     """Each round takes the next set of the film, so that with memory all but the first are coded after another."""
     codec = OrbFeatures.create(gop=FRAMES, **setting)
     first = codec.encoder()

@@ -18,6 +18,7 @@ from distributions import THIRD_PARTY, register
 
 DOCS = THIRD_PARTY.parent.parent / "docs"
 GUIDES = {
+    "corners": "writing-a-feature-codec.md",
     "delta": "writing-a-stream-codec.md",
     "npy": "writing-a-dataset.md",
     "drift": "writing-a-slam-backend.md",
@@ -100,6 +101,22 @@ def test_a_codec_with_memory_reaches_the_table_and_its_delay_is_noted(call: Call
     again = call("run", "matrix.yaml", "--out", "run", "--recompute", "quality")
     assert "6 ok" in again
     assert call("table", "run", "--tidy", "--format", "csv") == table
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("call", ["corners"], indirect=True)
+def test_a_codec_of_features_stands_beside_codecs_of_pictures(call: Call) -> None:
+    assert "OpenCV's ORB features, deflated" in call("list", "codecs")
+    assert "skip  threads" in call("verify", "corners", "--only", "loss", "--only", "threads")
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
+    table = call("table", "run", "--tidy", "--format", "csv")
+    rates = [np.mean(part) for part in np.split(np.array(_samples(table, "rate_bpp")), 4)]
+    assert rates[0] == pytest.approx(24.0, rel=0.01)
+    assert rates[3] < rates[2] < rates[0]
+    tracked = _samples(table, "tracked_fraction")
+    assert len(tracked) == 4
+    assert min(tracked) > 0.5
+    assert tracked[2] == tracked[3]
 
 
 @pytest.mark.thorough

@@ -15,9 +15,8 @@ from pydantic import ValidationError
 
 from codecbench.core.conformance.corpus import CodecClass, Entry, EntryResult, check_entry, coded_pictures
 from codecbench.core.conformance.sandbox import Reply, Sandbox
-from codecbench.core.conformance.suite import Check, CheckResult, checks_of, run_check
+from codecbench.core.conformance.suite import Check, CheckResult, Shape, checks_of, run_check, shape_of
 from codecbench.core.contracts.errors import PluginError, Unsupported
-from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.registry import installed
 
 TIMEOUT_S: Final = 300.0
@@ -30,7 +29,7 @@ class Subject:
     """A codec setting to be examined, as data.
 
     setting: as it was asked for. params: complete, as JSON types. libraries: versions by name. channels: the layouts
-    that the codec declares. is_stream: whether it has memory, which decides what is checked.
+    that the codec declares. shape: what it codes, which decides what is checked.
     """
 
     codec: str
@@ -39,7 +38,7 @@ class Subject:
     params: dict[str, Any]
     libraries: dict[str, str]
     channels: tuple[int, ...]
-    is_stream: bool
+    shape: Shape
 
 
 @dataclass(frozen=True)
@@ -161,12 +160,12 @@ def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:
         dumped,
         libraries,
         channels,
-        issubclass(codec_class, StreamCodec),
+        shape_of(codec_class),
     )
 
 
 def _result(subject: Subject, check_name: str, channels: int) -> CheckResult:
     codec_class: Any = installed().load("codec", subject.codec)
     params = codec_class.params_type.model_validate(subject.setting)
-    check = next(check for check in checks_of(subject.is_stream) if check.name == check_name)
+    check = next(check for check in checks_of(subject.shape) if check.name == check_name)
     return run_check(check, channels, codec_class, params)

@@ -14,6 +14,8 @@ _FRAMES: Final = 14
 _LONG: Final = 120
 """Frames of a stream that is longer than encoders look ahead: by 16 to 80 frames, as far as we know."""
 _SIZES: Final = ((48, 64), (33, 17))
+_SIZES_WITH_CORNERS: Final = ((120, 160), (97, 131))
+_CORNER_FRAMES: Final = 8
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,25 @@ def long_sequence(channels: int, seed: int = 3) -> MovingPictures:
     height, width = _SIZES[-1]
     pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(seed))
     return MovingPictures(f"{width}x{height}", pictures)
+
+
+def pictures_with_corners(channels: int, seed: int = 5) -> list[MovingPictures]:
+    """Sequences of 1 or 3 channels in which detectors find something: squares of all grays that glide, some noise.
+
+    The second ends with a picture without a corner. The same seed gives the same pictures everywhere.
+    """
+    rng = np.random.default_rng(seed)
+    found: list[MovingPictures] = []
+    for height, width in _SIZES_WITH_CORNERS:
+        squares = rng.integers(0, 256, (height // 8 + _FRAMES, width // 8 + _FRAMES))
+        ground = np.kron(squares, np.ones((8, 8)))
+        film = [ground[2 * k : 2 * k + height, 3 * k : 3 * k + width] for k in range(_CORNER_FRAMES)]
+        shown = [np.clip(frame + rng.normal(0, 3, frame.shape), 0, 255).astype(np.uint8) for frame in film]
+        if found:
+            shown[-1] = np.full_like(shown[-1], 90)
+        pictures = shown if channels == 1 else [np.repeat(frame[..., None], 3, axis=2) for frame in shown]
+        found.append(MovingPictures(f"{width}x{height}", pictures))
+    return found
 
 
 def _sequence(height: int, width: int, channels: int, frames: int, rng: np.random.Generator) -> list[Image]:

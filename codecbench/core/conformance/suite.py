@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from codecbench.core.conformance import (
     counting,
+    feature_round_trip,
+    feature_sessions,
     isolation,
     partial,
     robustness,
@@ -18,8 +20,9 @@ from codecbench.core.conformance import (
 )
 from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
 from codecbench.core.conformance.images import conformance_images
-from codecbench.core.conformance.moving_pictures import moving_pictures
+from codecbench.core.conformance.moving_pictures import moving_pictures, pictures_with_corners
 from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import StreamCodec
 
@@ -29,7 +32,7 @@ class Check:
     """A named check: what it proves, and the function that raises ConformanceFailure where a codec falls short.
 
     The function takes the class, a setting, and the material for that shape of codec: NamedImages for one that codes
-    pictures on their own, MovingPictures for one with memory.
+    pictures on their own, MovingPictures for one with memory or of features.
     """
 
     name: str
@@ -38,6 +41,8 @@ class Check:
 
 
 Status = Literal["passed", "failed", "skipped"]
+Shape = Literal["pictures", "stream", "features"]
+"""What a codec codes: pictures on their own, pictures with memory between them, or features."""
 
 
 @dataclass(frozen=True)
@@ -118,25 +123,77 @@ STREAM_CHECKS: tuple[Check, ...] = (
 """Of codecs with memory."""
 
 
-def checks_of(is_stream: bool) -> tuple[Check, ...]:
-    """The checks for codecs with memory, or for those that code pictures on their own."""
-    return STREAM_CHECKS if is_stream else CHECKS
+FEATURE_CHECKS: tuple[Check, ...] = (
+    Check("params", "parameters survive JSON, which is how they are stored", round_trip.params_survive_json),
+    Check("extract", "what is found is of the picture, and repeats", feature_round_trip.features_are_of_the_picture),
+    Check("bytes", "packets are bytes, one for each set, and the first starts", feature_round_trip.packets_are_bytes),
+    Check("sets", "every packet gives its set, and sets are left alone", feature_round_trip.sets_come_back),
+    Check("stateless", "sessions repeat, on the same instance and on another", feature_sessions.sessions_repeat),
+    Check("interleaved", "two sessions at once know nothing of each other", feature_sessions.sessions_do_not_interfere),
+    Check("lossless", "settings that claim to be lossless are", feature_round_trip.lossless_means_lossless),
+    Check("empty", "a set of no feature is a set", feature_round_trip.empty_sets_are_sets),
+    Check("limits", "sets too large to be coded are refused, and change nothing", feature_round_trip.limits_are_kept),
+    Check("bad_images", "what is no image of a declared layout is refused", feature_round_trip.bad_images_are_refused),
+    Check("libraries", "foreign libraries are named with their versions", round_trip.libraries_are_named),
+    Check("starts", "decoding from each declared start gives the same sets", feature_sessions.starts_are_starts),
+    Check("loss", "whatever packet is lost, no set is made up", feature_sessions.losses_are_told),
+    Check("deterministic", "another process writes the same packets", feature_sessions.another_process_encodes_alike),
+    Check(
+        "self_contained",
+        "packets alone decode: another process, another setting",
+        feature_sessions.packets_alone_decode,
+    ),
+    Check("threads", "an instance that claims to be thread-safe is", feature_sessions.threads_do_not_interfere),
+    Check("foreign", "foreign bytes are refused", feature_sessions.foreign_bytes_are_refused),
+    Check("damaged", "damaged packets are refused", feature_sessions.damage_is_told),
+    Check(
+        "bombs", "headers that claim too much are refused at little cost", feature_sessions.huge_headers_are_survived
+    ),
+)
+"""Of codecs of features."""
+
+_CHECKS: dict[Shape, tuple[Check, ...]] = {
+    "pictures": CHECKS,
+    "stream": STREAM_CHECKS,
+    "features": FEATURE_CHECKS,
+}
+_MATERIAL: dict[Shape, Callable[[int], Any]] = {
+    "pictures": conformance_images,
+    "stream": moving_pictures,
+    "features": pictures_with_corners,
+}
+
+
+def shape_of(codec_class: type[Any]) -> Shape:
+    """By which contract a codec goes."""
+    if issubclass(codec_class, FeatureCodec):
+        return "features"
+    return "stream" if issubclass(codec_class, StreamCodec) else "pictures"
+
+
+def checks_of(shape: Shape) -> tuple[Check, ...]:
+    """The checks for codecs of a shape."""
+    return _CHECKS[shape]
+
+
+def material_of(shape: Shape, channels: int) -> Any:
+    """What the checks for codecs of a shape are given, of one layout."""
+    return _MATERIAL[shape](channels)
 
 
 def run_checks(
     codec_class: type[AnyCodec[Any]], params: Params, checks: Sequence[Check] | None = None
 ) -> list[CheckResult]:
     """Every check for this shape of codec, or those given, on every layout that the codec declares."""
-    chosen = checks_of(issubclass(codec_class, StreamCodec)) if checks is None else checks
+    chosen = checks_of(shape_of(codec_class)) if checks is None else checks
     layouts = codec_class.capabilities.channels
     return [run_check(check, channels, codec_class, params) for check in chosen for channels in layouts]
 
 
 def run_check(check: Check, channels: int, codec_class: type[AnyCodec[Any]], params: Params) -> CheckResult:
     """One check on images of one layout."""
-    material: Any = moving_pictures if issubclass(codec_class, StreamCodec) else conformance_images
     try:
-        check.function(codec_class, params, material(channels))
+        check.function(codec_class, params, material_of(shape_of(codec_class), channels))
     except NotClaimed as claim:
         return CheckResult(check, channels, "skipped", str(claim))
     except ConformanceFailure as failure:

@@ -2,7 +2,8 @@
 
 A `Codec` codes pictures one by one, stateless and silent about time and quality: others measure. Its bitstream is
 self-contained: `decode` gets bytes and nothing else, so no table, shape or quality may reach the decoder
-outside the bytes that are counted. Codecs with memory between frames are in `stream`; `AnyCodec` is what both are.
+outside the bytes that are counted. Codecs with memory between frames are in `stream`, those of
+features in `features`; `AnyCodec` is what all are.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Reference = Literal["", "baseline", "anchor"]
 class Capabilities:
     """What a codec can do, checked before anything runs.
 
-    channels: layouts that `encode` takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
+    channels: layouts of images that it takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
     lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
     counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
     thread_safe: one instance may encode and decode from several threads at once.
@@ -72,7 +73,7 @@ class PartialImage:
 
 
 class AnyCodec(Configured[P]):
-    """What codecs of pictures and of streams have in common.
+    """What codecs of pictures, of streams and of features have in common.
 
     Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the

@@ -18,6 +18,7 @@ import numpy as np
 
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
@@ -105,14 +106,23 @@ class CodedSequence(Protocol):
 
     def __iter__(self) -> Iterator[CodedFrame]: ...
 
-    def frame(self, index: int) -> CodedFrame: ...
+    def frame(self, index: int) -> CodedFrame:
+        """Raises Unsupported for a codec of features, as iterating does: there is no picture."""
+        ...
+
+    def features(self, index: int) -> Features:
+        """What a codec of features has of a frame when it was decoded; raises Unsupported for a codec of pictures."""
+        ...
 
     def size_bytes(self, index: int) -> int:
         """Size of one frame's bitstream, without decoding it."""
         ...
 
     def sender(self) -> FrameSender:
-        """A sender of chosen frames alone: with a codec that has memory, they make a stream of their own."""
+        """A sender of chosen frames alone: with a codec that has memory, they make a stream of their own.
+
+        Raises Unsupported for a codec of features.
+        """
         ...
 
 
@@ -258,4 +268,4 @@ class CodecEvaluator(Evaluator[P]):
 
     @abstractmethod
     def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
-        """Measurements of the codec at work on the sequence; `codec` is a Codec or a StreamCodec."""
+        """Measurements of the codec at work on the sequence; `codec` is a Codec, a StreamCodec or a FeatureCodec."""

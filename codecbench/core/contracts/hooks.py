@@ -39,7 +39,8 @@ class PluginSpec:
 
 @hookspec
 def codecbench_codecs() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Codecs: subclasses of `codecbench.Codec`, or of `codecbench.StreamCodec` for those with memory."""
+    """Codecs: subclasses of `codecbench.Codec`, of `codecbench.StreamCodec` for those with memory, or of
+    `codecbench.FeatureCodec` for those of features."""
 
 
 @hookspec

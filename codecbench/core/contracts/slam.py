@@ -10,6 +10,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.features import FeatureFrame
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
@@ -63,9 +65,13 @@ class SlamRun:
 
 
 class SlamBackend(Configured[P]):
-    """A monocular SLAM system. kernels: the packages and modules whose listed kernels it calls, compiled ahead."""
+    """A monocular SLAM system.
 
-    architectures: ClassVar[frozenset[Literal["cta", "atc"]]]
+    architectures: what it can be given: `cta`, a frame's one image; `atc`, another image of keyframes; `features`, no
+    image. kernels: the packages and modules whose listed kernels it calls, compiled ahead.
+    """
+
+    architectures: ClassVar[frozenset[Literal["cta", "atc", "features"]]]
     kernels: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
@@ -83,3 +89,10 @@ class SlamBackend(Configured[P]):
         that mapping and loop closing see when that frame becomes a keyframe. Losing track is a state with a
         reason, not an exception; SlamError is for input that no frame of can be used.
         """
+
+    def run_features(self, frames: Iterable[FeatureFrame], camera: Camera, *, seed: int) -> SlamRun:
+        """`run` on what was found in the frames elsewhere; for backends whose `architectures` have `features`.
+
+        Raises Unsupported for features that are not those of its own pyramid.
+        """
+        raise Unsupported(f"slam backend {self.name} takes images, not features")

@@ -3,7 +3,7 @@
 One session codes one sequence, in order, and all state is in it. Packets leave in the order in which they are decoded;
 pictures are counted from 0 in the order in which they were pushed, which is the order in which they are shown.
 A codec of single pictures is the special case in which every packet stands alone: `encoder_of` and `decoder_of` make
-sessions of both.
+sessions of both. `encoder_of` makes one of a codec of features too, which extracts them; its decoders give no pictures.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 
 from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.features import FeatureCodec, sends_no_picture
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import P
 from codecbench.core.counting.trace import NULL_TRACE, Trace
@@ -135,21 +136,39 @@ def _has_memory(codec: AnyCodec[Any]) -> Unsupported:
 
 
 def encoder_of(codec: AnyCodec[Any], frame_rate_hz: float) -> StreamEncoder:
-    """A session of any codec. Raises TypeError for what is neither a Codec nor a StreamCodec."""
+    """A session of any codec, which extracts features where it is one of these. Raises TypeError for no codec."""
     if isinstance(codec, StreamCodec):
         return codec.encoder(frame_rate_hz)
+    if isinstance(codec, FeatureCodec):
+        return _ExtractingEncoder(codec)
     return _StandaloneEncoder(_still(codec))
 
 
 def decoder_of(codec: AnyCodec[Any]) -> StreamDecoder:
-    """A session of any codec. Raises TypeError for what is neither a Codec nor a StreamCodec."""
+    """A session of any codec of pictures. Raises Unsupported for one of features, and TypeError for no codec."""
+    if isinstance(codec, FeatureCodec):
+        raise sends_no_picture(codec)
     return codec.decoder() if isinstance(codec, StreamCodec) else _StandaloneDecoder(_still(codec))
 
 
 def _still(codec: object) -> Codec[Any]:
     if not isinstance(codec, Codec):
-        raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec; subclass one of them")
+        kinds = "a Codec nor a StreamCodec nor a FeatureCodec"
+        raise TypeError(f"{type(codec).__name__} is neither {kinds}; subclass one of them")
     return codec
+
+
+class _ExtractingEncoder(StreamEncoder):
+    """What a device does with a codec of features."""
+
+    def __init__(self, codec: FeatureCodec[Any]) -> None:
+        self._codec, self._encoder = codec, codec.encoder()
+
+    def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
+        return [self._encoder.push(self._codec.extract(image))]
+
+    def flush(self) -> list[Packet]:
+        return []
 
 
 class _StandaloneEncoder(StreamEncoder):

@@ -35,6 +35,11 @@ def codecbench_codecs() -> list[PluginSpec]:
             f"{_HERE}.multilevel.stream:MultilevelStream",
             "the multi-level codec with the table of the picture before as its memory",
         ),
+        PluginSpec(
+            "orb_features",
+            f"{_HERE}.orb_features.codec:OrbFeatures",
+            "ORB features in the place of pictures",
+        ),
         _imagecodecs("jpegxl", "JpegXl", "JPEG XL through imagecodecs and libjxl"),
         _imagecodecs("jpegls", "JpegLs", "JPEG-LS through imagecodecs and CharLS, lossless or near-lossless"),
         _imagecodecs("htj2k", "Htj2k", "High-Throughput JPEG 2000 through imagecodecs and OpenJPH"),

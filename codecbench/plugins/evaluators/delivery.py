@@ -19,6 +19,7 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
+from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
@@ -42,10 +43,14 @@ _NOTE: Final = (
 
 
 class DeliveryParams(LinkSettings):
-    """`link` and all about it: see LinkSettings. `repeats`: cells for each setting, each with its own chance."""
+    """`link` and all about it: see LinkSettings. `repeats`: cells for each setting, each with its own chance.
+
+    `architecture`: `features` refuses codecs of pictures; else each is measured by what it sends.
+    """
 
     link: str | None = "ideal"
     repeats: Annotated[int, Field(ge=1)] = 5
+    architecture: Architecture = "cta"
 
 
 def _count(name: str, summary: str, label: str, aggregates: tuple[str, ...] = ("mean", "max")) -> Metric:
@@ -121,6 +126,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         return {name: value for name, value in self.params.identity().items() if name != "repeats"}
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        gets_features(coded.codec, self.params.architecture)
         found = delivery_of(coded, self.params, context)
         yield from _of_frames(found)
         for fate in _UNTIMELY:

@@ -4,6 +4,7 @@ This file is the border between the two: `codecbench.slam` knows nothing of the 
 
 - `Camera` gives its numbers to a `slam.Camera`, which can project and undistort.
 - `Frame` gives its gray image and its time to `System.process`; a `TrackingFrame` is made of them in there.
+- `FeatureFrame` gives its features as `Keypoints` to `System.process_keypoints`.
 - `slam.FrameState` becomes a `TrackedFrame`, with the sequence's frame index in place of the count from 0 and the
   time that the frame took.
 - `slam.FrameTrajectory` becomes a `Trajectory`, without its frame indices.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numba.core import event
@@ -22,12 +23,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench import slam
-from codecbench.core.contracts.errors import SlamError
+from codecbench.core.contracts.errors import SlamError, Unsupported
+from codecbench.core.contracts.features import FeatureFrame, Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
+from codecbench.plugins.slam_backends.keypoints import keypoints_of
+from codecbench.slam.features.extractor import Keypoints
 from codecbench.slam.system import BuiltMap, build_map
+
+Step = Callable[[], slam.FrameState]
+_F = TypeVar("_F", Frame, FeatureFrame)
 
 
 class OrbParams(Params):
@@ -47,7 +54,7 @@ class Orb(SlamBackend[OrbParams]):
     name = "orb"
     version = "3"
     params_type = OrbParams
-    architectures = frozenset({"cta", "atc"})
+    architectures = frozenset({"cta", "atc", "features"})
     kernels = ("codecbench.slam",)
 
     def run(
@@ -58,15 +65,43 @@ class Orb(SlamBackend[OrbParams]):
         seed: int,
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
+        def look(system: slam.System, frame: Frame, clock: _Clock) -> Step:
+            gray = gray_from_image(frame.image)
+            source = _keyframe_source(keyframe_image, frame.index, clock)
+            return lambda: system.process(gray, frame.timestamp_s, source)
+
+        return self._run(frames, camera, seed, look)
+
+    def run_features(self, frames: Iterable[FeatureFrame], camera: Camera, *, seed: int) -> SlamRun:
+        def look(system: slam.System, frame: FeatureFrame, _: _Clock) -> Step:
+            keypoints = self.keypoints(frame.features)
+            return lambda: system.process_keypoints(keypoints, frame.timestamp_s)
+
+        return self._run(frames, camera, seed, look)
+
+    def keypoints(self, features: Features) -> Keypoints:
+        """Features that were found elsewhere, as they are found here; Unsupported where there is no room for them."""
+        params, count, levels = self.params, len(features), int(features.octaves.max(initial=0)) + 1
+        if count > params.features or levels > params.levels:
+            raise Unsupported(
+                f"slam backend orb has room for {params.features} features of {params.levels} levels, and gets {count} "
+                f"of {levels}; raise features and levels in backend_params"
+            )
+        return keypoints_of(features)
+
+    def _run(
+        self, frames: Iterable[_F], camera: Camera, seed: int, look: Callable[[slam.System, _F, _Clock], Step]
+    ) -> SlamRun:
+        """look: what is to be timed of a frame."""
         system = slam.System(_camera(camera), self._options(), seed)
         clock = _Clock()
         indices: list[int] = []
         elapsed_ms: list[float] = []
         with event.install_listener("numba:compile", clock.compiling):
             for frame in frames:
-                gray = gray_from_image(frame.image)
+                step = look(system, frame, clock)
                 started = clock.ms()
-                system.process(gray, frame.timestamp_s, _keyframe_source(keyframe_image, frame.index, clock))
+                step()
                 elapsed_ms.append(clock.ms() - started)
                 indices.append(frame.index)
             if not indices:
@@ -75,7 +110,7 @@ class Orb(SlamBackend[OrbParams]):
             result = system.finish()
             # The last frame bears what finishing takes, so that the mean over frames is the cost of the run.
             elapsed_ms[-1] += clock.ms() - started
-        return _run(result, np.array(indices, dtype=np.int64), elapsed_ms)
+        return _slam_run(result, np.array(indices, dtype=np.int64), elapsed_ms)
 
     def map_of(self, frames: Iterable[Frame], camera: Camera, *, seed: int) -> BuiltMap | None:
         """The map that `run` makes of these frames, in which other frames can be located; None where it makes none."""
@@ -124,7 +159,7 @@ def _keyframe_source(
     return lambda _: clock.fetch(keyframe_image, index)
 
 
-def _run(result: slam.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
+def _slam_run(result: slam.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
     """The system counts frames from 0; here they have the sequence's indices again."""
     frames = tuple(
         TrackedFrame(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from codecbench.slam import thresholds
-from codecbench.slam.features.extractor import FeatureExtractor, Features
+from codecbench.slam.features.extractor import FeatureExtractor, Features, Keypoints
 from codecbench.slam.features.gray import ImageArray, to_gray
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
@@ -44,6 +44,10 @@ class Localizer:
     def extract(self, image: ImageArray) -> Features:
         """The features of an image, gray (height, width) or RGB (height, width, 3), uint8."""
         return self._extractor.extract(to_gray(image))
+
+    def features_of(self, found: Keypoints) -> Features:
+        """The features of an image of which only the keypoints are here, of a pyramid as the map's."""
+        return self._extractor.features_of(found)
 
     def locate_near(self, features: Features, camera_from_world: Array) -> Location | None:
         """The pose of a frame from a predicted one, as a tracked frame finds it; None where it is lost.

@@ -7,11 +7,8 @@ from typing import Any
 
 import pytest
 
-from codecbench.core.conformance.images import conformance_images
-from codecbench.core.conformance.moving_pictures import moving_pictures
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import STREAM_CHECKS, Check, checks_of
-from codecbench.core.contracts.stream import StreamCodec
+from codecbench.core.conformance.suite import CHECKS, Check, checks_of, material_of, shape_of
 from codecbench.core.engine.registry import installed
 
 SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "self_contained")
@@ -31,10 +28,10 @@ def _cases() -> Iterator[Any]:
                 "partial": codec_class.capabilities.partial_decoding,
                 "one_in_one_out": getattr(codec_class(codec_class.params_type(**setting)), "is_low_delay", bool)(),
             }
-            for check in checks_of(issubclass(codec_class, StreamCodec)):
+            for check in checks_of(shape_of(codec_class)):
                 if claims.get(check.name, True):
                     is_slow = check.name == "counting"
-                    if check in STREAM_CHECKS:
+                    if check not in CHECKS:
                         is_slow = setting != codec_class.examples[0] or (
                             name != "h264" and check.name in SLOW_STREAM_CHECKS
                         )
@@ -46,9 +43,8 @@ def _cases() -> Iterator[Any]:
 @pytest.mark.parametrize(("name", "setting", "check"), list(_cases()))
 def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Check) -> None:
     codec_class = installed().load("codec", name)
-    material: Any = moving_pictures if issubclass(codec_class, StreamCodec) else conformance_images
     for channels in codec_class.capabilities.channels:
-        check.function(codec_class, codec_class.params_type(**setting), material(channels))
+        check.function(codec_class, codec_class.params_type(**setting), material_of(shape_of(codec_class), channels))
 
 
 @pytest.mark.parametrize("name", NAMES)

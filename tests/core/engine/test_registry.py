@@ -136,8 +136,9 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
         installed().find("codec", "jpg2000")
 
 
+CODECS = "codecbench.Codec or codecbench.StreamCodec or codecbench.FeatureCodec"
 INCOMPLETE = """
-from codecbench import AnyCodec, Capabilities, Codec, NoParams, StreamCodec
+from codecbench import AnyCodec, Capabilities, Codec, FeatureCodec, NoParams, StreamCodec
 
 
 class Vague(Codec):
@@ -166,15 +167,23 @@ class Mute(StreamCodec):
 
     def encoder(self, frame_rate_hz):
         return None
+
+
+class Blind(FeatureCodec):
+    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+
+    def encoder(self):
+        return None
 """
 
 
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ("json:JSONEncoder", "not a subclass of codecbench.Codec or codecbench.StreamCodec"),
-        ("liar:Neither", "not a subclass of codecbench.Codec or codecbench.StreamCodec"),
+        ("json:JSONEncoder", f"not a subclass of {CODECS}"),
+        ("liar:Neither", f"not a subclass of {CODECS}"),
         ("liar:Mute", "liar:Mute does not define decoder"),
+        ("liar:Blind", "liar:Blind does not define decoder, extract"),
         ("no_such_module_here:Thing", "does not import"),
         ("liar:Vague", "liar:Vague has no class attribute 'capabilities'"),
         ("liar:Half", "liar:Half does not define decode"),

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from codecbench.core.contracts.errors import CodecbenchError, PluginError
+from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import (
     CodedFrame,
     Context,
@@ -20,6 +20,7 @@ from codecbench.core.contracts.evaluator import (
     SentPacket,
     SequenceEvaluator,
 )
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import Frame, Sequence
 from codecbench.core.engine.registry import Registry
@@ -98,6 +99,9 @@ class KnownCoded:
     def frame(self, index: int) -> CodedFrame:
         original = self.sequence.read(index)
         return CodedFrame(original, bytes(100), original.image & np.uint8(0xF8))
+
+    def features(self, index: int) -> Features:
+        raise Unsupported("pictures are known, not features")
 
     def size_bytes(self, index: int) -> int:
         return 100

@@ -1,16 +1,16 @@
-"""`orb_features`: ORB keypoints with their descriptors to packets and back, alone or after the set before."""
+"""`orb_features`: ORB features to packets and back, alone or after the set before."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
+from codecbench.core.contracts.codec import Capabilities
 from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.features import FeatureCodec, FeatureDecoder, FeatureEncoder, Features, FeatureSet
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image, gray_from_image
-from codecbench.core.contracts.params import Configured, Params
+from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import Loss, Packet
 from codecbench.plugins.codecs.orb_features.bitstream import (
     MAX_ANGLE_BITS,
@@ -21,6 +21,7 @@ from codecbench.plugins.codecs.orb_features.bitstream import (
     unpack,
 )
 from codecbench.plugins.codecs.orb_features.keypoints import SCALE_FACTOR, CodedKeypoints
+from codecbench.plugins.slam_backends.keypoints import features_of, keypoints_of
 from codecbench.slam.features.extractor import FeatureExtractor, Keypoints
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
@@ -47,49 +48,50 @@ class OrbFeaturesParams(Params):
     gop: Annotated[int, Field(ge=1, le=10_000)] = 30
 
 
-@dataclass(frozen=True)
-class FeatureSet:
-    """What a decoder has of a frame: its keypoints, or None where they are missing."""
+class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
+    """Finds features as our SLAM does, and sends what this reads of them, which is all but the response.
 
-    frame: int
-    keypoints: Keypoints | None = field(repr=False)
-
-
-class OrbFeatures(Configured[OrbFeaturesParams]):
-    """Finds, encodes and decodes ORB keypoints; equal images in equal order give equal packets.
-
-    What the SLAM reads of keypoints comes back: pixels, octaves and descriptors to the bit where position_step_px is 1
-    and the descriptor not `lossy`, and angles rounded to `angle_bits`.
+    Pixels, octaves and descriptors come back to the bit where position_step_px is 1 and the descriptor not `lossy`, and
+    angles rounded to `angle_bits`; by level, in reading order within each.
     """
 
     name = "orb_features"
     version = "2"
     params_type = OrbFeaturesParams
+    capabilities = Capabilities(thread_safe=False)
+    examples = (
+        {},
+        {"descriptor": "raw", "angle_bits": 16},
+        {"mode": "inter", "gop": 5},
+        {"mode": "inter", "gop": 5, "descriptor": "lossy", "position_step_px": 2, "angle_bits": 8},
+    )
+    kernels = ("codecbench.slam.features",)
 
     def __init__(self, params: OrbFeaturesParams) -> None:
         super().__init__(params)
         self._extractors: dict[tuple[int, ...], FeatureExtractor] = {}
 
-    def extract(self, image: Image) -> Keypoints:
-        """The keypoints of an image, gray or RGB, as the device finds them. Raises ImageError for what is no image."""
+    def is_lossless(self) -> bool:
+        params = self.params
+        return params.descriptor != "lossy" and params.position_step_px == 1 and params.angle_bits == MAX_ANGLE_BITS
+
+    def extract(self, image: Image) -> Features:
         gray = gray_from_image(check_image(image))
         if gray.shape not in self._extractors:
             height, width = gray.shape
             camera = Camera(width, height, float(width), float(width), width / 2, height / 2)  # no lens to undo
             options = Options(features=self.params.features, levels=LEVELS, scale_factor=SCALE_FACTOR)
             self._extractors[gray.shape] = FeatureExtractor(camera, options)
-        return self._extractors[gray.shape].find(gray)
+        return features_of(self._extractors[gray.shape].find(gray))
 
     def encoder(self) -> FeatureEncoder:
-        """A session for one sequence."""
-        return FeatureEncoder(self.params)
+        return OrbFeatureEncoder(self.params)
 
     def decoder(self) -> FeatureDecoder:
-        """A session for the packets of one encoder, whatever its setting."""
-        return FeatureDecoder()
+        return OrbFeatureDecoder()
 
 
-class FeatureEncoder:
+class OrbFeatureEncoder(FeatureEncoder):
     """One sequence of sets being encoded."""
 
     def __init__(self, params: OrbFeaturesParams) -> None:
@@ -97,11 +99,13 @@ class FeatureEncoder:
         self._memory: Memory | None = None
         self._pushed = 0
 
-    def push(self, found: Keypoints) -> Packet:
-        """The packet of a frame's keypoints, as an extractor gives them.
+    def push(self, features: Features) -> Packet:
+        """The packet of a set.
 
-        Raises ValueError where they are more than MAX_KEYPOINTS, or not of an image and a pyramid that can be coded.
+        Raises ValueError for more than MAX_KEYPOINTS features, and for those of an image or a pyramid that cannot be
+        coded.
         """
+        found = keypoints_of(features)
         _check(found)
         params = self._params
         starts = params.mode == "intra" or self._pushed % params.gop == 0
@@ -112,7 +116,7 @@ class FeatureEncoder:
         return Packet(data, self._pushed - 1, starts)
 
 
-class FeatureDecoder:
+class OrbFeatureDecoder(FeatureDecoder):
     """One stream being decoded, from any packet that `starts` on."""
 
     def __init__(self) -> None:
@@ -135,7 +139,7 @@ class FeatureDecoder:
         if packet.starts != found.starts:
             raise BitstreamError(f"orb_features: packet {frame} does not start where it says so")
         self._memory = found.memory
-        return FeatureSet(frame, found.coded.keypoints())
+        return FeatureSet(frame, features_of(found.coded.keypoints()))
 
 
 def _check(found: Keypoints) -> None:
@@ -148,8 +152,6 @@ def _check(found: Keypoints) -> None:
     if len(found) and not 0 <= int(found.octaves.min()) <= int(found.octaves.max()) < LEVELS:
         levels = f"{found.octaves.min()} to {found.octaves.max()}"
         raise ValueError(f"orb_features: keypoints of levels {levels}; a pyramid of {LEVELS} levels can be coded")
-    if not (np.isfinite(found.pixels).all() and np.isfinite(found.angles).all()):
-        raise ValueError("orb_features: a position or an angle is not finite")
     low, high = found.pixels.min(initial=0.0), (found.pixels - found.size).max(initial=-1.0)
     if low < 0.0 or high > -1.0 + 1e-9:
-        raise ValueError("orb_features: a position is outside the image")
+        raise ValueError("orb_features: a position is not between the middles of the first and the last pixel")

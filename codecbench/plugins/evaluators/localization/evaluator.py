@@ -16,7 +16,7 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.simulation.delivery import delivery_of
@@ -25,6 +25,7 @@ from codecbench.core.simulation.settings import ReaderSettings, Time
 from codecbench.plugins.evaluators.localization.metrics import METRICS
 from codecbench.plugins.evaluators.localization.survey import Sighting, Survey, Way, survey_of
 from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
+from codecbench.slam.features.extractor import Features
 
 _BACKEND = "orb"
 
@@ -33,12 +34,14 @@ class LocalizationParams(ReaderSettings):
     """Settings of `localization`.
 
     backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
+    architecture: `features` refuses codecs of pictures; else a frame is located by what its codec sends.
     limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing.
     association_s: how far apart in time a frame and its ground truth may be. link and all about it: see ReaderSettings;
     a frame that is not delivered is not located, nor one that comes while another is being located, for slam_ms.
     """
 
     backend_params: dict[str, Any] = Field(default_factory=dict)
+    architecture: Architecture = "cta"
     limit_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     slam_ms: Time = 0.0
@@ -69,6 +72,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         return self.params.awaits
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
+        sends_features = gets_features(coded.codec, self.params.architecture)
         sequence = coded.sequence
         backend = context.plugins.create("slam_backend", _BACKEND, self.params.backend_params)
         key = (
@@ -76,7 +80,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             self.version,
             backend.version,
             backend.params.model_dump_json(),
-            self.params.model_dump_json(exclude=set(ReaderSettings.model_fields)),
+            self.params.model_dump_json(exclude={*ReaderSettings.model_fields, "architecture"}),
         )
         survey = sequence.read(0).cached(
             (*key, "survey"),
@@ -87,16 +91,17 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
         pictures = None if delivery is None else DeliveredPictures(coded, delivery)
         read_at = {} if delivery is None else delivery.read_at(self.params.read_s)
+
+        def received(index: int) -> Features | None:
+            if sends_features:
+                return survey.localizer.features_of(backend.keypoints(coded.features(index)))
+            decoded = coded.frame(index).decoded if pictures is None else pictures.picture(index)
+            return None if decoded is None else survey.localizer.extract(decoded)
+
         for index in survey.predictions:
-            decoded: Image | None
-            if delivery is None or pictures is None:
-                frame = coded.frame(index)
-                original, decoded = frame.original, frame.decoded
-            else:
-                original = sequence.read(index)
-                decoded = pictures.picture(index) if index in read_at else None
-            raw = _raw_sightings(survey, original, key)
-            found = _UNDELIVERED if decoded is None else survey.sightings(decoded, index)
+            features = None if delivery is not None and index not in read_at else received(index)
+            raw = _raw_sightings(survey, sequence.read(index), key)
+            found = _UNDELIVERED if features is None else survey.sightings(features, index)
             yield from _measured(survey, index, found, raw)
 
 
@@ -105,7 +110,7 @@ _UNDELIVERED: Final[dict[Way, Sighting | None]] = {"tracked": None, "relocalized
 
 
 def _raw_sightings(survey: Survey, frame: Frame, key: tuple[object, ...]) -> dict[Way, Sighting | None]:
-    return frame.cached((*key, "raw"), lambda image: survey.sightings(image, frame.index))
+    return frame.cached((*key, "raw"), lambda image: survey.sightings(survey.localizer.extract(image), frame.index))
 
 
 def _measured(

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence, Trajectory
 from codecbench.plugins.evaluators.trajectory.alignment import Similarity, Undefined, align, associate
 from codecbench.plugins.evaluators.true_poses import Poses, true_poses
 from codecbench.plugins.slam_backends.orb import Orb
+from codecbench.slam.features.extractor import Features
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
 from codecbench.slam.result import FrameTrajectory
 from codecbench.slam.system import BuiltMap
@@ -47,9 +47,8 @@ class Survey:
     truth: Poses
     limit_m: float
 
-    def sightings(self, image: Image, index: int) -> dict[Way, Sighting | None]:
-        """Where an image of frame `index` is found, each way."""
-        features = self.localizer.extract(image)
+    def sightings(self, features: Features, index: int) -> dict[Way, Sighting | None]:
+        """Where frame `index` is found, each way, by features of it."""
         return {
             "tracked": self._sighting(self.localizer.locate_near(features, self.predictions[index])),
             "relocalized": self._sighting(self.localizer.locate(features)),

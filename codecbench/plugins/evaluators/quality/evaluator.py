@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.image import channel_count, gray_from_image
+from codecbench.core.contracts.features import FeatureCodec
+from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
+from codecbench.core.contracts.sequence import Frame
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
 from codecbench.plugins.evaluators.quality.ssim import (
     MULTISCALE_SIDE,
@@ -22,7 +24,7 @@ from codecbench.plugins.evaluators.quality.ssim import (
 class Quality(SequenceEvaluator[NoParams]):
     """Rate, PSNR and structural similarity of every frame. docs/metrics.md defines each metric.
 
-    It looks at whole sequences only to know the frame rate, which `bitrate_kbps` needs.
+    Of codecs of features there is a rate, and nothing that could be compared with the picture.
     """
 
     name = "quality"
@@ -68,19 +70,28 @@ class Quality(SequenceEvaluator[NoParams]):
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        frame_rate_hz = coded.sequence.frame_rate_hz
-        for position, frame in enumerate(coded):
-            for name, value, reason in (*_rate(frame, frame_rate_hz), *_fidelity(frame)):
-                yield Measurement(name, value, frame=position, reason=reason)
+        sequence, sends_features = coded.sequence, isinstance(coded.codec, FeatureCodec)
+        for index in range(len(coded)):
+            frame = None if sends_features else coded.frame(index)
+            original = sequence.read(index) if frame is None else frame.original
+            left = _no_fidelity(original.image) if frame is None else _fidelity(frame)
+            for name, value, reason in (*_rate(original, coded.size_bytes(index), sequence.frame_rate_hz), *left):
+                yield Measurement(name, value, frame=index, reason=reason)
 
 
-def _rate(coded: CodedFrame, frame_rate_hz: float) -> Iterator[tuple[str, float, str | None]]:
-    image, size = coded.original.image, coded.size_bytes
+def _rate(original: Frame, size: int, frame_rate_hz: float) -> Iterator[tuple[str, float, str | None]]:
+    image = original.image
     yield "size_bytes", float(size), None
     yield "rate_bpp", 8.0 * size / (image.shape[0] * image.shape[1]), None
     yield "bitrate_kbps", 8e-3 * size * frame_rate_hz, None
     yield "compression_ratio", image.nbytes / size, None
-    yield "cr_percent", 100.0 * (1.0 - size / coded.original.png_size_bytes), None
+    yield "cr_percent", 100.0 * (1.0 - size / original.png_size_bytes), None
+
+
+def _no_fidelity(image: Image) -> Iterator[tuple[str, float, str | None]]:
+    for name in ("psnr_gray_db", "psnr_rgb_db", "ssim_matlab", "ssim_wang", "ms_ssim"):
+        if name != "psnr_rgb_db" or channel_count(image) == 3:
+            yield name, math.nan, "features are sent, and no picture comes back"
 
 
 def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
+from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Better, Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame, Sequence
@@ -31,13 +32,15 @@ Share = Annotated[float, Field(gt=0.0, le=1.0)]
 class RelativePoseParams(Params):
     """Settings of `relative_pose`.
 
-    detector: `orb` or `sift`. keypoints: kept in a frame. ratio: of the best descriptor distance to the second best, up
-    to which a match counts. inlier_px: MAGSAC's threshold, and the distance from the true epipolar lines up to which a
-    match is right. baselines: translations between the frames of a pair, in distances of the scene; frames take them
-    in turn. min_overlap: share of a frame that the other must show. association_s: how far apart in time a frame and
-    its true pose may be.
+    architecture: `features` refuses codecs of pictures; else motion is found from what a codec sends, and features that
+    come are taken as they are. detector: `orb` or `sift`. keypoints: kept in a frame. ratio: of the best descriptor
+    distance to the second best, up to which a match counts. inlier_px: MAGSAC's threshold, and the distance from the
+    true epipolar lines up to which a match is right. baselines: translations between the frames of a pair, in distances
+    of the scene; frames take them in turn. min_overlap: share of a frame that the other must show. association_s: how
+    far apart in time a frame and its true pose may be.
     """
 
+    architecture: Architecture = "cta"
     detector: Detector = "orb"
     keypoints: Annotated[int, Field(ge=50, le=10_000)] = 1000
     ratio: Share = 0.8
@@ -82,7 +85,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        sequence = coded.sequence
+        sequence, sends_features = coded.sequence, gets_features(coded.codec, self.params.architecture)
         if sequence.camera is None:
             raise Unsupported(
                 f"sequence {sequence.name} has no camera; the motion between frames needs its calibration"
@@ -98,11 +101,12 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
                 yield from (Measurement(m.name, math.nan, frame=index, reason=pair) for m in self.metrics)
         if not pairs:
             raise Unsupported(f"no two frames of {sequence.name} are far enough apart and overlap; see baselines")
-        for frame in coded:
-            index = frame.original.index
+        for index in range(len(coded)):
             if index not in firsts and index not in pairs:
                 continue
-            found = matcher.detect(frame.decoded)
+            found = (
+                matcher.found(coded.features(index)) if sends_features else matcher.detect(coded.frame(index).decoded)
+            )
             if index in firsts:
                 firsts[index] = found
             for pair in pairs.pop(index, ()):
@@ -112,7 +116,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
 
     def _key(self, what: str) -> tuple[object, ...]:
         """Names what is kept beside raw frames, with all that it depends on."""
-        return ("relative_pose", what, self.version, *self.params.model_dump().values())
+        return ("relative_pose", what, self.version, *self.params.model_dump(exclude={"architecture"}).values())
 
     def _pairs(self, sequence: Sequence, matcher: Matcher) -> list[Pair | str]:
         """For each frame its pair, or why it has none: the same for all settings of a codec, so that they pair."""

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Camera
 from codecbench.core.kernels.compiled import compiled
@@ -63,7 +65,16 @@ class Matcher:
         )
         if not found or descriptors is None:
             return NO_KEYPOINTS
-        pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64)
+        return self._seen(np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64), descriptors)
+
+    def found(self, features: Features) -> KeypointSet:
+        """Features that were found elsewhere; Unsupported where the detector is another than ORB."""
+        if not self._binary:
+            raise Unsupported("binary features are received; leave `detector: sift` out, or take detector orb")
+        return self._seen(features.pixels, features.descriptors) if len(features) else NO_KEYPOINTS
+
+    def _seen(self, pixels: NDArray[np.float64], descriptors: NDArray[Any]) -> KeypointSet:
+        """Keypoints without the lens, but for those that it does not show."""
         if self._lens.has_blind_pixels:
             pixels = self._lens.undistort(pixels)
             seen = np.isfinite(pixels[:, 0])

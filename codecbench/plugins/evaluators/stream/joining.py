@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.evaluator import CodedSequence
+from codecbench.core.contracts.evaluator import CodedSequence, SentPacket
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.stream import Packet, Picture, StreamCodec, decoder_of
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
@@ -32,10 +33,10 @@ def frames_until_whole(coded: CodedSequence, places: list[int], whole_db: float)
     """For each place in the order of sending, the frames from that packet's to the first from which on all are whole.
 
     A picture is whole where its PSNR against the uninterrupted decoding is `whole_db` or more; infinity where the last
-    of the sequence is not. A codec without memory is whole at once.
+    of the sequence is not. Codecs without memory and those of features are whole from the next packet that starts.
     """
     if not isinstance(coded.codec, StreamCodec):
-        return [0.0] * len(places)
+        return [_until_start(coded.packets[place:]) for place in places]
     joiners = {place: _Joiner(coded.codec, coded.packets[place].frame) for place in places}
     for at, sent in enumerate(coded.packets):
         watching = [joiner for place, joiner in joiners.items() if place <= at]
@@ -46,6 +47,11 @@ def frames_until_whole(coded: CodedSequence, places: list[int], whole_db: float)
     for joiner in joiners.values():
         joiner.take(joiner.pictures(None), coded, whole_db)
     return [joiners[place].frames_until_whole(len(coded)) for place in places]
+
+
+def _until_start(packets: Sequence[SentPacket]) -> float:
+    """The frames from the first packet to one that starts."""
+    return next((float(packet.frame - packets[0].frame) for packet in packets if packet.starts), math.inf)
 
 
 class _Joiner:

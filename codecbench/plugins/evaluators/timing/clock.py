@@ -22,6 +22,9 @@ class Duration:
     wall_ms: float
     cpu_ms: float
 
+    def __add__(self, other: Duration) -> Duration:
+        return Duration(self.wall_ms + other.wall_ms, self.cpu_ms + other.cpu_ms)
+
 
 def yardstick() -> Duration:
     """Time of deflating a fixed 64 KiB: work that no codec changes, so that runs at different times, on a machine

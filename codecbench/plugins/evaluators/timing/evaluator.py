@@ -2,9 +2,9 @@
 
 What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
 Reading frames, checks and garbage collection are outside what is timed. Every frame is coded a few times before the
-first measurement, so that compilation, caches and clocks have settled; a codec with memory is timed in order over the
-first frames instead, each call once. One repeat is one cell; the engine interleaves the repeats of all settings, so
-that a slow spell of the machine hits none of them alone.
+first measurement, so that compilation, caches and clocks have settled; a codec with memory or of features is timed in
+order over the first frames instead, each call once. One repeat is one cell; the engine interleaves the repeats of all
+settings, so that a slow spell of the machine hits none of them alone.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
+from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
@@ -26,7 +27,7 @@ from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.stream import StreamCodec
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.timing.clock import Duration, duration, no_collection, yardstick
-from codecbench.plugins.evaluators.timing.in_order import times_in_order
+from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order, times_in_order
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
@@ -36,7 +37,8 @@ _NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms"
 class TimingParams(Params):
     """`frames`: how many, spread evenly over the sequence. `repeats`: cells for each setting. `warmup`: codings of
     the first frame that are not timed. `min_ms`: calls that are faster are repeated until this much has passed,
-    and share it. With a codec that has memory, `frames` and `warmup` are the first frames of the sequence.
+    and share it. With a codec that has memory or is of features, `frames` and `warmup` are the first frames of the
+    sequence.
     """
 
     frames: Annotated[int, Field(ge=1)] = 10
@@ -107,8 +109,11 @@ class Timing(CodecEvaluator[TimingParams]):
         if isinstance(codec, StreamCodec):
             yield from self._in_order(codec, sequence)
             return
+        if isinstance(codec, FeatureCodec):
+            yield from self._of_features(codec, sequence)
+            return
         if not isinstance(codec, Codec):
-            raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec")
+            raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec nor a FeatureCodec")
         images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
         for index in list(images)[:1]:
             for _ in range(self.params.warmup):
@@ -131,6 +136,20 @@ class Timing(CodecEvaluator[TimingParams]):
             yield from _measured(
                 durations, images[index], index, f"{codec.name} has memory and prepares no frame alone"
             )
+
+    def _of_features(self, codec: FeatureCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
+        """Encoding is all that the device does; what finding the features takes of it is a stage."""
+        unprepared = f"{codec.name} finds features, and searches for nothing else"
+        images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
+        feature_times_in_order(codec, images[: self.params.warmup], lambda: None)
+        yardsticks: list[Duration] = []
+        with no_collection():
+            times = feature_times_in_order(codec, images, lambda: yardsticks.append(yardstick()))
+        for index, (finding, coding, decoding, beside) in enumerate(zip(*times, yardsticks, strict=True)):
+            durations = _Durations(finding + coding, decoding, None, beside)
+            yield from _measured(durations, images[index], index, unprepared)
+            yield Measurement("encode_wall_ms", finding.wall_ms, index, "encode/extract")
+            yield Measurement("encode_cpu_ms", finding.cpu_ms, index, "encode/extract")
 
     def _durations(self, codec: Codec[Any], image: Image) -> _Durations:
         prepared = codec.prepared(image)

@@ -1,4 +1,4 @@
-"""Timing a codec with memory: its calls have a past, so that each is made once, in order, and cannot be repeated."""
+"""Timing codecs with memory and of features: calls have a past, so that each is made once, in order, and not again."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, TypeVar
 
+from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
 from codecbench.plugins.evaluators.timing.clock import Duration, timed
@@ -26,6 +27,21 @@ def times_in_order(
     fed = ((packet.frame, partial(decoder.push, packet)) for packet in packets)
     _, decoding = _timed_session(fed, decoder.flush, lambda: None)
     return [encoding[frame] for frame in range(len(images))], [decoding[frame] for frame in range(len(images))]
+
+
+def feature_times_in_order(
+    codec: FeatureCodec[Any], images: list[Image], beside: Callable[[], object]
+) -> tuple[list[Duration], list[Duration], list[Duration]]:
+    """What these frames take: to extract their features, to encode these, and to decode them; `beside` as above."""
+    encoder, decoder = codec.encoder(), codec.decoder()
+    times: tuple[list[Duration], list[Duration], list[Duration]] = ([], [], [])
+    for image in images:
+        found: list[Any] = []
+        times[0].append(timed(lambda: found.append(codec.extract(image))))  # noqa: B023 - called at once
+        times[1].append(timed(lambda: found.append(encoder.push(found[0]))))  # noqa: B023
+        times[2].append(timed(lambda: decoder.push(found[1])))  # noqa: B023
+        beside()
+    return times
 
 
 def _timed_session(

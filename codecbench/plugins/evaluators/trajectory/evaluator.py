@@ -34,7 +34,7 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
     nearest_stamps,
 )
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
-from codecbench.plugins.evaluators.trajectory.feed import Feed
+from codecbench.plugins.evaluators.trajectory.feed import Feed, architecture_of
 from codecbench.plugins.evaluators.trajectory.live import live_errors, live_positions
 from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
@@ -77,20 +77,19 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         offset, seed = self.params.repeat(context.repeat)
         backend = context.plugins.create("slam_backend", self.params.backend, self.params.backend_params)
-        if self.params.architecture not in backend.architectures:
+        architecture = architecture_of(coded.codec, self.params.architecture)
+        if architecture not in backend.architectures:
             raise Unsupported(
-                f"slam backend {self.params.backend} cannot run architecture {self.params.architecture}; "
+                f"slam backend {self.params.backend} cannot run architecture {architecture}; "
                 f"it runs {', '.join(sorted(backend.architectures))}"
             )
         params = self.params.timed(context.awaited)
         delivery = None if params.link is None else delivery_of(coded, params, context)
-        feed = Feed(coded, params.architecture, offset, delivery, params.read_s)
+        feed = Feed(coded, architecture, offset, delivery, params.read_s)
         camera = coded.sequence.camera
         if camera is None:
             raise Unsupported(f"sequence {coded.sequence.name} has no camera; SLAM needs its calibration")
-        run = (
-            backend.run(feed.frames(), camera, seed=seed, keyframe_image=feed.keyframe_image) if len(feed) else _NOTHING
-        )
+        run = feed.run(backend, camera, seed) if len(feed) else _NOTHING
         _check(run, feed.seen, self.params.backend)
         stamps_s = feed.stamps_s
         accuracy = Accuracy(run, coded.sequence, stamps_s, params.association_s, params.rpe_interval_s)

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence
+from codecbench.core.contracts.features import FeatureFrame, gets_features, sends_no_picture
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Frame
+from codecbench.core.contracts.sequence import Camera, Frame
+from codecbench.core.contracts.slam import SlamBackend, SlamRun
 from codecbench.core.simulation.delivery import Delivery
 from codecbench.core.simulation.pictures import DeliveredPictures
+
+Architecture = Literal["cta", "atc", "features"]
+
+
+def architecture_of(codec: AnyCodec[Any], asked: Architecture) -> Architecture:
+    """What SLAM can be given of a codec: of one of features always these.
+
+    Raises Unsupported for `features` of a codec of pictures and for `atc`, which sends pictures, of one of features.
+    """
+    if not gets_features(codec, asked):
+        return asked
+    if asked == "atc":
+        raise sends_no_picture(codec)
+    return "features"
 
 
 class Feed:
@@ -27,7 +44,7 @@ class Feed:
     def __init__(
         self,
         coded: CodedSequence,
-        architecture: Literal["cta", "atc"],
+        architecture: Architecture,
         start_offset: int,
         delivery: Delivery | None = None,
         slam_s: float = 0.0,
@@ -44,10 +61,23 @@ class Feed:
         self.seen = 0
         self._pictures = None if delivery is None else DeliveredPictures(coded, delivery)
         self._sender = coded.sender() if architecture == "atc" else None
+        self._is_of_features = architecture == "features"
         self._sizes_bytes: dict[int, int] = {}
 
     def __len__(self) -> int:
         return len(self._indices)
+
+    def run(self, backend: SlamBackend[Any], camera: Camera, seed: int) -> SlamRun:
+        """What a backend makes of the frames, or of their features under `features`."""
+        if self._is_of_features:
+            return backend.run_features(self.feature_frames(), camera, seed=seed)
+        return backend.run(self.frames(), camera, seed=seed, keyframe_image=self.keyframe_image)
+
+    def feature_frames(self) -> Iterator[FeatureFrame]:
+        """The features of the frames; `seen` counts them."""
+        for index in self._indices:
+            self.seen += 1
+            yield FeatureFrame(index, float(self._coded.sequence.timestamps_s[index]), self._coded.features(index))
 
     def frames(self) -> Iterator[Frame]:
         """Decoded frames under `cta`, raw ones under `atc`; `seen` counts them."""
@@ -73,7 +103,7 @@ class Feed:
         return None if self._sender is None else self._decoded_keyframe
 
     def sent_size_bytes(self) -> int:
-        """Bytes that the device has sent: of all frames under `cta`, of the keyframes asked for under `atc`.
+        """Bytes that the device has sent: of the keyframes asked for under `atc`, else of all frames.
 
         Over a link all that was handed to it.
         """

@@ -6,6 +6,7 @@ import hashlib
 import struct
 import time
 import zlib
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Room, path_pose
 
 from codecbench.core.contracts.errors import BitstreamError
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.stream import LOST, Packet
 from codecbench.plugins.codecs.orb_features.codec import COPIED_BITS, OrbFeatures
 from codecbench.plugins.codecs.orb_features.prediction import (
@@ -30,8 +32,8 @@ from codecbench.plugins.codecs.orb_features.prediction import (
     WEIGHTS,
 )
 from codecbench.plugins.codecs.orb_features.train_prediction import train
+from codecbench.plugins.slam_backends.keypoints import keypoints_of
 from codecbench.slam import Options, System
-from codecbench.slam.features.extractor import Keypoints
 
 FRAMES = 6
 SETTINGS: tuple[dict[str, Any], ...] = (
@@ -45,25 +47,21 @@ SETTINGS: tuple[dict[str, Any], ...] = (
 
 
 @pytest.fixture(scope="module")
-def film() -> list[Keypoints]:
+def film() -> list[Features]:
     room, codec = Room(), OrbFeatures.create(features=300)
     return [codec.extract(room.image(path_pose(i))) for i in range(FRAMES)]
 
 
-def packets_of(film: list[Keypoints], **setting: Any) -> list[Packet]:
+def packets_of(film: list[Features], **setting: Any) -> list[Packet]:
     encoder = OrbFeatures.create(**setting).encoder()
     return [encoder.push(found) for found in film]
 
 
-def decoded(packets: list[Packet]) -> list[Keypoints]:
+def decoded(packets: list[Packet]) -> list[Features]:
     decoder = OrbFeatures.create().decoder()
-    found = [decoder.push(packet).keypoints for packet in packets]
-    assert all(keypoints is not None for keypoints in found)
-    return [keypoints for keypoints in found if keypoints is not None]
-
-
-def differing(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
-    return np.asarray(np.bitwise_count(a ^ b).sum(axis=1), np.int64)
+    found = [decoder.push(packet).features for packet in packets]
+    assert all(features is not None for features in found)
+    return [features for features in found if features is not None]
 
 
 def turns(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,7 +71,7 @@ def turns(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 @pytest.mark.parametrize("setting", [{}, {"mode": "inter", "gop": 4}, {"descriptor": "raw"}])
-def test_all_that_is_not_rounded_comes_back_to_the_bit(film: list[Keypoints], setting: dict[str, Any]) -> None:
+def test_all_that_is_not_rounded_comes_back_to_the_bit(film: list[Features], setting: dict[str, Any]) -> None:
     for found, back in zip(film, decoded(packets_of(film, **setting)), strict=True):
         assert back.size == found.size
         assert np.array_equal(back.pixels, found.pixels)
@@ -85,7 +83,7 @@ def test_all_that_is_not_rounded_comes_back_to_the_bit(film: list[Keypoints], se
 
 
 @pytest.mark.parametrize("mode", ["intra", "inter"])
-def test_what_is_rounded_is_near(film: list[Keypoints], mode: Any) -> None:
+def test_what_is_rounded_is_near(film: list[Features], mode: Any) -> None:
     setting = {"descriptor": "lossy", "mode": mode, "position_step_px": 4, "angle_bits": 6}
     copied = 0
     for found, back in zip(film, decoded(packets_of(film, **setting)), strict=True):
@@ -100,18 +98,18 @@ def test_what_is_rounded_is_near(film: list[Keypoints], mode: Any) -> None:
     assert copied > 0
 
 
-def test_angles_keep_their_bits(film: list[Keypoints]) -> None:
+def test_angles_keep_their_bits(film: list[Features]) -> None:
     for found, back in zip(film, decoded(packets_of(film, angle_bits=10)), strict=True):
         assert turns(back.angles, found.angles).max() <= 0.5 / 2**10 + 1e-12
 
 
-def test_memory_saves_bytes_and_dropping_saves_more(film: list[Keypoints]) -> None:
+def test_memory_saves_bytes_and_dropping_saves_more(film: list[Features]) -> None:
     settings = ({"descriptor": "raw"}, {}, {"mode": "inter"}, {"mode": "inter", "descriptor": "lossy"})
     sizes = [sum(len(packet.data) for packet in packets_of(film, **setting)) for setting in settings]
     assert all(after < 0.95 * before for before, after in pairwise(sizes))
 
 
-def test_packets_repeat_and_leave_the_keypoints_alone(film: list[Keypoints]) -> None:
+def test_packets_repeat_and_leave_the_keypoints_alone(film: list[Features]) -> None:
     before = [hashlib.sha256(found.descriptors.tobytes() + found.pixels.tobytes()).digest() for found in film]
     for setting in SETTINGS:
         assert packets_of(film, **setting) == packets_of(film, **setting)
@@ -119,7 +117,7 @@ def test_packets_repeat_and_leave_the_keypoints_alone(film: list[Keypoints]) -> 
     assert after == before
 
 
-def test_sessions_side_by_side_do_not_touch_each_other(film: list[Keypoints]) -> None:
+def test_sessions_side_by_side_do_not_touch_each_other(film: list[Features]) -> None:
     expected = packets_of(film, mode="inter")
     codec = OrbFeatures.create(mode="inter")
     one, other = codec.encoder(), codec.encoder()
@@ -137,7 +135,7 @@ def test_no_and_few_keypoints_are_sets_too() -> None:
     images = [np.zeros((240, 320), np.uint8), noise, np.zeros((5, 7, 3), np.uint8), squares]
     for image in images:
         found = codec.extract(image)
-        back = decoder.push(encoder.push(found)).keypoints
+        back = decoder.push(encoder.push(found)).features
         assert back is not None
         assert back.size == found.size
         assert np.array_equal(back.descriptors, found.descriptors)
@@ -145,7 +143,7 @@ def test_no_and_few_keypoints_are_sets_too() -> None:
 
 
 @pytest.mark.parametrize("lost", range(FRAMES))
-def test_after_a_loss_nothing_is_made_up(film: list[Keypoints], lost: int) -> None:
+def test_after_a_loss_nothing_is_made_up(film: list[Features], lost: int) -> None:
     packets = packets_of(film, mode="inter", gop=4)
     assert [packet.starts for packet in packets] == [True, False, False, False, True, False]
     expected = decoded(packets)
@@ -154,20 +152,20 @@ def test_after_a_loss_nothing_is_made_up(film: list[Keypoints], lost: int) -> No
     decoder = OrbFeatures.create().decoder()
     untold = [decoder.push(packet) for k, packet in enumerate(packets) if k != lost]
     assert [found.frame for found in told] == list(range(FRAMES))
-    assert [found for found in told if found.keypoints is None] == [
+    assert [found for found in told if found.features is None] == [
         found for found in told if lost <= found.frame < (4 if lost < 4 else FRAMES)
     ]
     for found in (*told, *untold):
-        if found.keypoints is not None:
-            assert np.array_equal(found.keypoints.descriptors, expected[found.frame].descriptors)
-            assert np.array_equal(found.keypoints.pixels, expected[found.frame].pixels)
-    assert [found.frame for found in untold if found.keypoints is None] == [
-        found.frame for found in told if found.keypoints is None and found.frame != lost
+        if found.features is not None:
+            assert np.array_equal(found.features.descriptors, expected[found.frame].descriptors)
+            assert np.array_equal(found.features.pixels, expected[found.frame].pixels)
+    assert [found.frame for found in untold if found.features is None] == [
+        found.frame for found in told if found.features is None and found.frame != lost
     ]
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
-def test_damaged_packets_are_refused(film: list[Keypoints], setting: dict[str, Any], rng: np.random.Generator) -> None:
+def test_damaged_packets_are_refused(film: list[Features], setting: dict[str, Any], rng: np.random.Generator) -> None:
     data = packets_of(film, **setting)[0].data
     damaged = [data[:length] for length in (*range(40), len(data) - 1)] + [data + b"\0", b"\xff" * 200]
     for _ in range(60):
@@ -178,13 +176,13 @@ def test_damaged_packets_are_refused(film: list[Keypoints], setting: dict[str, A
     for mutant in damaged:
         with pytest.raises(BitstreamError, match="orb_features"):
             decoder.push(Packet(bytes(mutant), 0, True))
-    assert decoder.push(Packet(data, 0, True)).keypoints is not None
+    assert decoder.push(Packet(data, 0, True)).features is not None
 
 
 @pytest.mark.parametrize("count", [200, pytest.param(10_000, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
-    film: list[Keypoints], setting: dict[str, Any], count: int, rng: np.random.Generator
+    film: list[Features], setting: dict[str, Any], count: int, rng: np.random.Generator
 ) -> None:
     """What a decoder believes is checked: whoever makes a packet can make its checksum."""
     packets, refused = packets_of(film, **setting), 0
@@ -196,7 +194,7 @@ def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
         started = time.process_time()
         try:
             data = mutant + struct.pack("<I", zlib.crc32(mutant))
-            found = decoder.push(Packet(data, index, packets[index].starts)).keypoints
+            found = decoder.push(Packet(data, index, packets[index].starts)).features
         except BitstreamError:
             refused += 1
             continue
@@ -209,20 +207,17 @@ def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
     assert refused > count // 10
 
 
-def test_keypoints_that_cannot_be_coded_are_refused(film: list[Keypoints]) -> None:
+def test_features_that_cannot_be_coded_are_refused(film: list[Features]) -> None:
     found = film[0]
     encoder = OrbFeatures.create().encoder()
-    size, count = found.size, len(found)
-    outside = found.pixels + np.array([size[0], 0.0])
-    for wrong, message in (
-        (Keypoints(size, found.pixels, found.octaves + np.int32(5), found.angles, found.descriptors), "8 levels"),
-        (Keypoints(size, outside, found.octaves, found.angles, found.descriptors), "outside the image"),
-        (Keypoints(size, found.pixels, found.octaves, np.full(count, np.nan), found.descriptors), "not finite"),
-        (Keypoints((65_000, 65_000), found.pixels, found.octaves, found.angles, found.descriptors), "pixels can be"),
-        (Keypoints((70_000, 240), found.pixels, found.octaves, found.angles, found.descriptors), "65535 a side"),
+    for changes, message in (
+        ({"octaves": found.octaves + np.int32(5)}, "8 levels"),
+        ({"pixels": found.pixels - found.pixels.min() - 0.4}, "between the middles"),
+        ({"size": (65_000, 65_000)}, "pixels can be"),
+        ({"size": (70_000, 240)}, "65535 a side"),
     ):
         with pytest.raises(ValueError, match=message):
-            encoder.push(wrong)
+            encoder.push(replace(found, **changes))
 
 
 def test_the_prediction_is_of_blocks_before_and_its_sums_fit() -> None:
@@ -255,7 +250,9 @@ def test_descriptors_that_are_never_as_foretold_come_back_too(mode: Any, rng: np
         bits[:, block] = np.where(np.abs(odds) < 8, rng.integers(0, 2, odds.shape), odds < 0)
     descriptors = np.packbits(bits.astype(np.uint8), axis=1, bitorder="little").view(np.uint64)
     pixels = rng.integers(0, (320, 240), (300, 2)).astype(np.float64)
-    found = Keypoints((320, 240), pixels, np.zeros(300, np.int32), np.zeros(300), descriptors)
+    found = Features(
+        (320, 240), pixels, np.zeros(300, np.int32), np.zeros(300), np.full(300, np.nan), descriptors.view(np.uint8)
+    )
     packets = packets_of([found, found], mode=mode)
     assert len(packets[0].data) > 300 * 40
     for back in decoded(packets):
@@ -282,9 +279,9 @@ def test_slam_on_decoded_features_is_slam_on_pictures(mode: Any) -> None:
     for i in range(45):
         image = room.image(path_pose(i))
         raw.process(image, i / 15.0)
-        keypoints = decoder.push(encoder.push(codec.extract(image))).keypoints
-        assert keypoints is not None
-        served.process_keypoints(keypoints, i / 15.0)
+        features = decoder.push(encoder.push(codec.extract(image))).features
+        assert features is not None
+        served.process_keypoints(keypoints_of(features), i / 15.0)
     expected, result = raw.finish(), served.finish()
     assert len(expected.trajectory) > 25
     assert np.array_equal(result.trajectory.world_from_camera, expected.trajectory.world_from_camera)
@@ -300,6 +297,7 @@ def test_packets_are_the_same_on_every_machine() -> None:
         descriptors ^= rng.integers(0, 2**64, (200, 4), np.uint64) & rng.integers(0, 2**64, (200, 4), np.uint64)
         pixels = rng.integers(0, (320, 240), (200, 2)).astype(np.float64)
         angles = rng.integers(-(2**19), 2**19, 200) * (np.pi / 2**19)
-        found = Keypoints((320, 240), pixels, np.zeros(200, np.int32), angles, descriptors.copy())
+        bits = descriptors.view(np.uint8).copy()
+        found = Features((320, 240), pixels, np.zeros(200, np.int32), angles, np.full(200, np.nan), bits)
         digest.update(encoder.push(found).data)
     assert digest.hexdigest() == "d0cfa34314dbae8f479ad0a5a29756076fd534111136171507e2d47f5a7883c9"

@@ -7,10 +7,12 @@ from typing import Any
 
 from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
+from codecbench.core.contracts.features import FeatureCodec, Features, sends_no_features, sends_no_picture
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.running.coding.decoding import SharedPictures, StreamPictures, checked_decoding
+from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.running.coding.sending import LiveSender, StoredSender
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
@@ -34,7 +36,7 @@ class CodedFrames:
     ) -> None:
         if len(bitstreams) != len(sequence):
             raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
-        if bitstreams.is_stream != isinstance(codec, StreamCodec):
+        if bitstreams.is_stream == isinstance(codec, Codec):
             kind = "a stream" if bitstreams.is_stream else "single pictures"
             raise BitstreamDamage(f"the file holds {kind}; {codec.name} codes something else by now")
         self.sequence = sequence
@@ -44,6 +46,11 @@ class CodedFrames:
         self._stream = (
             StreamPictures(codec, bitstreams.packets, bitstreams.read, position, shared=shared)
             if isinstance(codec, StreamCodec)
+            else None
+        )
+        self._features = (
+            StreamFeatures(codec, bitstreams.packets, bitstreams.read, position)
+            if isinstance(codec, FeatureCodec)
             else None
         )
 
@@ -70,10 +77,11 @@ class CodedFrames:
         """Frame `index` beside its bitstream and what the codec makes of it.
 
         Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
-        the frame's shape, and whatever the codec raises.
+        the frame's shape, Unsupported for a codec of features, and whatever the codec raises.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
+        self._require(index)
+        if self._features is not None:
+            raise sends_no_picture(self.codec)
         outer = self._position.stage
         self._position.at("read", index)
         original = self.sequence.read(index)
@@ -83,13 +91,32 @@ class CodedFrames:
         self._position.at(outer, index)
         return CodedFrame(original, bitstream, decoded)
 
+    def features(self, index: int) -> Features:
+        """What a codec of features has of frame `index` when it was decoded.
+
+        Raises as `frame` does, CodingError for a set that is missing, and Unsupported for a codec of pictures.
+        """
+        self._require(index)
+        if self._features is None:
+            raise sends_no_features(self.codec)
+        outer = self._position.stage
+        found = self._features.features(index)
+        self._position.at(outer, index)
+        return found
+
     def size_bytes(self, index: int) -> int:
         return self._bitstreams.size_bytes(index)
 
     def sender(self) -> FrameSender:
+        if self._features is not None:
+            raise sends_no_picture(self.codec)
         if isinstance(self.codec, StreamCodec):
             return LiveSender(self.codec, self.sequence, self._position)
         return StoredSender(self)
+
+    def _require(self, index: int) -> None:
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
 
     def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
         if self._stream is not None:

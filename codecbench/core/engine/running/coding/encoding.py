@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.codec import AnyCodec, Codec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.contracts.stream import Packet, StreamCodec, encoder_of, is_recovery
+from codecbench.core.contracts.stream import Packet, encoder_of, is_recovery
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -35,7 +35,7 @@ class CheckedEncoder:
     def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float, position: WorkPosition) -> None:
         self._encoder = encoder_of(codec, frame_rate_hz)
         position.came_back()
-        self._has_memory = isinstance(codec, StreamCodec)
+        self._gives_packets = not isinstance(codec, Codec)
         self._position = position
         self._pushed = 0
         self._sent: set[int] = set()
@@ -80,7 +80,7 @@ class CheckedEncoder:
         return CodedPacket(self._content(packet), frame, starts, self._pushed, packet.recovery_frames)
 
     def _content(self, packet: Packet) -> bytes:
-        returned = f"the packet of frame {packet.frame} holds" if self._has_memory else "encode returned"
+        returned = f"the packet of frame {packet.frame} holds" if self._gives_packets else "encode returned"
         if not isinstance(packet.data, bytes):
             raise CodingError(f"{returned} {type(packet.data).__name__}; a bitstream is bytes")
         content = memoryview(packet.data).tobytes()  # whatever a subclass of bytes says of itself
