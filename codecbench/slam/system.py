@@ -58,6 +58,7 @@ class System:
         self._loops: list[ClosedLoop] = []
         self._lost_since_s = math.inf
         self._last_s = -math.inf
+        self._mapping: Iterator[None] = iter(())  # steps that the newest keyframe has left to do
 
     def process(self, image: ImageArray, timestamp_s: float, keyframe_image: KeyframeImage | None = None) -> FrameState:
         """Look at one frame and say what became of it.
@@ -91,6 +92,7 @@ class System:
 
     def finish(self) -> Result:
         """The result of all frames so far, after a last adjustment of each map where the options ask for it."""
+        self._finish_mapping()
         maps = [tracked_map.finish(self.options.final_bundle_adjustment) for tracked_map in self._atlas.maps]
         maps.sort(key=lambda result: (-len(result.trajectory), result.index))
         frames = tuple(replace(state, map_index=self._atlas.final_index(state.map_index)) for state in self._frames)
@@ -121,9 +123,11 @@ class System:
         self._last_s = timestamp_s
         frame = TrackingFrame.of(index, timestamp_s, features())
         frame.decode = decode
+        next(self._mapping, None)
         active = self._atlas.active
         if active is not None and (inliers := active.track(frame)):
             return self._tracked(frame, inliers, active)
+        self._finish_mapping()
         if inliers := self._atlas.find(frame):
             assert self._atlas.active is not None
             self._initializer.restart()
@@ -152,14 +156,34 @@ class System:
         self._lost_since_s = math.inf
         keyframe = active.wants_keyframe(frame, inliers)
         if keyframe:
-            use_decoded(frame, self._extractor.scale_factors)
-            loop = active.add_keyframe(frame, self.options.loop_closing)
-            if loop is not None:
-                self._loops.append(loop)
-            elif self.options.loop_closing:
-                self._atlas.merge(frame)
-        active.record(frame)
+            self._finish_mapping()
+            self._mapping = self._map(frame, active)
+            next(self._mapping)
+        else:
+            active.record(frame)
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, keyframe, active.map.index)
+
+    def _map(self, frame: TrackingFrame, active: TrackedMap) -> Iterator[None]:
+        """Make `frame` a keyframe of the active map, in steps: the first now, each other one before the next frame is
+        tracked, so that no frame bears them all. What is left is done at once where a keyframe follows so soon, where
+        the camera is lost, and in the end."""
+        use_decoded(frame, self._extractor.scale_factors)
+        active.insert(frame)
+        yield
+        active.settle(frame)
+        yield
+        if not self.options.loop_closing:
+            return
+        loop = active.close_loop(frame.reference)
+        if loop is not None:
+            self._loops.append(loop)
+        else:
+            self._atlas.merge(frame)
+
+    def _finish_mapping(self) -> None:
+        with _one_thread():
+            for _ in self._mapping:
+                pass
 
     def _lose(self, frame: TrackingFrame, tracked_map: TrackedMap) -> FrameState:
         """Note that the frame is lost, and give the map up when it is too small or has been lost too long."""

@@ -44,9 +44,9 @@ STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "mapping: fusion": ((Mapper, "_fuse_neighborhood"),),
     "mapping: local bundle adjustment": ((Mapper, "adjust_locally"),),
     "mapping: culling": ((Mapper, "_cull_points"), (Mapper, "_cull_keyframes")),
-    "mapping: the rest": ((Mapper, "insert"),),
+    "mapping: the rest": ((Mapper, "insert"), (Mapper, "settle")),
     "places: words and index": ((PlaceRecognition, "add"), (PlaceRecognition, "remove")),
-    "places: loops, merging, relocalisation": ((TrackedMap, "_close_loop"), (Atlas, "merge"), (Atlas, "find")),
+    "places: loops, merging, relocalisation": ((TrackedMap, "close_loop"), (Atlas, "merge"), (Atlas, "find")),
     "initialisation": ((Initializer, "add"),),
     "everything else": ((slam.System, "process"),),
 }

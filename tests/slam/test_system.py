@@ -4,7 +4,9 @@ import hashlib
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +16,7 @@ from rendered_scenes import CAMERA, Room, looking, path_pose, position_error
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.slam import Camera, Options, Result, System
+from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
 
 pytestmark = pytest.mark.thorough
@@ -155,6 +158,42 @@ def test_keyframes_come_from_the_decoded_image(film: list[NDArray[np.uint8]]) ->
 
 def test_a_lossless_codec_for_keyframes_changes_nothing(film: list[NDArray[np.uint8]]) -> None:
     assert digest(run(film, keyframe_image=lambda image: image)) == digest(run(film))
+
+
+def test_no_frame_bears_all_steps_of_a_keyframe(film: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is inserted in its own frame, settled in the next, and its place is looked for in the one after that, or
+    before the next keyframe."""
+    done: list[tuple[str, int]] = []
+    for name in ("insert", "settle", "close_loop"):
+        monkeypatch.setattr(TrackedMap, name, noted(getattr(TrackedMap, name), name, done))
+    system, at = System(CAMERA, Options(features=600), seed=1), []
+    for i, image in enumerate(film):
+        begun = len(done)
+        state = system.process(image, i / 15.0)
+        at += [(name, keyframe, i) for name, keyframe in done[begun:]]
+        if i >= 20 and state.keyframe:
+            break
+    steps = [name for name, _, _ in at]
+    inserted = [(keyframe, i) for name, keyframe, i in at if name == "insert"]
+    settled = [(keyframe, i - 1) for name, keyframe, i in at if name == "settle"]
+    assert len(inserted) >= 2
+    assert settled == inserted[:-1]
+    assert steps[-1] == "insert"
+    assert all(steps[k : k + 3] == ["insert", "settle", "close_loop"] for k in range(0, len(steps) - 1, 3))
+    result = system.finish()
+    assert [name for name, _ in done[-2:]] == ["settle", "close_loop"]
+    assert result.trajectory.frame_indices[-1] == result.keyframe_indices[-1] == at[-1][2]
+
+
+def noted(step: Callable[..., Any], name: str, done: list[tuple[str, int]]) -> Callable[..., Any]:
+    """A method of TrackedMap that also notes its name and the keyframe."""
+
+    def noting(tracked_map: TrackedMap, of: Any) -> Any:
+        found = step(tracked_map, of)
+        done.append((name, int(getattr(of, "reference", of))))
+        return found
+
+    return noting
 
 
 def test_keypoints_give_what_their_frames_give(film: list[NDArray[np.uint8]]) -> None:

@@ -75,7 +75,6 @@ class Atlas:
             kept, gone = min(index, other_index), max(index, other_index)
             self.merged.append(MergedMaps(frame.index, matched, seen.inliers, kept, gone))
             active.take_in(other, seen)
-            frame.synchronise(active.map)
             self.maps = [kept_map for kept_map in self.maps if kept_map is not other]
             self._detectors.clear()
             return

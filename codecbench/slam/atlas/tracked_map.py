@@ -69,16 +69,19 @@ class TrackedMap:
             )
         )
 
-    def add_keyframe(self, frame: TrackingFrame, loop_closing: bool) -> ClosedLoop | None:
-        """Make `frame` a keyframe, which gives it the pose and points that it has there; returns the loop that it
-        closes, if it does."""
-        keyframe = self._mapper.insert(frame)
+    def insert(self, frame: TrackingFrame) -> None:
+        """Make `frame` a keyframe; `settle` must follow before another frame is tracked."""
+        self._mapper.insert(frame)
         self._last_keyframe_frame = frame.index
-        loop = self._close_loop(keyframe) if loop_closing else None
-        frame.synchronise(self.map)
-        return loop
 
-    def _close_loop(self, keyframe: int) -> ClosedLoop | None:
+    def settle(self, frame: TrackingFrame) -> None:
+        """Adjust the map round `frame`, its newest keyframe, which gives it the pose and points that it has there."""
+        self._mapper.settle(frame.reference)
+        frame.synchronise(self.map)
+        self.record(frame)
+
+    def close_loop(self, keyframe: int) -> ClosedLoop | None:
+        """The loop that the newest keyframe closes, if it does; the map and the last frame are corrected for it."""
         if keyframe - self._last_loop_keyframe < thresholds.LOOP_MIN_GAP_KEYFRAMES:
             return None
         loop = self._detector.detect(keyframe)
@@ -89,8 +92,12 @@ class TrackedMap:
         return ClosedLoop(int(frame_indices[keyframe]), int(frame_indices[loop.matched]), loop.inliers)
 
     def _correct(self, loop: Loop) -> None:
+        last = self._tracker.last
+        assert last is not None
+        held = self._held(last)
         self._last_loop_keyframe = self.map.keyframes.count - 1
         before_from_after = close_loop(self.map, self._camera, loop)
+        last.camera_from_world = np.asarray(se3_inverse(held.resolve(self.map)))
         self._uncorrected_from_map = np.asarray(sim3_compose(self._uncorrected_from_map, before_from_after))
 
     def take_in(self, other: TrackedMap, seen: Loop) -> None:
@@ -109,8 +116,11 @@ class TrackedMap:
 
     def record(self, frame: TrackingFrame) -> None:
         """Keep the pose of a tracked frame."""
+        self._poses.append(self._held(frame))
+
+    def _held(self, frame: TrackingFrame) -> TrackedPose:
         world_from_camera = moved_camera(self._uncorrected_from_map, np.asarray(se3_inverse(frame.camera_from_world)))
-        self._poses.append(TrackedPose.of(frame, self.map, world_from_camera))
+        return TrackedPose.of(frame, self.map, world_from_camera)
 
     def finish(self, adjust: bool) -> MapResult:
         """The result of this map, after a last adjustment of the map, and then of the frames to it, if so wanted."""

@@ -19,7 +19,9 @@ def grown(array: NDArray[Any], rows: int, fill: Any) -> NDArray[Any]:
     """`array` with at least `rows` rows, twice as many as before when it must grow; new ones hold `fill`."""
     if rows <= len(array):
         return array
-    longer = np.full((max(2 * len(array), rows), *array.shape[1:]), fill, array.dtype)
+    shape = max(2 * len(array), rows), *array.shape[1:]
+    # Zeros cost nothing before their memory is used; to fill 15 MB takes longer than to track a frame.
+    longer = np.full(shape, fill, array.dtype) if fill else np.zeros(shape, array.dtype)
     longer[: len(array)] = array
     return longer
 

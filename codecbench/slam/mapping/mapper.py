@@ -28,17 +28,20 @@ class Mapper:
     def insert(self, frame: TrackingFrame) -> int:
         """Make `frame`, whose pose and points are known, a keyframe; returns its index.
 
-        Culls points on probation, triangulates new ones, merges duplicates, adjusts the neighbourhood and culls
-        redundant keyframes. What this does to the keyframe's pose and points is in the map, not yet in `frame`.
+        Culls points on probation, triangulates new ones and merges duplicates; `settle` does the rest. What this does
+        to the keyframe's pose and points is in the map, not yet in `frame`.
         """
         keyframe = self.add(frame)
         self._cull_points()
         neighbors, _ = self.map.neighbors(keyframe, thresholds.TRIANGULATION_NEIGHBORS)
         self._triangulate(keyframe, neighbors)
         self._fuse_neighborhood(keyframe, neighbors)
+        return keyframe
+
+    def settle(self, keyframe: int) -> None:
+        """Adjust the neighbourhood of the keyframe inserted last, and cull redundant keyframes there."""
         self.adjust_locally(keyframe)
         self._cull_keyframes(keyframe)
-        return keyframe
 
     def add(self, frame: TrackingFrame) -> int:
         """Put `frame` into the map with the points that it shows, and nothing more; returns its index."""

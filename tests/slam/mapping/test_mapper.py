@@ -189,6 +189,7 @@ def test_an_inserted_keyframe_finds_its_pose_and_its_points(
     frame.points[:100] = shown[:100]
     frame.camera_from_world = se3_exp(rng.normal(0.0, 1e-3, 6)) @ true
     keyframe = mapper.insert(frame)
+    mapper.settle(keyframe)
     frame.synchronise(slam_map)
     scale = slam_map.pose(5)[0, 3] / POSES[5][0, 3]
     assert scale == pytest.approx(1.0, abs=0.01)
