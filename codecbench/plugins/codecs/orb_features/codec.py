@@ -65,7 +65,7 @@ class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
         {"mode": "inter", "gop": 5},
         {"mode": "inter", "gop": 5, "descriptor": "lossy", "position_step_px": 2, "angle_bits": 8},
     )
-    kernels = ("codecbench.slam.features",)
+    kernels = ("codecbench.slam.features", "codecbench.plugins.codecs.orb_features")
 
     def __init__(self, params: OrbFeaturesParams) -> None:
         super().__init__(params)
