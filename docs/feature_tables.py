@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from run_tables import CODING, SETTING, Column, rows_of
+from run_tables import CODING, SETTING, Column, machine, rows_of
 
 from codecbench import slam
 from codecbench.core.contracts.codec import AnyCodec
@@ -60,6 +60,9 @@ TASKS: Final = {
     "map points found": Column("localization.tracked_inliers.mean"),
     "held mm": Column("trajectory.held_ate_m.median", 1e3),
     "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
+    "device ms": Column("timing.encode_cpu_ms.median"),
+    "of which extracting": Column("timing.encode_cpu_ms.encode/extract.median"),
+    "server ms": Column("timing.decode_cpu_ms.median"),
 }
 """Of a run of examples/features.yaml."""
 _ASSOCIATION_S: Final = 0.02
@@ -105,7 +108,7 @@ def main() -> None:
 def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
     """Rate and tasks of every setting of a run, for docs/tables.py."""
     (sequence,) = run.plan.sequences
-    yield f"{sequence.frames} frames at 30 Hz:\n"
+    yield f"{sequence.frames} frames at 30 Hz, processor time a frame on one core of a shared {machine(run)}:\n"
     yield table(
         heads,
         [
