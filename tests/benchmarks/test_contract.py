@@ -60,9 +60,15 @@ class Bare:
     def __len__(self) -> int:
         return len(self._bitstreams)
 
+    def size_bytes(self, index: int) -> int:
+        return len(self._bitstreams[index])
+
+    def frame(self, index: int) -> CodedFrame:
+        bitstream = self._bitstreams[index]
+        return CodedFrame(self.sequence.read(index), bitstream, CODEC.decode(bitstream))
+
     def __iter__(self) -> Iterator[CodedFrame]:
-        for frame, bitstream in zip(self.sequence, self._bitstreams, strict=True):
-            yield CodedFrame(frame, bitstream, CODEC.decode(bitstream))
+        return map(self.frame, range(len(self)))
 
 
 def by_engine(sequence: MemorySequence, bitstreams: list[bytes]) -> CodedFrames:

@@ -12,6 +12,8 @@ from typing import get_args
 import pytest
 
 import codecbench
+from codecbench.core.conformance.suite import Shape
+from codecbench.core.contracts.features import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role
 from codecbench.core.engine.registry import Registry
@@ -25,8 +27,9 @@ METRICS = {
     if plugin.missing is None
     for metric in OURS.load("evaluator", plugin.spec.name).metrics
 }
-VOCABULARY = set(get_args(Role))
-"""Roles are words of core; that an evaluator or a metric is called like the role that it plays is no dependence."""
+VOCABULARY = {word for words in (Role, Shape, Architecture) for word in get_args(words)}
+"""Roles of metrics, shapes of codecs and architectures are words of core; that an evaluator or a metric is called like
+one of them is no dependence."""
 
 
 def quoted_in_python(path: Path) -> Iterator[tuple[int, str]]:

@@ -89,6 +89,7 @@ def children_called_sleep() -> list[psutil.Process]:
     return [one for one in psutil.process_iter(["cmdline"]) if one.info["cmdline"] == ["sleep", "300"]]
 
 
+@pytest.mark.thorough
 def test_every_codec_fault_costs_its_own_cells_alone(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     plan = bench.plan(matrix(grid("faulty", [*CODEC_FAULTS, "none"]), "wandering", LIMITS))
     summary = bench.run(plan, workers=2)

@@ -142,9 +142,14 @@ def test_threads_share_slices_and_change_nothing() -> None:
         stream = one.encode(image)
         assert three.encode(image) == stream
         assert np.array_equal(three.decode(stream), one.decode(stream))
-        trace = CountingTrace()
-        assert three.encode(image, trace=trace) == stream
-        assert trace.counts["context_coding"].total > 0
+
+
+@pytest.mark.thorough
+def test_slices_on_threads_are_counted() -> None:
+    image, threads = textured(120, 72, 3), codec(restart=2, threads=3)
+    trace = CountingTrace()
+    assert threads.encode(image, trace=trace) == threads.encode(image)
+    assert trace.counts["context_coding"].total > 0
 
 
 def test_damage_is_refused_by_threads_too() -> None:
