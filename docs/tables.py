@@ -110,6 +110,14 @@ BLOCKS = {
         ("sequence", "options", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
         slam_tables.ablations,
     ),
+    "rates": Block(
+        "docs/slam.md", "run", "slam_rates",
+        (
+            "sequence", "Hz", "starts", "tracked %", "error, median, mm", "worst", "keyframes", "maps, most",
+            "loops, fewest",
+        ),
+        slam_tables.rates,
+    ),
     "worlds": Block(
         WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
     ),

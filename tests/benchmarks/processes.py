@@ -77,9 +77,12 @@ class _Coded:
     def __len__(self) -> int:
         return len(self._bitstreams)
 
-    def __iter__(self):  # type: ignore[no-untyped-def]
-        for frame, bitstream in zip(self.sequence, self._bitstreams, strict=True):
-            yield codecbench.CodedFrame(frame, bitstream, self.codec.decode(bitstream))
+    def size_bytes(self, index: int) -> int:
+        return len(self._bitstreams[index])
+
+    def frame(self, index: int) -> codecbench.CodedFrame:
+        bitstream = self._bitstreams[index]
+        return codecbench.CodedFrame(self.sequence.read(index), bitstream, self.codec.decode(bitstream))
 
 
 def slam_ms(frames: int) -> tuple[float, float]:
