@@ -36,6 +36,8 @@ _START_S: Final = 180.0
 """A worker that has not begun its task by then will not: importing everything takes seconds on a cold disk."""
 _GRACE_S: Final = 0.5
 """After a time-out, for the worker to write down where it was."""
+_ENDING_S: Final = 2.0
+"""So long are workers waited for at the end; a killed one is gone in a few milliseconds."""
 _LAUNCHES: Final = 3
 _UNKNOWN: Final = 255
 """What multiprocessing takes for the exit status of a process where nobody is left to tell it."""
@@ -78,6 +80,7 @@ class WorkerPool:
         self._context = worker_context(prepare.__module__)
         self._slots = [_Slot(self._folder.files(n)) for n in range(workers)]
         self._done: queue.Queue[tuple[_Slot, Future[Any]]] = queue.Queue()
+        self._endings: list[threading.Thread] = []
 
     @property
     def running(self) -> int:
@@ -116,6 +119,10 @@ class WorkerPool:
         for slot in self._slots:
             slot.task = slot.future = None
             self._discard(slot)
+        # A worker that is only just starting complains where this process ends, and its semaphores with it, before it.
+        deadline = time.monotonic() + _ENDING_S
+        for ending in self._endings:
+            ending.join(max(0.0, deadline - time.monotonic()))
         self._folder.remove()
 
     def kill(self) -> None:
@@ -262,7 +269,9 @@ class WorkerPool:
         slot.files.identity.unlink(missing_ok=True)
         shutil.rmtree(slot.files.scratch, ignore_errors=True)
         # Joining can wait forever for the rest of a message from a worker that died while sending it.
-        threading.Thread(target=pool.join, name="pool end", daemon=True).start()
+        ending = threading.Thread(target=pool.join, name="pool end", daemon=True)
+        ending.start()
+        self._endings = [*(other for other in self._endings if other.is_alive()), ending]
 
 
 def _taken_by(slot: _Slot) -> int | None:

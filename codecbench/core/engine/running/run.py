@@ -167,6 +167,8 @@ class _Run:
             self._hand_out()
             finished = self.executor.next_finished(_POLL_S)
             while finished is not None:
+                if interruption.requested and finished.status == "crashed":
+                    break  # the signal may have ended the worker, or what starts workers: that says nothing of the cell
                 self._take_back(finished)
                 self._hand_out()
                 finished = self.executor.next_finished(0.0)
