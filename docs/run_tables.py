@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-import codecbench
-from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.results.markdown import cell, table
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import bd_rates
@@ -69,7 +66,7 @@ def beside_photographs(run: RunResult, heads: Heads) -> Iterator[str]:
         still = stills.get((row["codec"], row["setting"]))
         own = [CODING[head].shown(row) for head in heads if head in CODING]
         beside = [CODING[head].shown(still) for head in ("bit/px", "features kept")]
-        lines.append([row["codec"], shortest_setting(run, row), *own, *beside])
+        lines.append([row["codec"], row["setting"], *own, *beside])
     yield table(heads, lines)
     yield (
         "“Features kept” is the share of the original frame's ORB keypoints that are found again in the decoded frame, "
@@ -113,7 +110,7 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     for entry in run.plan.sequences:
         yield f"### {entry.name}\n"
         yield f"{entry.frames} frames.\n"
-        yield coding_table(run, entry.name, heads, shortest_setting)
+        yield coding_table(run, entry.name, heads)
     reasons = sorted({f"{r.cell.evaluator.name} of {r.cell.codec.name} ({r.reason})" for r in run.results if r.reason})
     done = sum(result.status == "ok" for result in run.results)
     yield f"{done} of {len(run.plan.cells)} cells" + (f"; not computed: {'; '.join(reasons)}." if reasons else ".")
@@ -122,15 +119,12 @@ def every_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
 def first_sequence(run: RunResult, heads: Heads) -> Iterator[str]:
     """What the first run prints at its end, with the machine that it ran on."""
     yield f"Processor time on one core of a shared {machine(run)}:\n"
-    yield coding_table(run, run.plan.sequences[0].name, heads, lambda _, row: str(row["setting"]))
+    yield coding_table(run, run.plan.sequences[0].name, heads)
 
 
-def coding_table(run: RunResult, sequence: str, heads: Heads, label: Callable[[RunResult, Row], str]) -> str:
-    lines = []
-    for row in rows_of(run, sequence):
-        said = {"codec": row["codec"], "setting": label(run, row)}
-        lines.append([said[head] if head in said else CODING[head].shown(row) for head in heads])
-    return table(heads, lines)
+def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
+    rows = rows_of(run, sequence)
+    return table(heads, [[row[head] if head in SETTING else CODING[head].shown(row) for head in heads] for row in rows])
 
 
 BD_RATES = {head: CODING[shown].name for head, shown in (("PSNR", "PSNR dB"), ("SSIM", "SSIM"))}
@@ -142,7 +136,7 @@ def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
     rates = _bd_rates(run, 1)
     shown = [head for head in heads if head in BD_RATES]
     curves = sorted({key for found in rates.values() for key in found})
-    rows = [[key[0], shortest(key[1]), *(rates[head].get(key, "–") for head in shown)] for key in curves]
+    rows = [[key[0], key[1], *(rates[head].get(key, "–") for head in shown)] for key in curves]
     yield table(heads, rows)
 
 
@@ -152,7 +146,7 @@ def rates_side_by_side(run: RunResult, heads: Heads) -> Iterator[str]:
     rows = []
     for curve in sorted({curve for found in rates.values() for _, curve in found}):
         cells = [" / ".join(found.get((sequence, curve), "–") for found in rates.values()) for sequence in heads[1:]]
-        rows.append([shortest(curve), *cells])
+        rows.append([curve, *cells])
     yield table(heads, rows)
 
 
@@ -166,25 +160,6 @@ def _bd_rates(run: RunResult, decimals: int) -> dict[str, dict[tuple[str, str], 
         }
         for head, name in BD_RATES.items()
     }
-
-
-def shortest(curve: str) -> str:
-    """A curve's name without what its codec takes anyway."""
-    name, *words = curve.split(" ")
-    said = dict(word.split("=", 1) for word in words)
-    for key in [*said]:
-        others = {other: value for other, value in said.items() if other != key}
-        with suppress(ParamsError):
-            if codecbench.codec(name, **others).params == codecbench.codec(name, **said).params:
-                said = others
-    return " ".join([name, *(f"{key}={value}" for key, value in said.items())])
-
-
-def shortest_setting(run: RunResult, row: Row) -> str:
-    """A setting's label without what its codec takes anyway, but for the parameter that is swept."""
-    point = run.curves[row["codec"], row["setting"]]
-    shown = {*shortest(point.curve).split(" "), *point.point.split(" ")}
-    return " ".join(word for word in str(row["setting"]).split(" ") if word in shown)
 
 
 def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:

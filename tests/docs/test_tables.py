@@ -189,19 +189,6 @@ def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) 
     assert rows == [["what", "measured"], ["`python -c pass`", "11 ms"]]
 
 
-@pytest.mark.parametrize(
-    ("curve", "expected"),
-    [
-        ("webp", "webp"),
-        ("multilevel profile=static group=3 table=paper effort=best lapped=no", "multilevel"),
-        ("multilevel profile=static group=4 table=flat effort=best", "multilevel group=4 table=flat"),
-        ("multilevel profile=context group=3 table=flat lapped=yes", "multilevel profile=context lapped=yes"),
-    ],
-)
-def test_names_of_curves_leave_out_what_the_codec_takes_anyway(curve: str, expected: str) -> None:
-    assert run_tables.shortest(curve) == expected
-
-
 def test_the_method_is_judged_at_the_paper_s_setting_and_at_its_best() -> None:
     """In the README's table, whose rows are also those of the page."""
     rows = {row[0] for row in table_rows(block(ROOT / "README.md", "method"))}

@@ -106,7 +106,7 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
     _scale(axes.xaxis, view.x)
     _scale(axes.yaxis, view.y)
     axes.set(xlabel=view.x.heading, ylabel=view.y.heading, title=entry.name)
-    figure.legend(handles, list(lines), loc="outside lower center", ncols=2, fontsize=7)
+    _legend_below(figure, handles, list(lines), columns=2, fontsize=7)
     return figure
 
 
@@ -151,7 +151,7 @@ def _multiples(title: str, members: list[Drawn]) -> Figure:
     named = {
         label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=3, fontsize=8)
+    _legend_below(figure, list(named.values()), list(named), columns=3, fontsize=8)
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -199,8 +199,17 @@ def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
             axes.set_xlabel(f"{bars.unit} a frame", fontsize=7)
         row[0].invert_yaxis()
     swatches = [matplotlib.patches.Patch(**_fill(at)) for at in range(len(names))]
-    figure.legend(swatches, names, loc="outside lower center", ncols=4, fontsize=7)
+    _legend_below(figure, swatches, names, columns=4, fontsize=7)
     return figure
+
+
+def _legend_below(figure: Figure, handles: list[Any], names: list[str], columns: int, fontsize: int) -> None:
+    """A legend in so many columns, or as many as are no wider than the figure: names may be long."""
+    for ncols in range(columns, 0, -1):
+        legend = figure.legend(handles, names, loc="outside lower center", ncols=ncols, fontsize=fontsize)
+        if ncols == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _stack(axes: Any, settings: list[str], stages: dict[str, dict[str, float]], names: list[str]) -> None:

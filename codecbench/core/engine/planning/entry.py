@@ -16,12 +16,14 @@ from codecbench.core.engine.planning.yaml_file import Where
 class Entry:
     """One setting of a section, and where in the file it stands.
 
-    description: what the plugin says of it; None where it cannot be used here, and `missing` then says why.
+    written: the parameters that stand in the file. description: what the plugin says of it; None where it cannot be
+    used here, and `missing` then says why.
     faulty: that is the plugin's own fault. wanted: the search that may try this setting, None where it is always run.
     """
 
     where: Where
     setting: PluginSetting
+    written: frozenset[str] = frozenset()
     name: str | None = None
     description: Description | None = None
     missing: str | None = None
@@ -51,18 +53,22 @@ def distinct(entries: list[Entry]) -> list[Entry]:
 
 
 def labelled(entries: list[Entry]) -> tuple[Entry, ...]:
-    """Give each setting the label that tells it from the other settings of its plugin."""
+    """Give each setting the label that tells it from the other settings of its plugin.
+
+    That of a codec is made of what somebody wrote: what it takes anyway would only make it long.
+    """
     same: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for entry in entries:
         same[entry.setting.name].append(entry.setting.params)
     differing = {name: _differing(several) for name, several in same.items()}
     done = []
     for entry in entries:
-        params = entry.setting.params
+        params, codec = entry.setting.params, entry.setting.kind == "codec"
         if len(same[entry.setting.name]) > 1:
             keys = [key for key in params if key in differing[entry.setting.name]]
+            keys = [key for key in keys if codec and key in entry.written] or keys
         else:
-            keys = _explicit(entry) if entry.setting.kind == "codec" else []
+            keys = _explicit(entry) if codec else []
         label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
         done.append(replace(entry, setting=replace(entry.setting, label=label)))
     return tuple(done)

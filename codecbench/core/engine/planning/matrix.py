@@ -169,7 +169,8 @@ class _Reader:
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
         """One validated setting, or None after noting what is wrong with it."""
         values = {key: value for key, (_, value) in point.items()}
-        unusable, plugin = Entry(where, PluginSetting(kind, name, "", values)), None
+        written = frozenset(values)
+        unusable, plugin = Entry(where, PluginSetting(kind, name, "", values), written), None
         if (broken := self.registry.maybe_broken(kind, name)) is not None:
             return replace(unusable, missing=broken, faulty=True)
         try:
@@ -190,7 +191,7 @@ class _Reader:
             self.problems.add((*where, "use"), str(error))
             return None
         setting = description.setting(kind, name, plugin.company)
-        return Entry(where, setting, description=description)
+        return Entry(where, setting, written, description=description)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
         """Translate one of pydantic's errors into a problem at the value that it is about."""

@@ -84,6 +84,14 @@ def test_the_only_setting_of_a_codec_is_labelled_by_what_is_not_default(tmp_path
     assert read(tmp_path, text).codecs[1].setting.label == "quality=10 optimize=yes"
 
 
+def test_labels_of_a_codec_leave_out_what_nobody_wrote(tmp_path: Path) -> None:
+    several = "{use: multilevel, params: {qf: {grid: [5, 10]}}}\n  - {use: multilevel, params: {qf: 5, profile: context}}"
+    text = GOOD.replace("  - raw\n", f"  - raw\n  - {several}\n")
+    labels = [entry.setting.label for entry in read(tmp_path, text).codecs if entry.setting.name == "multilevel"]
+    assert labels[:3] == ["qf=5", "qf=10", "profile=context qf=5"]
+    assert len(set(labels)) == len(labels)
+
+
 def test_settings_that_mean_the_same_are_one(tmp_path: Path) -> None:
     text = GOOD.replace("grid: [10, 50]", "grid: [10, 50, 10]").replace("  - raw\n", "  - raw\n  - use: raw\n")
     assert len(read(tmp_path, text).codecs) == len(read(tmp_path, GOOD).codecs)
