@@ -85,8 +85,8 @@ def test_the_only_setting_of_a_codec_is_labelled_by_what_is_not_default(tmp_path
 
 
 def test_labels_of_a_codec_leave_out_what_nobody_wrote(tmp_path: Path) -> None:
-    several = "{use: multilevel, params: {qf: {grid: [5, 10]}}}\n  - {use: multilevel, params: {qf: 5, profile: context}}"
-    text = GOOD.replace("  - raw\n", f"  - raw\n  - {several}\n")
+    several = "{qf: {grid: [5, 10]}}", "{qf: 5, profile: context}"
+    text = GOOD.replace("  - raw\n", "".join(f"  - {{use: multilevel, params: {params}}}\n" for params in several))
     labels = [entry.setting.label for entry in read(tmp_path, text).codecs if entry.setting.name == "multilevel"]
     assert labels[:3] == ["qf=5", "qf=10", "profile=context qf=5"]
     assert len(set(labels)) == len(labels)
