@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import takewhile
@@ -14,7 +15,7 @@ from codecbench.core.results.bjontegaard import BdRate
 from codecbench.core.results.columns import Column
 from codecbench.core.results.limits import POOLED, Limit, limits
 from codecbench.core.results.ranking.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
-from codecbench.core.results.ranking.words import baseline_rate, share_of_rate, successes, where
+from codecbench.core.results.ranking.words import baseline_rate, sequences_are_samples, share_of_rate, successes, where
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import bd_rates_by_anchor
 
@@ -65,8 +66,10 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
         return [Answers("Neither a task nor quality was measured, so that codecs cannot be judged.")]
     same = [other for other in run.headlines(column.metric.role) if other != column
             and (other.evaluator.name, other.measure) == (column.evaluator.name, column.measure)]  # fmt: skip
-    ranked = {ranking.column: ranking for ranking in reversed(rankings(run, brief=True))}
-    return [_ranked(run, each, ranked.get(each)) for each in (column, *same)]
+    found: dict[Column, list[Ranking]] = defaultdict(list)
+    for ranking in rankings(run):
+        found[ranking.column].append(ranking)
+    return [_ranked(run, each, found[each]) for each in (column, *same)]
 
 
 def judged_column(run: RunResult) -> Column | None:
@@ -128,8 +131,10 @@ def _limited(run: RunResult, on: str, curve: str, limit: Limit, like: str) -> An
     return Answer(curve, f"{named} {held} at {share}, too few to tell; at least {last.more_runs} more would tell.")
 
 
-def _ranked(run: RunResult, column: Column, ranking: Ranking | None) -> Answers:
+def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
+    """found: the column's rankings, over all sequences first where there are several."""
     on = _on(run)
+    ranking = next((each for each in found if each.sequence == on), None)
     what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
     basis = f"Judged {what}, {where(on)}"
     if ranking is not None:
@@ -137,15 +142,34 @@ def _ranked(run: RunResult, column: Column, ranking: Ranking | None) -> Answers:
             f", {ranking.units} {' and '.join(ranking.of)}; "
             f"who is called better is so with {100 * (1 - SIGNIFICANCE):.0f} % confidence"
         )
+        if ranking.too_few_on:
+            basis += f". {sequences_are_samples(ranking)}"
     placed = {} if ranking is None else {ranked.curve: ranked for ranked in ranking.ranked}
     curves = [*placed, *(curve for curve in _curves(run) if curve not in placed)]
-    found = []
+    best_on = _best_on(found)
+    said = []
     for curve in curves:
         parts = [*_compared(run, column, ranking, placed.get(curve)), _spanned(run, on, curve, column)]
+        if curve in best_on and len(placed[curve].ahead_of if curve in placed else ()) < len(placed) - 1:
+            parts.insert(0, f"better than all others {best_on[curve]}")
         if ranking is not None and curve in ranking.left_out:
             parts.append(f"not compared: {ranking.left_out[curve]}")
-        found.append(Answer(curve, f"{curve}: {'; '.join(filter(None, parts))}."))
-    return Answers(f"{basis}.", tuple(found), column.label)
+        said.append(Answer(curve, f"{curve}: {'; '.join(filter(None, parts))}."))
+    return Answers(f"{basis}.", tuple(said), column.label)
+
+
+def _best_on(found: list[Ranking]) -> dict[str, str]:
+    """On which sequences a curve is told to be better than all others there, in words."""
+    alone = [ranking for ranking in found if ranking.sequence != POOLED]
+    names: dict[str, list[str]] = defaultdict(list)
+    for ranking in alone:
+        for ranked in ranking.ranked:
+            if len(ranked.ahead_of) == len(ranking.ranked) - 1:
+                names[ranked.curve].append(ranking.sequence)
+    return {
+        curve: f"on {' and on '.join(those)} alone" if len(those) <= 2 else f"on {len(those)} of {len(alone)} sequences"
+        for curve, those in names.items()
+    }
 
 
 def _spanned(run: RunResult, on: str, curve: str, column: Column) -> str:

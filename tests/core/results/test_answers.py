@@ -23,15 +23,21 @@ def tracked(codec: str, rate: float, held: list[float], sequence: str = "s") -> 
 
 
 def scored(
-    codec: str, factor: float, rng: np.random.Generator, metric: str = "score", rates: tuple[float, ...] = RATES
+    codec: str,
+    factor: float,
+    rng: np.random.Generator,
+    metric: str = "score",
+    rates: tuple[float, ...] = RATES,
+    sequence: str = "s",
+    count: int = 64,
 ) -> list[CellResult]:
     """A codec that needs `factor` times the rate for the same score in dB, or drift; of frames that vary little."""
     found = []
     for rate in rates:
         level = 30 + 6 * np.log2(rate / factor) if metric == "score" else factor / rate
-        noise = rng.normal(0, 0.2, 64) if metric == "score" else np.zeros(64)
-        values = {("bits", ""): [rate] * 64, (metric, ""): (level + noise).tolist()}
-        found.append(cell_result(codec, rate, "look", values, count=64))
+        noise = rng.normal(0, 0.2, count) if metric == "score" else np.zeros(count)
+        values = {("bits", ""): [rate] * count, (metric, ""): (level + noise).tolist()}
+        found.append(cell_result(codec, rate, "look", values, count=count, sequence_name=sequence))
     return found
 
 
@@ -94,6 +100,18 @@ def test_the_rate_for_the_same_is_said_also_where_there_is_no_common_rate(rng: n
     between = scored("between", 0.5, rng, rates=(0.06, 0.12, 0.25, 0.5))
     said = sentences(answers(run_of(*scored("plain", 1.0, rng), *between, *far)))["far"]
     assert "not compared with plain (no common rate to compare at); 90 % less rate than plain for the same" in said
+
+
+def test_a_sequence_too_short_makes_sequences_the_samples_and_each_is_spoken_of(rng: np.random.Generator) -> None:
+    """Two sequences are two samples, which tell nobody apart; on the long one the better codec is known."""
+    long = [*scored("plain", 1.0, rng), *scored("good", 0.5, rng)]
+    short = [*scored("plain", 1.0, rng, sequence="few", count=6), *scored("good", 0.6, rng, sequence="few", count=6)]
+    found = answers(run_of(*long, *short))
+    assert found.basis.endswith(
+        "with 99 % confidence. The sequences are the samples, as few has too few frames to say how sure."
+    )
+    assert sentences(found)["good"].startswith("good: better than all others on s alone; not told apart from plain; ")
+    assert sentences(found)["plain"].startswith("plain: not told apart from good; ")
 
 
 def test_codecs_that_are_the_same_are_not_told_apart(rng: np.random.Generator) -> None:

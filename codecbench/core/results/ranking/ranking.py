@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import string
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
@@ -59,7 +59,8 @@ class Ranking:
     ranked: by place, first and last, then by score. left_out: curves without a place, and why. anchors: whom BD-rates
     are against. rate: at which codecs are compared; None for all rates that they share. pairs: what is known of two
     curves that share a rate, of the first over the second. foretold: by sequence, Kendall's tau-b of the order there
-    and the order of all other sequences together; empty for a single sequence.
+    and the order of all other sequences together; empty for a single sequence. too_few_on: of several sequences those
+    that have too few frames or repeats to say how sure they are, so that sequences are the samples.
     """
 
     column: Column
@@ -72,6 +73,7 @@ class Ranking:
     rate: float | None
     pairs: tuple[tuple[str, str, Evidence], ...]
     foretold: dict[str, float]
+    too_few_on: tuple[str, ...] = ()
 
     @property
     def taken(self) -> Ranked:
@@ -92,7 +94,7 @@ class Ranking:
     @property
     def too_few(self) -> bool:
         """Whether so few frames or repeats cannot tell of any two codecs, however far apart they are."""
-        return all(math.isnan(evidence.variance) for _, _, evidence in self.pairs)
+        return _too_few(evidence for _, _, evidence in self.pairs)
 
 
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
@@ -150,7 +152,15 @@ def _ranking(
         at,
         tuple((curves[first], curves[second], found) for (first, second), found in evidence.items()),
         _foretold(curves, values, at),
+        tuple(name for name in sequences if _too_few(_evidence(curves, {name: values[name]}, at).values()))
+        if len(sequences) > 1
+        else (),
     )
+
+
+def _too_few(evidence: Iterable[Evidence]) -> bool:
+    """Whether nothing says how sure any of these are."""
+    return all(math.isnan(found.variance) for found in evidence)
 
 
 def _foretold(curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None) -> dict[str, float]:

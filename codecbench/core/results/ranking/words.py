@@ -17,6 +17,8 @@ from codecbench.core.results.ranking.ranking import NO_COMMON_RATE, SIGNIFICANCE
 from codecbench.core.results.run_result import RunResult
 from codecbench.core.results.verdicts import SequenceCurve
 
+_NAMED: Final = 3
+"""So many sequences are named, and more are counted."""
 SURE: Final = f"{100 * (1 - SIGNIFICANCE):.0f} % confidence"
 """How sure a ranking is of whom it puts before whom."""
 
@@ -126,6 +128,8 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     else:
         yield "Codecs that share a letter cannot be told apart."
     yield from _not_compared(ranking)
+    if ranking.too_few_on:
+        yield f"{sequences_are_samples(ranking)}."
     if ranking.foretold:
         least = min(ranking.foretold, key=lambda name: ranking.foretold[name])
         mean = sum(ranking.foretold.values()) / len(ranking.foretold)
@@ -138,6 +142,18 @@ def _notes(ranking: Ranking) -> Iterator[str]:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
     for curve, reason in ranking.left_out.items():
         yield f"{curve} has no place: {reason}."
+
+
+def sequences_are_samples(ranking: Ranking) -> str:
+    """Why a ranking over several sequences is less sure than those of each."""
+    few, of = ranking.too_few_on, " and ".join(ranking.of)
+    if len(few) == len(ranking.foretold):
+        who = "each sequence has"
+    elif len(few) > _NAMED:
+        who = f"{len(few)} sequences have"
+    else:
+        who = f"{' and '.join(few)} {'has' if len(few) == 1 else 'have'}"
+    return f"The sequences are the samples, as {who} too few {of} to say how sure"
 
 
 def beside_ranking(ranking: Ranking, first: str, second: str) -> str:
