@@ -27,7 +27,8 @@ UNWRITTEN = 4
 """Bytes, all zero, that the decoder reads beyond what the encoder wrote."""
 
 _SPARE_BITS = 6
-_LOOKUP_BITS = 17
+_LOOKUP_BITS = 15
+"""A table of 128 kB: a larger one would leave the cache, a smaller one leave more symbols to try."""
 
 
 @kernel(_nrt=False)
@@ -106,7 +107,7 @@ def quotient_of(code: Any, unit: Any) -> Any:
     return quotient
 
 
-@kernel
+@kernel(_nrt=False)
 def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, context: Any, bit: Any) -> Any:
     """Code one bit with an adaptive probability; returns the new low, width and position.
 
@@ -120,7 +121,7 @@ def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, conte
     return encode_interval(low + start, width, position, out, 0, 1, size)
 
 
-@kernel
+@kernel(_nrt=False)
 def decode_bit(code: Any, width: Any, position: Any, data: Any, models: Any, context: Any) -> Any:
     """The next bit, as `encode_bit` coded it, and the new code, width and position."""
     split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
@@ -136,7 +137,7 @@ def decode_bit(code: Any, width: Any, position: Any, data: Any, models: Any, con
     return bit, code, width, position
 
 
-@kernel
+@kernel(_nrt=False)
 def _adapt(models: Any, context: Any, bit: Any) -> None:
     """Move both estimates toward the bit, by a 16th and by a 128th; neither ever reaches 0 or 65536."""
     fast = models[context, 0]
@@ -200,26 +201,27 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
     for place in range(counts.shape[0]):
         left[place] = counts[place]
     favourite = _most_frequent(counts)
+    favourite_start, favourite_end = starts[favourite], starts[favourite + 1]
     code = first_code(data)
     width = np.int64(TOP - 1)
     position = LOOK_AHEAD
     for i in range(symbols.shape[0]):
         unit = width >> bits
         # Trying the most frequent symbol first saves a division, and the wait for it, on most symbols.
-        symbol = favourite
-        if code < starts[symbol] * unit or code >= starts[symbol + 1] * unit:
+        symbol, start, end = favourite, favourite_start, favourite_end
+        if code < start * unit or code >= end * unit:
             target = quotient_of(code, unit)
             if (target >> bits) > 0:
                 return -2
             symbol = np.int64(lookup[target >> shift])
             while starts[symbol + 1] <= target:
                 symbol += 1
+            start, end = starts[symbol], starts[symbol + 1]
         symbols[i] = symbol
         left[symbol] -= 1
         if left[symbol] < 0:
             return -1
-        start = starts[symbol]
-        code, width, position = decode_interval(code, position, data, start, starts[symbol + 1] - start, unit)
+        code, width, position = decode_interval(code, position, data, start, end - start, unit)
     return position
 
 

@@ -21,7 +21,7 @@ from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpa
 from codecbench.plugins.codecs.multilevel.context import profile
 from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, ContextHeader
 from codecbench.plugins.codecs.multilevel.header import CONTEXT_VERSION, MAX_SAMPLES, TABLES, Header, Picture
-from codecbench.plugins.codecs.multilevel.keys import Keys, canonical_keys, checked, manual_keys, random_keys
+from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked, manual_keys, random_keys
 from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams
 from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
@@ -165,17 +165,13 @@ class Multilevel(Codec[MultilevelParams]):
         return PartialImage(found.image, whole)
 
     def _key_maker(self) -> KeyMaker:
-        params = self.params
-        rng = np.random.default_rng(params.seed)
-
-        def make(level: int, radix: int) -> Keys:
-            if params.keys == "canonical":
-                return checked(canonical_keys(radix, params.group), radix, level)
-            if params.keys == "random":
-                return checked(random_keys(radix, params.group, rng), radix, level)
-            return checked(manual_keys(params.keys), radix, level)
-
-        return make
+        keys, group = self.params.keys, self.params.group
+        if keys == "canonical":
+            return lambda level, radix: checked(canonical_keys(radix, group), radix, level)
+        if keys == "random":
+            rng = np.random.default_rng(self.params.seed)
+            return lambda level, radix: checked(random_keys(radix, group, rng), radix, level)
+        return lambda level, radix: checked(manual_keys(keys), radix, level)
 
 
 def _shift(color: Color, plane: int) -> float:

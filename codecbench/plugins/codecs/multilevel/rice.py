@@ -158,7 +158,7 @@ def _unfolded(number: Any) -> Any:
     return (number + 1) >> 1 if number & 1 else -(number >> 1)
 
 
-@kernel
+@kernel(_nrt=False)
 def _parameter(sums: Any, seen: Any, kind: Any) -> Any:
     """k, so that 2^k is about the mean of a kind."""
     k = 0
@@ -167,7 +167,7 @@ def _parameter(sums: Any, seen: Any, kind: Any) -> Any:
     return k
 
 
-@kernel
+@kernel(_nrt=False)
 def _remember(sums: Any, seen: Any, kind: Any, number: Any) -> None:
     sums[kind] += number
     seen[kind] += 1
@@ -176,7 +176,8 @@ def _remember(sums: Any, seen: Any, kind: Any, number: Any) -> None:
         seen[kind] >>= 1
 
 
-@kernel
+# In line, as the numbers of `tables` are, and for the same reason.
+@kernel(_nrt=False, forceinline=True)
 def _put(buffer: Any, held: Any, position: Any, out: Any, sums: Any, seen: Any, kind: Any, number: Any) -> Any:
     """Code one number; returns the new buffer, the bits that it holds (at most 7), and the position."""
     k = _parameter(sums, seen, kind)
@@ -197,7 +198,7 @@ def _put(buffer: Any, held: Any, position: Any, out: Any, sums: Any, seen: Any, 
     return buffer & ((1 << held) - 1), held, position
 
 
-@kernel
+@kernel(_nrt=False, forceinline=True)
 def _take(buffer: Any, held: Any, position: Any, data: Any, sums: Any, seen: Any, kind: Any) -> Any:
     """The next number, or -1 for a code that no encoder writes; and the new buffer, bits in it, and position."""
     while held < _LONGEST:

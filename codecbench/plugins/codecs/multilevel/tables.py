@@ -41,7 +41,8 @@ BAD_COUNTS = -3
 REPEATED = -4
 
 
-@kernel
+# In line, for a call would hand over the fields of two arrays, some twenty values, with every number.
+@kernel(_nrt=False, forceinline=True)
 def _encode_number(low: Any, width: Any, position: Any, out: Any, models: Any, kind: Any, number: Any) -> Any:
     """Code one number; returns the new low, width and position."""
     context = kind * _NUMBER
@@ -63,7 +64,7 @@ def _encode_number(low: Any, width: Any, position: Any, out: Any, models: Any, k
     return low, width, position
 
 
-@kernel
+@kernel(_nrt=False, forceinline=True)
 def _decode_number(code: Any, width: Any, position: Any, data: Any, models: Any, kind: Any) -> Any:
     """The next number, or -1 where it has more than 62 bits; and the new code, width and position."""
     context = kind * _NUMBER
