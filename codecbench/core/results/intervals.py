@@ -44,9 +44,7 @@ def _interval(results: list[CellResult], column: Column) -> Interval | None:
         return aggregate("ci95_low", finite), aggregate("ci95_high", finite)
     of_frames = (column.metric.name, column.stage, "mean")
     if len(results) == 1 and column.aggregate == "mean" and of_frames in results[0].summaries:
-        frames = results[0].frames()
-        stages = frames["stage"] == column.stage if column.stage else frames["stage"].isna()
-        series = frames.loc[(frames["metric"] == column.metric.name) & stages, "value"].to_numpy(float)
+        series = results[0].values_of_frames(column.metric.name, column.stage)
         series = series[~np.isnan(series)]
         return _of_mean(series, over_frames=True) if np.isfinite(series).all() and len(series) else None
     return None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
@@ -64,6 +65,17 @@ class CellResult:
         """The samples of single frames: metric, frame, stage, value, reason."""
         frames: pd.DataFrame = self.samples().to_pandas()
         return frames
+
+    def values_of_frames(self, metric: str, stage: str = "") -> NDArray[np.float64]:
+        """(frames,) values of a metric by frame, NaN where there is none."""
+        import pyarrow.compute as pc  # as in samples: many commands read no samples
+
+        samples = self.samples()
+        of_stage = pc.equal(samples["stage"], stage) if stage else pc.is_null(samples["stage"])
+        found = samples.filter(pc.and_(pc.equal(samples["metric"], metric), of_stage))
+        values = np.full(self.cell.sequence.frames, np.nan)
+        values[found["frame"].to_numpy()] = found["value"].to_numpy()
+        return values
 
 
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:

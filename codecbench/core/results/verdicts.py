@@ -32,16 +32,8 @@ Place = tuple[int, int]
 
 def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tuple[list[str], np.ndarray]:
     """Labels and a (settings, frames) array of a per-frame metric, one row a codec setting, NaN where missing."""
-    labels, rows = [], []
-    for result in results:
-        frames = result.frames()
-        of_stage = frames["stage"] == stage if stage else frames["stage"].isna()
-        values = frames[(frames["metric"] == metric) & of_stage]
-        row = np.full(result.cell.sequence.frames, np.nan)
-        row[values["frame"].to_numpy(int)] = values["value"].to_numpy(float)
-        labels.append(result.cell.codec.label)
-        rows.append(row)
-    return labels, np.array(rows)
+    rows = np.array([result.values_of_frames(metric, stage) for result in results])
+    return [result.cell.codec.label for result in results], rows
 
 
 def bd_rates_by_anchor(

@@ -191,9 +191,8 @@ def _collect(runs: _Runs, result: CellResult, demand: Demand, encode_ms: float) 
     """Add what a cell says. One that failed had no picture in time, and an error beyond all."""
     delay, error = (_with_need(result, need) for need in ("delay", "error"))
     if delay is not None and demand.deadline_ms is not None:
-        frames = result.frames()
-        in_time = frames.loc[frames["metric"] == delay.name, "value"] + encode_ms <= demand.deadline_ms
-        share = float(in_time.sum()) / result.cell.sequence.frames
+        in_time = result.values_of_frames(delay.name) + encode_ms <= demand.deadline_ms
+        share = float(in_time.mean())
         runs.shares.append(share)
         causes = {
             result.metrics[found.metric].label: found.value
