@@ -47,7 +47,7 @@ FEATURES: Final[tuple[dict[str, Any], ...]] = (
     {},
     {"mode": "inter"},
     {"mode": "inter", "angle_bits": 10},
-    {"mode": "inter", "angle_bits": 10, "descriptor": "lossy"},
+    {"mode": "inter", "angle_bits": 6, "descriptor": "lossy"},
     {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2},
     {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2, "features": 500},
     {"mode": "inter", "angle_bits": 8, "descriptor": "lossy", "position_step_px": 2, "features": 250},

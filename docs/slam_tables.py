@@ -28,16 +28,16 @@ def ablations(run: RunResult, heads: Heads) -> Iterator[str]:
 
 
 def rates(run: RunResult, heads: Heads) -> Iterator[str]:
-    """What raw frames give of each sequence of examples/slam_rates.yaml, whose names end with their rate."""
+    """What raw frames give of each sequence of examples/slam_rates.yaml: `place_hz`, or `place_size_hz`."""
     rows = []
     for entry in run.plan.sequences:
         runs = [result for result in run.results if result.cell.sequence.name == entry.name]
-        place, hertz = entry.name.removesuffix("hz").split("_")
+        *place, hertz = entry.name.removesuffix("hz").split("_")
         errors_mm = 1e3 * _values(runs, "ate_rmse_m")
         tracked = 100.0 * np.min(_values(runs, "tracked_since_map_fraction"))
         others = (("keyframes", np.median), ("maps", np.max), ("loops_closed", np.min))
         rows.append([
-            place, hertz, str(len(runs)), f"{tracked:.1f}", f"{np.nanmedian(errors_mm):.4g}",
+            ", ".join(place), hertz, str(len(runs)), f"{tracked:.1f}", f"{np.nanmedian(errors_mm):.4g}",
             f"{np.nanmax(errors_mm):.4g}", *(f"{of(_values(runs, name)):.0f}" for name, of in others),
         ])  # fmt: skip
     yield table(heads, rows)

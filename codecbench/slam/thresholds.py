@@ -24,6 +24,15 @@ FAST_THRESHOLD_LOW: Final = 7
 """Gray levels: contrast where the first try finds too few corners (own)."""
 FAST_CANDIDATES_PER_FEATURE: Final = 1.5
 """Candidates for each feature wanted of a level; with fewer, the level is searched at the low threshold (own)."""
+KEYPOINT_SIGMA_PX: Final = 0.33
+"""Level pixels: standard deviation along each axis with which corners are found (own; residuals after adjustment, by
+their median: 0.15 on rendered sequences, 0.2 on a street and on the coarse levels of a hand-held camera)."""
+CAMERA_SIGMA_PX: Final = 0.5
+"""Pixels: the same for what the camera's model leaves out, at every level (own; the fine levels of a hand-held camera
+have residuals of 0.4, with JPEG and without; measured at a width of 640 and used at every one)."""
+POINT_VARIANCES: Final = 2.0
+"""Times a keypoint's variance: that of how far it is from where a map point should be in a frame, because points are
+known from keypoints, too (own)."""
 PATCH_RADIUS_PX: Final = 15
 """Level pixels: radius of the disc whose centroid gives a feature its orientation (ORB section 3.2)."""
 BORDER_PX: Final = 19
@@ -212,6 +221,9 @@ LOOP_RATIO: Final = 0.75
 """Best over second-best distance of a match with a candidate (own)."""
 LOOP_MIN_PROJECTED: Final = 40
 """Matches: found by projecting the loop side's points, for the loop to be accepted (own)."""
+LOOP_MIN_PROJECTED_SHARE: Final = 0.1
+"""Of the loop side's points that should be in view: so many must be found, or it is another place with some of the same
+things in it (own; true loops found 0.12 to 0.45, those of two equal houses 0.08)."""
 LOOP_RANSAC_ITERATIONS: Final = 300
 """RANSAC samples of three matches (own)."""
 ESSENTIAL_MIN_WEIGHT: Final = 100

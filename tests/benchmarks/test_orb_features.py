@@ -21,7 +21,7 @@ FRAMES = 30
 SETTINGS: dict[str, dict[str, Any]] = {
     "intra": {},
     "inter": {"mode": "inter"},
-    "lossy": {"mode": "inter", "angle_bits": 10, "descriptor": "lossy"},
+    "lossy": {"mode": "inter", "angle_bits": 6, "descriptor": "lossy"},
     "raw": {"descriptor": "raw"},
 }
 

@@ -77,7 +77,7 @@ class Euroc(Dataset[EurocParams]):
             notes=(*params.notes_of_part(len(rows)), *notes),
             origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
         )
-        return FileSequence(content)
+        return params.scaled(FileSequence(content))
 
 
 def _sensor(file: Path, may_lack: bool) -> YamlFile | None:

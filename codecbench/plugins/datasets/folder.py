@@ -52,7 +52,7 @@ class Folder(Dataset[FolderParams]):
             notes=(*params.notes_of_part(len(files)), *found.notes),
             origin=Origin("folder of pictures", found.source),
         )
-        return FileSequence(content)
+        return params.scaled(FileSequence(content))
 
 
 def image_files(folder: Path) -> list[Path]:

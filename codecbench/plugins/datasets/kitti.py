@@ -84,7 +84,7 @@ class Kitti(Dataset[KittiParams]):
             notes=(*params.notes_of_part(len(rows)), *found.notes, *unmoved),
             origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
         )
-        return FileSequence(content)
+        return params.scaled(FileSequence(content))
 
 
 def read_projection(file: Path, name: str) -> Floats:

@@ -14,8 +14,9 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
-from codecbench.core.contracts.sequence import Camera
+from codecbench.core.contracts.sequence import Camera, Sequence
 from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
+from codecbench.plugins.datasets.scaling import ScaledSequence
 
 Color = Literal["as_is", "rgb", "gray"]
 
@@ -23,13 +24,17 @@ Color = Literal["as_is", "rgb", "gray"]
 class Selection(Params):
     """Frames start, start + stride, ... before stop, counted from 0; without stop, up to the last.
 
-    color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert.
+    color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert. scale: of the frames' width
+    and height; the camera's lengths in pixels are scaled with them.
     """
 
     start: Annotated[int, Field(ge=0, description="first frame, counted from 0")] = 0
     stop: Annotated[int | None, Field(ge=1, description="frame before which to stop; default: after the last")] = None
     stride: Annotated[int, Field(ge=1, description="use every stride-th frame")] = 1
     color: Annotated[Color, Field(description="as_is keeps the files' channels; rgb and gray convert")] = "as_is"
+    scale: Annotated[
+        float, Field(gt=0.0, le=16.0, description="factor on the frames' width and height, and on the camera's lengths")
+    ] = 1.0
 
     def indices(self, count: int, where: str) -> range:
         """The selected frames of `count`. Raises DatasetError, naming `where`, for a selection that is not there."""
@@ -50,6 +55,10 @@ class Selection(Params):
             return (f"the first {len(chosen):,} of {count:,} frames are used",)
         steps = f", in steps of {self.stride}" if self.stride > 1 else ""
         return (f"{len(chosen):,} of {count:,} frames are used, from {chosen[0]:,} to {chosen[-1]:,}{steps}",)
+
+    def scaled(self, sequence: Sequence) -> Sequence:
+        """The sequence with frames of the size that `scale` asks for. Raises DatasetError for one out of bounds."""
+        return sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ class Tum(Dataset[TumParams]):
             notes=(*params.notes_of_part(len(rows)), *found.notes),
             origin=Origin("TUM RGB-D folder", found.source),
         )
-        return FileSequence(content)
+        return params.scaled(FileSequence(content))
 
 
 def read_tum_trajectory(file: Path) -> Trajectory:

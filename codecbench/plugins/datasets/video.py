@@ -51,7 +51,7 @@ class Video(Dataset[VideoParams]):
         return {"path": str(path)} if cv2.VideoCapture(str(path)).isOpened() else None
 
     def open(self) -> Sequence:
-        return VideoSequence(self.params)
+        return self.params.scaled(VideoSequence(self.params))
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,17 @@ it by more than t, or all darker. Its score is the greatest such t, plus one.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 from numba.cpython.unsafe import numbers as bits
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.blocks import spans
+
+SUBPIXELS: Final = 4
+"""Parts of a pixel, each way, that corners are told apart by."""
 
 _RADIUS = 3
 _trailing_zeros: Any = bits.trailing_zeros
@@ -110,6 +114,31 @@ def list_corners(scores: Any, threshold: int) -> Any:
             _keep_peaks(above, row, below, threshold, peaks, start, end)
         count = _list_peaks(words, y, corners, found, count)
     return corners[:count].copy(), found[:count].copy()
+
+
+@compiled
+def refine_corner(scores: Any, x: int, y: int, offset: Any) -> None:
+    """Fill `offset` (2,) x, y, level pixels, with where in its pixel the score of a corner is greatest.
+
+    The quadric of least squares through the scores of nine pixels has its maximum there. It is rounded to the middle of
+    one of SUBPIXELS parts of the pixel each way, so that it can be sent in few bits. The nearest part stands for a
+    maximum outside of the pixel, and the middle where there is none.
+    """
+    up, here, down = scores[y - 1], scores[y], scores[y + 1]
+    a, b, c = np.int64(up[x - 1]), np.int64(up[x]), np.int64(up[x + 1])
+    d, e, f = np.int64(here[x - 1]), np.int64(here[x]), np.int64(here[x + 1])
+    g, h, i = np.int64(down[x - 1]), np.int64(down[x]), np.int64(down[x + 1])
+    dx, dy = (c + f + i - a - d - g) / 6.0, (g + h + i - a - b - c) / 6.0
+    dxx = (a + d + g + c + f + i - 2 * (b + e + h)) / 3.0
+    dyy = (a + b + c + g + h + i - 2 * (d + e + f)) / 3.0
+    dxy = (a + i - c - g) / 4.0
+    determinant = dxx * dyy - dxy * dxy
+    offset[0], offset[1] = 0.0, 0.0
+    if determinant > 0.0 and dxx < 0.0:
+        offset[0], offset[1] = (dxy * dy - dyy * dx) / determinant, (dxy * dx - dxx * dy) / determinant
+    for k in range(2):
+        part = min(max(math.floor((offset[k] + 0.5) * SUBPIXELS), 0), SUBPIXELS - 1)
+        offset[k] = (part + 0.5) / SUBPIXELS - 0.5
 
 
 @compiled(inline="always")

@@ -112,10 +112,11 @@ class FeatureExtractor:
         octaves, descriptors = np.empty(limit, np.int32), np.empty((limit, 32), np.uint8)
         for octave, level in enumerate(self._pyramid(gray)):
             spare = self._spare[octave]
-            corners = find_corners(level, self._quotas[octave], spare)
+            corners, offsets = find_corners(level, self._quotas[octave], spare)
             end = count + len(corners)
             made = slice(count, end)
-            describe_corners(level, corners, self._ratios[octave], spare, pixels[made], angles[made], descriptors[made])
+            ratio = self._ratios[octave]
+            describe_corners(level, corners, offsets, ratio, spare, pixels[made], angles[made], descriptors[made])
             octaves[made] = octave
             count = end
         size = (self._camera.width, self._camera.height)

@@ -9,7 +9,7 @@ import numpy as np
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.blocks import spans
-from codecbench.slam.features.corner_kernels import list_corners, score_corners
+from codecbench.slam.features.corner_kernels import list_corners, refine_corner, score_corners
 from codecbench.slam.features.orb_pattern import ORB_PATTERN
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.thresholds import (
@@ -34,8 +34,11 @@ _CENTER = np.uint16(256 - 2 * sum(int(w) for w in _SIDE))
 
 @compiled
 def find_corners(level: Any, quota: int, scores: Any) -> Any:
-    """At most `quota` corners x, y (N, 2) of a level: of the low threshold where the high one leaves too few to choose
-    from. `scores` is an image of the level's size that is overwritten."""
+    """At most `quota` corners of a level: their pixels x, y (N, 2), and how far from the middles of these they are.
+
+    They are of the low threshold where the high one leaves too few to choose from. `scores` is an image of the level's
+    size that is overwritten.
+    """
     score_corners(level, scores)
     threshold = FAST_THRESHOLD
     corners, found = list_corners(scores, threshold)
@@ -44,18 +47,21 @@ def find_corners(level: Any, quota: int, scores: Any) -> Any:
         corners, found = list_corners(scores, threshold)
     height, width = level.shape
     kept = select_evenly(corners, found, threshold, quota, height, width, BORDER_PX)
-    chosen = np.empty((len(kept), 2), np.int64)
+    chosen, offsets = np.empty((len(kept), 2), np.int64), np.empty((len(kept), 2))
     for i in range(len(kept)):
-        chosen[i, 0], chosen[i, 1] = corners[kept[i], 0], corners[kept[i], 1]
-    return chosen
+        x, y = corners[kept[i], 0], corners[kept[i], 1]
+        chosen[i, 0], chosen[i, 1] = x, y
+        refine_corner(scores, x, y, offsets[i])
+    return chosen, offsets
 
 
 @compiled
 def describe_corners(
-    level: Any, corners: Any, ratio: Any, blurred: Any, pixels: Any, angles: Any, descriptors: Any
+    level: Any, corners: Any, offsets: Any, ratio: Any, blurred: Any, pixels: Any, angles: Any, descriptors: Any
 ) -> None:
     """Fill `pixels` (N, 2) in the image, `angles` (N,) and `descriptors` (N, 32) of the corners (N, 2) of a level.
 
+    `offsets` (N, 2): how far from the middles of their pixels they are; angles and descriptors are of these middles.
     `ratio` (2,) is the image's size over the level's; `blurred` is an image of the level's size that is overwritten.
     The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
     """
@@ -63,7 +69,7 @@ def describe_corners(
         return  # the level may be smaller than the smoothing is wide
     for i in range(len(corners)):
         for k in range(2):
-            pixels[i, k] = (corners[i, k] + 0.5) * ratio[k] - 0.5
+            pixels[i, k] = (corners[i, k] + offsets[i, k] + 0.5) * ratio[k] - 0.5
     orient_patches(level, corners, angles)
     blur_level(level, blurred)
     describe_patches(blurred, corners, angles, descriptors)

@@ -10,6 +10,7 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import CELL_PX
 from codecbench.slam.features.hamming import hamming
+from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.map import Indices, Map
@@ -96,7 +97,7 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
             for m in range(starts[row * columns + left], starts[row * columns + right]):
                 f = members[m]
                 dx, dy = pixels_b[f, 0] - pixels[i, 0], pixels_b[f, 1] - pixels[i, 1]
-                limit = thresholds.CHI2_95_2DOF * scale_factors[octaves_b[f]] * scale_factors[octaves_b[f]]
+                limit = thresholds.CHI2_95_2DOF * pixel_variance(scale_factors[octaves_b[f]])
                 near[count] = f  # no branch, which nobody could predict
                 count += (octaves_b[f] >= octave - 1) & (octaves_b[f] <= octave) & (dx * dx + dy * dy < limit)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import sim3_scale
 from codecbench.slam.map import kernels as map_kernels
 from codecbench.slam.map import point_kernels
 from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, grown
-from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS
+from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS, POINT_VARIANCES
 
 __all__ = ["NONE", "CulledKeyframe", "Indices", "KeyframeTable", "Map", "PointTable", "grown"]
 
@@ -31,6 +32,8 @@ class Map:
     def __init__(self, index: int, scale_factors: Array, features_limit: int) -> None:
         self.index = index
         self.scale_factors = scale_factors
+        self.inverse_sigma2: Array = 1.0 / pixel_variance(scale_factors)
+        self.inverse_sigma2_of_points = 1.0 / (POINT_VARIANCES * pixel_variance(scale_factors))
         self.points = PointTable()
         self.keyframes = KeyframeTable(features_limit)
         self.culled: dict[int, CulledKeyframe] = {}

@@ -15,6 +15,7 @@ from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.matching import claim
 from codecbench.slam.features.sorting import stable_order
+from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
 from codecbench.slam.map.point_kernels import median_depth
@@ -71,7 +72,7 @@ def _match_on_lines(
     xs, ys, reaches = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for k, f in enumerate(candidates):
         xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
-        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF) * scale_factors[views.octaves[neighbor, f]]
+        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF * pixel_variance(scale_factors[views.octaves[neighbor, f]]))
     pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
     descriptors_b = views.descriptors[neighbor]
     eights = np.zeros(len(candidates) // 8 + 1, np.uint64)
@@ -170,7 +171,8 @@ def _triangulate_match(
     point[0], point[1], point[2] = x / w, y / w, z / w
     scale_a, scale_b = scale_factors[views.octaves[a, feature_a]], scale_factors[views.octaves[b, feature_b]]
     for pose, pixel, scale in ((pose_a, pixel_a, scale_a), (pose_b, pixel_b, scale_b)):
-        if reprojection(pose, point, pixel[0], pixel[1], 1.0 / scale, intrinsics)[5] > thresholds.CHI2_95_2DOF:
+        weight = 1.0 / math.sqrt(pixel_variance(scale))
+        if reprojection(pose, point, pixel[0], pixel[1], weight, intrinsics)[5] > thresholds.CHI2_95_2DOF:
             return False
     center_a, center_b = views.centers[a], views.centers[b]
     distance_a, distance_b = _distance(point, center_a), _distance(point, center_b)

@@ -69,15 +69,15 @@ class LoopDetector:
         matches = self._match_points(keyframe, candidate)
         if len(matches[0]) < thresholds.LOOP_MIN_MATCHES:
             return None
-        here, there, factors = self._here.map, self._there.map, self._here.map.scale_factors
+        here, there = self._here.map, self._there.map
         a, b = here.keyframes.features[keyframe], there.keyframes.features[candidate]
         pairs = (
             _points_in_camera(here, keyframe, matches[0]),
             _points_in_camera(there, candidate, matches[1]),
             a.pixels[matches[0]],
             b.pixels[matches[1]],
-            factors[a.octaves[matches[0]]] ** -2.0,
-            factors[b.octaves[matches[1]]] ** -2.0,
+            here.inverse_sigma2[a.octaves[matches[0]]],
+            there.inverse_sigma2[b.octaves[matches[1]]],
             self._camera.intrinsics,
         )
         estimate = estimate_similarity(
@@ -90,9 +90,9 @@ class LoopDetector:
         if int(inliers.sum()) < thresholds.LOOP_MIN_INLIERS:
             return None
         keyframe_from_world = sim3_compose(similarity, there.keyframes.camera_from_world[candidate])
-        points = self._project_loop_side(keyframe, candidate, keyframe_from_world)
+        points, expected = self._project_loop_side(keyframe, candidate, keyframe_from_world)
         found = int((points >= 0).sum())
-        if found < thresholds.LOOP_MIN_PROJECTED:
+        if found < max(thresholds.LOOP_MIN_PROJECTED, thresholds.LOOP_MIN_PROJECTED_SHARE * expected):
             return None
         return Loop(keyframe, candidate, keyframe_from_world, points, found)
 
@@ -109,8 +109,9 @@ class LoopDetector:
         found = np.nonzero(matches >= 0)[0]
         return found, matches[found]
 
-    def _project_loop_side(self, keyframe: int, candidate: int, keyframe_from_world: Array) -> Indices:
-        """Points of the loop side by the feature of `keyframe` that shows them (N,), by projection."""
+    def _project_loop_side(self, keyframe: int, candidate: int, keyframe_from_world: Array) -> tuple[Indices, int]:
+        """Points of the loop side by the feature of `keyframe` that shows them (N,), by projection, and how many it
+        should show."""
         features, there = self._here.map.keyframes.features[keyframe], self._there.map
         group = np.concatenate([[candidate], there.neighbors(candidate)[0]])
         projections = project_map_points(
@@ -123,7 +124,7 @@ class LoopDetector:
         )  # fmt: skip
         shown = np.full(len(features), NONE, np.int64)
         shown[matches[matches >= 0]] = projections.points[matches >= 0]
-        return shown
+        return shown, len(projections.points)
 
 
 def _points_in_camera(slam_map: Map, keyframe: int, features: Indices) -> Array:

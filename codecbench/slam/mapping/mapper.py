@@ -165,11 +165,11 @@ def adjust_keyframes(
     slots[chosen] = np.arange(len(chosen))
     which, seen_by, features = slam_map.observations(points, chosen)
     seen = seen_by * keyframes.points.shape[1] + features  # rows of the tables by feature: one index is faster than two
-    inverse_sigma2 = slam_map.scale_factors**-2.0
     result = adjust(
         keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
-        keyframes.pixels.reshape(-1, 2).take(seen, axis=0), inverse_sigma2[keyframes.octaves.ravel().take(seen)],
-        camera.intrinsics, np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
+        keyframes.pixels.reshape(-1, 2).take(seen, axis=0),
+        slam_map.inverse_sigma2[keyframes.octaves.ravel().take(seen)], camera.intrinsics,
+        np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])
     table.positions[points] = result.points_world

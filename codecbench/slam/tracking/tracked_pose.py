@@ -72,7 +72,7 @@ class TrackedPose:
             return self
         points = slam_map.resolve_points(self.points.astype(np.int64))
         kept = points >= 0
-        weights = np.asarray(slam_map.scale_factors[self.octaves[kept]] ** -2.0, np.float64)
+        weights = slam_map.inverse_sigma2_of_points[self.octaves[kept]]
         pose, inliers = optimize_pose(
             np.asarray(np.linalg.inv(self.resolve(slam_map)), np.float64), slam_map.points.positions[points[kept]],
             self.pixels[kept].astype(np.float64), weights, camera.intrinsics,

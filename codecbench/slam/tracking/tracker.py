@@ -34,7 +34,6 @@ class Tracker:
         self._velocity: Array | None = None  # twist of one second; None: unknown
         self._interval_s = 0.0
         self._lens = Lens(camera.intrinsics, camera.bounds, slam_map.scale_factors)
-        self._inverse_sigma2 = slam_map.scale_factors**-2.0
 
     def start(self, frame: TrackingFrame, velocity: Array | None = None) -> None:
         """Go on from `frame`, whose pose and points are known."""
@@ -145,7 +144,7 @@ class Tracker:
         pose, features = frame.camera_from_world.copy(), frame.features
         inliers = optimize_shown(
             pose, frame.points, self.map.points.positions, features.pixels, features.octaves,
-            self._inverse_sigma2, self.camera.intrinsics,
+            self.map.inverse_sigma2_of_points, self.camera.intrinsics,
         )  # fmt: skip
         frame.camera_from_world = pose
         return int(inliers)

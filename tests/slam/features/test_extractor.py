@@ -3,11 +3,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Room, looking
 
 from codecbench.slam.features.corner_kernels import list_corners, score_corners
 from codecbench.slam.features.extractor import FeatureExtractor
-from codecbench.slam.features.orb_kernels import blur_level, describe_patches, orient_patches, select_evenly
+from codecbench.slam.features.orb_kernels import (
+    blur_level,
+    describe_patches,
+    find_corners,
+    orient_patches,
+    select_evenly,
+)
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
 
@@ -27,6 +34,39 @@ def test_corners_and_scores_are_those_of_opencv(threshold: int, rng: np.random.G
         assert [tuple(corner) for corner in corners.tolist()] == [k.pt for k in keypoints]
         assert (found - 1.0).tolist() == [k.response for k in keypoints]
         assert len(keypoints) > 0 or image.size < 100
+
+
+def test_corners_follow_a_shift_below_a_pixel(rng: np.random.Generator) -> None:
+    """Of corners of many angles: where they are found moves as they do, not from pixel to pixel."""
+    shifts = np.arange(0.0, 1.0, 0.125)
+    strayed = np.array([track for scene in rng.spawn(4) for track in _strayed(scene, shifts)])
+    assert len(strayed) > 20
+    assert strayed.std() < 0.12  # a whole pixel's is 0.29, that of a quarter alone 0.07
+    assert np.abs(strayed.mean(axis=0)).max() < 0.06
+
+
+def _strayed(rng: np.random.Generator, shifts: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """How far each corner is found (shifts,), along x, from where it was found on average plus its shift."""
+    starts, spreads = rng.uniform(0.0, 2.0 * np.pi, 9), rng.uniform(1.05, 1.9, 9)
+    grays, tracks = rng.choice([30.0, 170.0, 230.0], 9), []
+    for shift in shifts:
+        fine = np.full((120 * 16, 160 * 16), 90.0, np.float32)
+        for k in range(9):
+            tip = 16.0 * np.array([35.5 + 45 * (k % 3) + shift, 30.5 + 30 * (k // 3)]) - 0.5
+            sides = [16.0 * 9.0 * np.array([np.cos(a), np.sin(a)]) for a in (starts[k], starts[k] + spreads[k])]
+            corners = np.rint(256 * np.array([tip, tip + sides[0], tip + sides[1]])).astype(np.int32)
+            cv2.fillPoly(fine, [corners], float(grays[k]), shift=8)
+        seen = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 0.6 * 16), (160, 120), interpolation=cv2.INTER_AREA)
+        image = np.rint(seen).astype(np.uint8)
+        pixels, offsets = find_corners(image, 200, np.empty_like(image))
+        assert np.abs(offsets).max() <= 0.375
+        tracks.append(pixels + offsets - [shift, 0.0])
+    found = []
+    for place in tracks[0]:
+        nearest = [places[np.abs(places - place).max(axis=1).argmin()] for places in tracks]
+        if np.abs(np.array(nearest) - place).max() < 1.5:
+            found.append(np.array(nearest)[:, 0] - np.mean(nearest, axis=0)[0])
+    return found
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (37, 53), (4, 40), (40, 4)])

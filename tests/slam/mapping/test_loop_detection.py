@@ -106,6 +106,22 @@ def test_a_loop_that_few_points_project_into_is_refused(
 
 
 @pytest.mark.usefixtures("any_projected")
+def test_of_what_a_loop_s_side_should_show_a_share_must_be_found(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slam_map = place_seen_twice(rng, MATCHES)
+    elsewhere = slam_map.points.add(rng.uniform([-1.0, -1.2, 4.0], [1.5, 1.2, 7.0], (9 * MATCHES, 3)), 0, 0)
+    monkeypatch.setattr(slam_map, "points_of", lambda group: np.concatenate([np.arange(MATCHES), elsewhere]))
+    slam_map.points.normals[elsewhere] = [0.0, 0.0, 1.0]
+    slam_map.points.min_distances[elsewhere], slam_map.points.max_distances[elsewhere] = 0.1, 100.0
+    slam_map.points.descriptors[elsewhere] = random_descriptors(rng, 9 * MATCHES)
+    monkeypatch.setattr(thresholds, "LOOP_MIN_PROJECTED_SHARE", 0.05)
+    assert detect(slam_map)[-1] is not None
+    monkeypatch.setattr(thresholds, "LOOP_MIN_PROJECTED_SHARE", 0.2)
+    assert detect(slam_map)[-1] is None
+
+
+@pytest.mark.usefixtures("any_projected")
 def test_a_place_of_another_map_is_seen_in_that_maps_coordinates() -> None:
     """The other map is as large as it likes and lies as it likes: what is found follows it."""
     here, there = (place_seen_twice(np.random.default_rng(4), MATCHES) for _ in range(2))

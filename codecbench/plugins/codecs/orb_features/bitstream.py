@@ -27,6 +27,7 @@ from codecbench.plugins.codecs.orb_features.coding import (
     OUTSIDE,
     RAW,
     code_lengths,
+    code_parts,
     code_set,
     new_model,
 )
@@ -41,7 +42,7 @@ from codecbench.plugins.codecs.orb_features.descriptors import (
     new_lanes,
     start_lanes,
 )
-from codecbench.plugins.codecs.orb_features.keypoints import CodedKeypoints, grid_of
+from codecbench.plugins.codecs.orb_features.keypoints import PARTS, CodedKeypoints, grid_of
 from codecbench.plugins.codecs.orb_features.prediction import BIASES, NIBBLES
 
 MAX_KEYPOINTS = 10_000
@@ -50,8 +51,9 @@ MAX_STEP = 64
 MAX_LIKE = 80
 
 _MAGIC = b"CBOF"
-_VERSION = 2
-_STARTS, _CODED = 1, 2
+_VERSION = 3
+_VERSION_OF_PIXELS = 2  # has no parts; read as ever
+_STARTS, _CODED, _PARTS = 1, 2, 4
 _FIXED = struct.Struct("<4sBBHHBBBBI")
 _WORD = struct.Struct("<I")
 _WORD_BYTES = WORD_BITS // 8
@@ -101,7 +103,8 @@ def pack(found: CodedKeypoints, memory: Memory | None, coded: bool, like: int) -
     work.code_set(coder, data, found)
     lanes = work.encode_lanes(coder, data) if coded else found.descriptors.astype("<u8").tobytes()
     payload = data[: finish(coder, data)].tobytes() + lanes
-    grid, flags = found.grid, (_STARTS if starts else 0) | (_CODED if coded else 0)
+    grid = found.grid
+    flags = (_STARTS if starts else 0) | (_CODED if coded else 0) | (_PARTS if grid.parts > 1 else 0)
     header = _FIXED.pack(
         _MAGIC, _VERSION, flags, grid.width, grid.height, grid.levels, grid.step, found.angle_bits, like,
         memory.checksum,
@@ -124,8 +127,8 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
         raise BitstreamError("orb_features: damaged: the CRC-32 is wrong")
     _, version, flags, width, height, levels, step, angle_bits, like, before = _FIXED.unpack_from(content)
     for name, value, is_allowed in (
-        ("version", version, version == _VERSION),
-        ("flags", flags, flags & ~(_STARTS | _CODED) == 0),
+        ("version", version, version in (_VERSION_OF_PIXELS, _VERSION)),
+        ("flags", flags, flags & ~(_STARTS | _CODED | (_PARTS if version == _VERSION else 0)) == 0),
         ("size", (width, height), 0 < width * height <= MAX_PIXELS),
         ("levels", levels, 1 <= levels <= MAX_LEVELS),
         ("step", step, 1 <= step <= MAX_STEP),
@@ -148,8 +151,9 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
     start_decoding(coder, data)
     work = _Work(memory, np.zeros((total, 4), np.uint64), coded, like)
     found = CodedKeypoints(
-        grid_of(width, height, levels, step), angle_bits, np.concatenate([[0], np.cumsum(counts)]),
-        np.zeros(total, np.int64), np.zeros(total, np.int64), work.descriptors,
+        grid_of(width, height, levels, step, PARTS if flags & _PARTS else 1), angle_bits,
+        np.concatenate([[0], np.cumsum(counts)]), np.zeros(total, np.int64), np.zeros(total, np.int64),
+        np.zeros(total, np.int64), work.descriptors,
     )  # fmt: skip
     wrong = work.code_set(coder, data, found)
     if wrong:
@@ -189,13 +193,16 @@ class _Work:
         """All but the descriptors; returns as the kernel."""
         last = self._memory
         cells, angles = (found.cells.copy(), found.angles.copy()) if coder[ENCODING] else (found.cells, found.angles)
-        return int(
+        wrong = int(
             code_set(
                 coder, data, last.model, found.grid.level_units, found.octave_starts, cells, self._places, angles,
                 self._known, self._sources, self._copied, found.angle_bits, self._mode, self._like,
                 last.octave_starts, last.places, last.angles,
             )
         )  # fmt: skip
+        if found.grid.parts > 1 and not wrong:
+            code_parts(coder, data, last.model, found.parts.copy() if coder[ENCODING] else found.parts)
+        return wrong
 
     def encode_lanes(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bytes:
         """The words of all lanes; their lengths are coded."""

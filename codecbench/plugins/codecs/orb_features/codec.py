@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from codecbench.core.contracts.codec import Capabilities
 from codecbench.core.contracts.errors import BitstreamError
@@ -20,7 +20,7 @@ from codecbench.plugins.codecs.orb_features.bitstream import (
     pack,
     unpack,
 )
-from codecbench.plugins.codecs.orb_features.keypoints import SCALE_FACTOR, CodedKeypoints
+from codecbench.plugins.codecs.orb_features.keypoints import PARTS, SCALE_FACTOR, CodedKeypoints
 from codecbench.plugins.slam_backends.keypoints import features_of, keypoints_of
 from codecbench.slam.features.extractor import FeatureExtractor, Keypoints
 from codecbench.slam.geometry.camera import Camera
@@ -29,19 +29,26 @@ from codecbench.slam.options import Options
 LEVELS = 8
 COPIED_BITS = 32
 """With `lossy`, a descriptor that differs from its reference in at most so many bits becomes it."""
+FINEST_STEP_PX = 1.0 / PARTS
 _MAX_SIDE = 0xFFFF
 
 
+def _checked_step(value: float) -> float:
+    if value != FINEST_STEP_PX and value != int(value):
+        raise ValueError(f"{value:g} is neither {FINEST_STEP_PX:g}, which loses nothing, nor a whole number of pixels")
+    return value
+
+
 class OrbFeaturesParams(Params):
-    """features: how many are looked for, spread over the image by the SLAM's own extractor. position_step_px: 1 keeps
-    positions as they are; else they are of a grid of so many pixels of the feature's own pyramid level. angle_bits: for
-    a turn. descriptor: `raw`, `coded` without loss, or `lossy`: one that is much like an earlier one becomes that one.
-    mode: `intra`, each set for itself, or `inter`, after the set before. gop: sets from one that stands alone to the
-    next.
+    """features: how many are looked for, spread over the image by the SLAM's own extractor. position_step_px: 0.25
+    keeps positions as they are; else they are of a grid of so many pixels of the feature's own pyramid level.
+    angle_bits: for a turn. descriptor: `raw`, `coded` without loss, or `lossy`: one that is much like an earlier one
+    becomes that one. mode: `intra`, each set for itself, or `inter`, after the set before. gop: sets from one that
+    stands alone to the next.
     """
 
     features: Annotated[int, Field(ge=100, le=MAX_KEYPOINTS)] = 1000
-    position_step_px: Annotated[int, Field(ge=1, le=MAX_STEP)] = 1
+    position_step_px: Annotated[float, Field(gt=0.0, le=MAX_STEP), AfterValidator(_checked_step)] = FINEST_STEP_PX
     angle_bits: Annotated[int, Field(ge=1, le=MAX_ANGLE_BITS)] = MAX_ANGLE_BITS
     descriptor: Literal["raw", "coded", "lossy"] = "coded"
     mode: Literal["intra", "inter"] = "intra"
@@ -51,12 +58,12 @@ class OrbFeaturesParams(Params):
 class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
     """Finds features as our SLAM does, and sends what this reads of them, which is all but the response.
 
-    Pixels, octaves and descriptors come back to the bit where position_step_px is 1 and the descriptor not `lossy`, and
-    angles rounded to `angle_bits`; by level, in reading order within each.
+    Pixels, octaves and descriptors come back to the bit where position_step_px is 0.25 and the descriptor not `lossy`,
+    and angles rounded to `angle_bits`; by level, in reading order of pixels within each.
     """
 
     name = "orb_features"
-    version = "2"
+    version = "3"
     params_type = OrbFeaturesParams
     capabilities = Capabilities(thread_safe=False)
     examples = (
@@ -73,7 +80,8 @@ class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
 
     def is_lossless(self) -> bool:
         params = self.params
-        return params.descriptor != "lossy" and params.position_step_px == 1 and params.angle_bits == MAX_ANGLE_BITS
+        rounded = params.position_step_px != FINEST_STEP_PX or params.angle_bits != MAX_ANGLE_BITS
+        return params.descriptor != "lossy" and not rounded
 
     def extract(self, image: Image) -> Features:
         gray = gray_from_image(check_image(image))
@@ -109,7 +117,9 @@ class OrbFeatureEncoder(FeatureEncoder):
         _check(found)
         params = self._params
         starts = params.mode == "intra" or self._pushed % params.gop == 0
-        coded = CodedKeypoints.of(found, LEVELS, params.position_step_px, params.angle_bits)
+        finest = params.position_step_px == FINEST_STEP_PX
+        step, parts = (1, PARTS) if finest else (int(params.position_step_px), 1)
+        coded = CodedKeypoints.of(found, LEVELS, step, parts, params.angle_bits)
         like = COPIED_BITS if params.descriptor == "lossy" else 0
         data, self._memory = pack(coded, None if starts else self._memory, params.descriptor != "raw", like)
         self._pushed += 1

@@ -55,7 +55,8 @@ _RANKS = _KINDS + 9  # kind, then 31 decisions
 _TURNS = _RANKS + 96  # kind, then a tree of 32 leaves
 _COPIED = _TURNS + 96  # kind
 _LENGTHS = _COPIED + 3  # a tree of 32 leaves
-_CONTEXTS = _LENGTHS + 32
+_PARTS = _LENGTHS + 32  # a tree of 16 leaves
+_CONTEXTS = _PARTS + 16
 
 
 def new_model() -> NDArray[np.int32]:
@@ -242,6 +243,13 @@ def code_set(
                 if encoding and copied[i]:
                     descriptors[lasts + i] = descriptors[sources[i]]
     return 0
+
+
+@compiled
+def code_parts(coder: Any, data: Any, model: Any, parts: Any) -> None:
+    """Code or decode in which of 16 parts of its cell each keypoint lies (N,)."""
+    for i in range(parts.shape[0]):
+        parts[i] = _code_tree(coder, data, model, _PARTS, parts[i], 4)
 
 
 @compiled

@@ -11,10 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.plugins.codecs.orb_features.references import PLACE_UNIT
+from codecbench.slam.features.corner_kernels import SUBPIXELS
 from codecbench.slam.features.extractor import Keypoints, level_sizes
 
 SCALE_FACTOR: Final = 1.2
 """Between two levels of the pyramid, as ORB was published and as the SLAM has it by default."""
+
+PARTS: Final = SUBPIXELS
+"""Of a pixel, each way, in which the SLAM tells positions apart."""
 
 _TURN: Final = 2.0 * math.pi
 _PLACE_BITS: Final = 32  # more than cells of the largest image take
@@ -22,12 +26,14 @@ _PLACE_BITS: Final = 32  # more than cells of the largest image take
 
 @dataclass(frozen=True)
 class Grid:
-    """Where keypoints of an image can lie: in cells of `step` x `step` pixels of each of `levels` levels."""
+    """Where keypoints of an image can lie: in cells of `step` x `step` pixels of each of `levels` levels, and within a
+    cell in one of `parts` x `parts` parts."""
 
     width: int
     height: int
     levels: int
     step: int
+    parts: int = 1
 
     @cached_property
     def sizes(self) -> NDArray[np.int64]:
@@ -54,23 +60,24 @@ class Grid:
 
 
 @lru_cache(maxsize=16)
-def grid_of(width: int, height: int, levels: int, step: int) -> Grid:
+def grid_of(width: int, height: int, levels: int, step: int, parts: int = 1) -> Grid:
     """The grid, whose tables are made once and not for every set."""
-    return Grid(width, height, levels, step)
+    return Grid(width, height, levels, step, parts)
 
 
 @dataclass(frozen=True)
 class CodedKeypoints:
     """Keypoints on a grid, by level and in reading order within each.
 
-    octave_starts (levels + 1,): where each level begins; cells (N,): row * columns + column; angles (N,): in
-    1/2^angle_bits of a turn; descriptors (N, 4).
+    octave_starts (levels + 1,): where each level begins; cells (N,): row * columns + column; parts (N,): the same
+    within the cell; angles (N,): in 1/2^angle_bits of a turn; descriptors (N, 4).
     """
 
     grid: Grid
     angle_bits: int
     octave_starts: NDArray[np.int64]
     cells: NDArray[np.int64]
+    parts: NDArray[np.int64]
     angles: NDArray[np.int64]
     descriptors: NDArray[np.uint64]
 
@@ -78,19 +85,22 @@ class CodedKeypoints:
         return len(self.cells)
 
     @classmethod
-    def of(cls, found: Keypoints, levels: int, step: int, angle_bits: int) -> CodedKeypoints:
+    def of(cls, found: Keypoints, levels: int, step: int, parts: int, angle_bits: int) -> CodedKeypoints:
         """Keypoints of a pyramid of so many levels, on its grid."""
-        grid = grid_of(*found.size, levels, step)
-        corners = np.rint((found.pixels + 0.5) / grid.ratios[found.octaves] - 0.5).astype(np.int64)
-        cells = corners[:, 1] // step * grid.cells[found.octaves, 0] + corners[:, 0] // step
+        grid = grid_of(*found.size, levels, step, parts)
+        corners = np.floor((found.pixels + 0.5) / grid.ratios[found.octaves] * (parts / step)).astype(np.int64)
+        whole, within = np.divmod(corners, parts)
+        cells = whole[:, 1] * grid.cells[found.octaves, 0] + whole[:, 0]
+        places_within = within[:, 1] * parts + within[:, 0]
         angles = np.rint(found.angles * (2**angle_bits / _TURN)).astype(np.int64) & (2**angle_bits - 1)
         octaves, descriptors = found.octaves, found.descriptors
         places = (octaves.astype(np.int64) << _PLACE_BITS) | cells
         if (places[1:] < places[:-1]).any():  # not as an extractor gives them
             order = np.argsort(places, kind="stable")
-            octaves, cells, angles, descriptors = octaves[order], cells[order], angles[order], descriptors[order]
+            octaves, cells, places_within = octaves[order], cells[order], places_within[order]
+            angles, descriptors = angles[order], descriptors[order]
         starts = np.searchsorted(octaves, np.arange(levels + 1)).astype(np.int64)
-        return cls(grid, angle_bits, starts, cells, angles, descriptors)
+        return cls(grid, angle_bits, starts, cells, places_within, angles, descriptors)
 
     @property
     def octaves(self) -> NDArray[np.int32]:
@@ -98,11 +108,13 @@ class CodedKeypoints:
         return np.repeat(np.arange(self.grid.levels, dtype=np.int32), np.diff(self.octave_starts))
 
     def keypoints(self) -> Keypoints:
-        """What the server makes of them: a keypoint lies in the middle of its cell."""
+        """What the server makes of them: a keypoint lies in the middle of its cell, or of its part of the cell."""
         grid, octaves = self.grid, self.octaves
         rows, columns = np.divmod(self.cells, grid.cells[octaves, 0])
-        cells = np.stack([columns, rows], axis=1)
-        corners = np.minimum(cells * grid.step + 0.5 * (grid.step - 1), grid.sizes[octaves] - 1)
+        down, across = np.divmod(self.parts, grid.parts)
+        cells = np.stack([columns * grid.parts + across, rows * grid.parts + down], axis=1)
+        size = grid.step / grid.parts
+        corners = np.minimum(cells * size + 0.5 * (size - 1), grid.sizes[octaves] - 1)
         pixels = (corners + 0.5) * grid.ratios[octaves] - 0.5
         signed = self.angles - ((self.angles >> (self.angle_bits - 1)) << self.angle_bits)  # -pi up to pi
         angles = signed * (_TURN / 2**self.angle_bits)

@@ -82,7 +82,7 @@ class Bag(Dataset[BagParams]):
         return {"path": str(path)} if is_called_a_bag(path) else None
 
     def open(self) -> Sequence:
-        return BagSequence(self.params)
+        return self.params.scaled(BagSequence(self.params))
 
 
 class BagSequence(Sequence):

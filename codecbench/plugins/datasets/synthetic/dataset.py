@@ -84,8 +84,8 @@ class Synthetic(Dataset[SyntheticParams]):
     def open(self) -> Sequence:
         p = self.params
         if p.world is None or p.severity is None:
-            return SyntheticSequence(p)
-        return WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed)
+            return p.scaled(SyntheticSequence(p))
+        return p.scaled(WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed))
 
 
 class SyntheticSequence(RenderedSequence):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from damage import damaged_copies
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from rendered_scenes import CAMERA, Room, path_pose
 
 from codecbench.core.contracts.errors import BitstreamError
@@ -34,6 +35,7 @@ from codecbench.plugins.codecs.orb_features.prediction import (
 from codecbench.plugins.codecs.orb_features.train_prediction import train
 from codecbench.plugins.slam_backends.keypoints import keypoints_of
 from codecbench.slam import Options, System
+from codecbench.slam.features.extractor import level_sizes
 
 FRAMES = 6
 SETTINGS: tuple[dict[str, Any], ...] = (
@@ -288,6 +290,57 @@ def test_slam_on_decoded_features_is_slam_on_pictures(mode: Any) -> None:
     assert np.array_equal(result.points_world, expected.points_world)
 
 
+OF_VERSION_2 = (
+    "43424f46020350003c00080108000000000004000000000000000000000000000000a4bd00e91b62fd2599c36d6d57c652eb43e2ad69ad"
+    "5791efcdc99d07cfaf36d6a7c35f177219ba8c6766816887aec50539657afd0a58a24a686d979316a58cd4af16de163903fb24285d168d"
+    "1e8580affb2177303f7f4d34717e46d0683d4fde3d6cb5f30849b44c08b6c71c9fb548e147ca0c6c886e7ac567a819cb4397c7968be5d2"
+    "3b16fb9fa1293527916e9d860e8d85f4f28e7ac82d86111fbb219f5e7dd699738f72b4865f04c533f16e82113da587152443dedfd8d65f"
+    "a8961307b81ce3f2a1b86664c1f45fa2ab133027e72acc9a66515648ddb127b57d74bc67b1fcdf88",
+    "43424f46020250003c0008010800b1fcdf88040000000000000000000000000000003de1c890942471d298010337610cbf3e2d61276706"
+    "a19bf29380250cfbc823faf3b3cf6092ad49f74dc9ae80a052ddc48d2c43bd09e175b18d5fa1044e4ffc6ff8651a99880481f5f3f86e51"
+    "eb3af297310404b4",
+)
+"""Two packets of that version, the second after the first."""
+
+
+def test_packets_of_the_version_of_whole_pixels_are_read() -> None:
+    rng = np.random.default_rng(5)
+    descriptors = rng.integers(0, 2**64, (4, 4), np.uint64)
+    pixels = np.array([[30.0, 20.0], [41.0, 20.0], [25.0, 31.0], [60.0, 40.0]])
+    decoder = OrbFeatures.create().decoder()
+    for number, packet in enumerate(OF_VERSION_2):
+        back = decoder.push(Packet(bytes.fromhex(packet), number, number == 0)).features
+        assert back is not None
+        assert np.array_equal(back.pixels, pixels + np.array([number, 0.0]))
+        assert np.array_equal(back.descriptors, descriptors.view(np.uint8))
+        descriptors[:, 0] ^= np.uint64(5)
+
+
+def test_positions_are_told_to_a_quarter_of_a_level_s_pixel(film: list[Features]) -> None:
+    for found in film:
+        places = (found.pixels + 0.5) / _ratios(found) * 4
+        np.testing.assert_allclose(places % 1.0, 0.5, atol=1e-6)
+    settings = ({}, {"position_step_px": 1}, {"position_step_px": 2})
+    sizes = [sum(len(packet.data) for packet in packets_of(film, **setting)) for setting in settings]
+    keypoints = sum(map(len, film))
+    assert 0.4 < (sizes[0] - sizes[1]) / keypoints < 0.55
+    assert sizes[1] > sizes[2]
+    for found, back in zip(film, decoded(packets_of(film, position_step_px=1)), strict=True):
+        assert np.abs((back.pixels - found.pixels) / _ratios(found)).max() <= 0.375 + 1e-9
+
+
+def _ratios(found: Features) -> NDArray[np.float64]:
+    """(N, 2): the image's size over that of each feature's level."""
+    sizes = np.array([size[::-1] for size in level_sizes(*found.size, 1.2 ** np.arange(8))])
+    return np.asarray(found.size / sizes[found.octaves])
+
+
+@pytest.mark.parametrize("step", [0.5, 0.0, 1.5, 65])
+def test_positions_have_the_finest_step_or_whole_ones(step: float) -> None:
+    with pytest.raises(ValidationError, match="position_step_px"):
+        OrbFeatures.create(position_step_px=step)
+
+
 def test_packets_are_the_same_on_every_machine() -> None:
     """Of keypoints that are drawn, so that no corner depends on how another machine shrinks pictures."""
     rng = np.random.default_rng(3)
@@ -300,4 +353,4 @@ def test_packets_are_the_same_on_every_machine() -> None:
         bits = descriptors.view(np.uint8).copy()
         found = Features((320, 240), pixels, np.zeros(200, np.int32), angles, np.full(200, np.nan), bits)
         digest.update(encoder.push(found).data)
-    assert digest.hexdigest() == "d0cfa34314dbae8f479ad0a5a29756076fd534111136171507e2d47f5a7883c9"
+    assert digest.hexdigest() == "bf94872f604711acb50e5908e8cd4fd10e724d428492e783abbfa4aa9c49bf77"
