@@ -21,6 +21,10 @@ def plus(a, b):
 @compiled
 def factorial(n):
     return 1 if n < 2 else n * factorial(n - 1)
+
+@compiled
+def raised(n):
+    return plus(n, 1) + plus(n, 2) + plus(n, n)
 """
 PLUS = """
 from locked import plus
@@ -100,6 +104,11 @@ def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> N
 
 def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
+
+
+def test_constants_in_a_call_cost_no_signature_of_their_own(tmp_path: Path) -> None:
+    program = "from locked import plus, raised; print(raised(5), *map(str, plus.signatures))"
+    assert output(start(tmp_path, program)) == "23 (int64, int64)"
 
 
 @pytest.mark.thorough
