@@ -248,6 +248,7 @@ def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) 
     assert bench.store().read_plan() == plan
 
 
+@pytest.mark.thorough
 def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
     fsync = os.fsync
