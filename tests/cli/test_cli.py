@@ -134,6 +134,7 @@ def test_the_screen_shows_headlines_and_all_columns_when_asked(place: Path, run:
     assert "--all" not in every
 
 
+@pytest.mark.thorough
 def test_columns_are_chosen_by_pattern(place: Path, run: Path) -> None:
     out = call(place, "table", str(run), "--format", "csv", "--columns", "error.*")
     assert out.splitlines()[0] == "sequence,codec,setting,error.max_error.max"

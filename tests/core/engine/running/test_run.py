@@ -90,6 +90,7 @@ def test_what_a_codec_remarks_of_a_setting_is_noted(bench: Bench) -> None:
     }
 
 
+@pytest.mark.thorough
 def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:
     plan = bench.plan(matrix(STEPS, "wandering, whole"))
     bench.run(plan, "one", workers=1)
