@@ -69,6 +69,7 @@ def run(place: Path) -> Path:
     return place / "runs" / "tiny"
 
 
+@pytest.mark.thorough
 def test_a_second_run_keeps_everything(place: Path, run: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (run / "records").glob("??/*/record.json")}
     assert "of them from before" in call(place, "run", "tiny.yaml", "--quiet")
@@ -80,6 +81,10 @@ def test_plan_says_what_is_there_and_what_cannot_be(place: Path, run: Path) -> N
     out = call(place, "plan", "tiny.yaml", "--cells")
     assert "cells: 9: 6 done, 0 to do, 3 unsupported" in out
     assert "apt install libabsent" in out
+
+
+@pytest.mark.thorough
+def test_a_plan_elsewhere_says_how_long_it_will_take(place: Path, run: Path) -> None:
     fresh = call(place, "plan", "tiny.yaml", "--out", "elsewhere")
     assert "coding jobs: 2, of which 0 are coded and 2 are to do" in fresh
     assert re.search(r"estimated time: about \d+ s", fresh)

@@ -236,7 +236,8 @@ def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) 
     assert bench.run(plan).kept == 4
 
 
-@pytest.mark.parametrize("how", ["flip", pytest.param("truncate", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("how", ["flip", "truncate"])
 def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) -> None:
     plan = bench.plan(matrix("faulty", "wandering"))
     bench.run(plan)
