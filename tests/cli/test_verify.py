@@ -97,6 +97,7 @@ def with_broken(folder: Path, codec_class: str, requires: tuple[str, ...] = ()) 
     return place
 
 
+@pytest.mark.thorough
 def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
     done = with_broken(tmp_path, "LosesARow").call("verify", "broken", "--only", "shape", "--only", "params")
     assert done.status == 1
@@ -313,10 +314,8 @@ def test_a_codec_that_is_not_installed_is_skipped(corpus: Path) -> None:
     assert done.output.splitlines()[-1].endswith("0 failed, 6 skipped")
 
 
-@pytest.mark.parametrize(
-    ("codec_class", "said"),
-    [("Segfaults", "SIGSEGV"), pytest.param("Exits", "SystemExit", marks=pytest.mark.thorough)],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("codec_class", "said"), [("Segfaults", "SIGSEGV"), ("Exits", "SystemExit")])
 def test_a_codec_that_ends_its_process_writes_no_corpus(tmp_path: Path, codec_class: str, said: str) -> None:
     done = with_broken(tmp_path, codec_class).call("verify", "broken", "--write-corpus", "corpus")
     assert done.status == 1, done.output

@@ -104,6 +104,7 @@ def written(run: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     return block(root / "docs" / "real.md", "real")
 
 
+@pytest.mark.thorough
 def test_a_block_that_differs_is_named(run: Path) -> None:
     out = tables("--check", "--run", f"real={run}", status=1)
     assert "docs/real.md: real: differs" in out
@@ -130,6 +131,7 @@ def test_the_page_s_table_is_made_from_a_run(run: Path, written: str) -> None:
     assert {row[heads.index("encode ms")] for row in rows} == {"–"}, "what was not measured is a dash"
 
 
+@pytest.mark.thorough
 def test_the_claim_beside_the_table_is_computed_from_it(run: Path, written: str) -> None:
     wide = codecbench.open_run(run).wide
     lossy = wide[(wide["sequence"] == "fr3_office_100") & (wide["codec"] != "raw")]

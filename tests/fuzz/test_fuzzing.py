@@ -69,6 +69,7 @@ class _TrustingTarget(Target):
         return _Trusting
 
 
+@pytest.mark.thorough
 def test_the_fuzzer_finds_what_is_broken(tmp_path: Path) -> None:
     target = _TrustingTarget("trusting", TARGETS["raw"].repair)
     seed = Raw.create().encode(np.zeros((1, 1), np.uint8))

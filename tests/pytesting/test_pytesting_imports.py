@@ -29,6 +29,7 @@ def test_the_suite_is_found_where_the_documentation_says() -> None:
         _ = codecbench.pytesting.CodecSweet
 
 
+@pytest.mark.thorough
 def test_the_former_name_still_works_and_says_the_new_one() -> None:
     done = _run("from codecbench.testing import CodecSuite; print(CodecSuite.__module__)", "-W", "always")
     assert done.stdout.split() == ["codecbench.pytesting.suite"]

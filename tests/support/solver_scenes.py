@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from codecbench.slam.geometry.rotations import so3_exp
 from codecbench.slam.geometry.transforms import se3_exp
@@ -42,6 +43,12 @@ def project(points_camera: NDArray[np.float64]) -> NDArray[np.float64]:
 def moved(motion: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (N, 3) after a (4, 4) rigid motion or similarity."""
     return points @ motion[:3, :3].T + motion[:3, 3]
+
+
+def similarity_from_tangent(tangent: tuple[float, ...]) -> NDArray[np.float64]:
+    """The (4, 4) similarity of a tangent vector (v, w, sigma), as the exponential of a matrix; compiles nothing."""
+    x, y, z, a, b, c, sigma = tangent
+    return np.asarray(expm(np.array([[sigma, -c, b, x], [c, sigma, -a, y], [-b, a, sigma, z], [0.0, 0.0, 0.0, 0.0]])))
 
 
 def corridor(rng: np.random.Generator, cameras: int, points: int, observations: int, noise_px: float = 0.0) -> Scene:

@@ -72,12 +72,22 @@ def test_the_guide_shows_the_package_that_is_tested(name: str) -> None:
 def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np.random.Generator) -> None:
     frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)
     np.save(tmp_path / "frames.npy", frames)
-    assert "  - use: npy\n" in call("init", "--from", "frames.npy", "--codec", "png", "--out", "-")
-    assert "frames in one NumPy file" in call("list", "datasets")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
     raw_bits = _samples(call("table", "run", "--tidy", "--format", "csv"), "size_bytes")
     assert len(raw_bits) == 5
     assert min(raw_bits) == max(raw_bits) >= 24 * 32 * 3
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("call", ["npy"], indirect=True)
+def test_frames_of_a_dataset_are_known_again_and_wrong_ones_refused(
+    call: Call, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)
+    np.save(tmp_path / "frames.npy", frames)
+    assert "  - use: npy\n" in call("init", "--from", "frames.npy", "--codec", "png", "--out", "-")
+    assert "frames in one NumPy file" in call("list", "datasets")
+    call("run", "matrix.yaml", "--quiet", "--out", "run")
     assert "of them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
     np.save(tmp_path / "frames.npy", frames.astype(np.float32))
     assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)

@@ -114,13 +114,25 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
 
 
 class CompileOnce:
-    """A dispatcher's compiler that lets one process at a time compile a signature, and takes what another made."""
+    """A dispatcher's compiler: one process at a time compiles a signature, others take what it made.
+
+    A signature has types only, no constants.
+    """
 
     def __init__(self, compiler: Any, cache: KernelCache, target_context: Any) -> None:
         self._compiler, self._cache, self._target_context = compiler, cache, target_context
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._compiler, name)
+
+    def fold_argument_types(self, args: Any, kws: Any) -> Any:
+        """Types of the arguments of a call in another kernel, where a constant is a number like any other.
+
+        numba would compile the function again for each constant. Nothing is lost: what is optimised is the caller with
+        the function inside it, and there the constant is known.
+        """
+        signature, folded = self._compiler.fold_argument_types(args, kws)
+        return signature, tuple(map(_types.unliteral, folded))
 
     def compile(self, args: Any, return_type: Any) -> Any:
         """What numba makes of the signature; kept on disk before another process may ask for it."""

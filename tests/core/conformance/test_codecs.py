@@ -11,7 +11,7 @@ from codecbench.core.conformance.settings import setting_label
 from codecbench.core.conformance.suite import CHECKS, Check, checks_of, material_of, shape_of
 from codecbench.core.engine.registry import installed
 
-SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "self_contained")
+SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "future", "self_contained")
 NAMES = [plugin.spec.name for plugin in installed().plugins("codec")]
 
 

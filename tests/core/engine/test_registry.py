@@ -142,7 +142,7 @@ from codecbench import AnyCodec, Capabilities, Codec, FeatureCodec, NoParams, St
 
 
 class Vague(Codec):
-    name, version, params_type = "mine", "1", NoParams
+    name, version, params_type = "vague", "1", NoParams
 
     def encode(self, image, *, trace=None):
         return image.tobytes()
@@ -152,50 +152,66 @@ class Vague(Codec):
 
 
 class Half(Codec):
-    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+    name, version, params_type, capabilities = "half", "1", NoParams, Capabilities()
 
     def encode(self, image, *, trace=None):
         return image.tobytes()
 
 
 class Neither(AnyCodec):
-    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+    name, version, params_type, capabilities = "neither", "1", NoParams, Capabilities()
 
 
 class Mute(StreamCodec):
-    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+    name, version, params_type, capabilities = "mute", "1", NoParams, Capabilities()
 
     def encoder(self, frame_rate_hz):
         return None
 
 
 class Blind(FeatureCodec):
-    name, version, params_type, capabilities = "mine", "1", NoParams, Capabilities()
+    name, version, params_type, capabilities = "blind", "1", NoParams, Capabilities()
 
     def encoder(self):
         return None
 """
 
 
-@pytest.mark.parametrize(
-    ("target", "words"),
-    [
-        ("json:JSONEncoder", f"not a subclass of {CODECS}"),
-        ("liar:Neither", f"not a subclass of {CODECS}"),
-        ("liar:Mute", "liar:Mute does not define decoder"),
-        ("liar:Blind", "liar:Blind does not define decoder, extract"),
-        ("no_such_module_here:Thing", "does not import"),
-        ("liar:Vague", "liar:Vague has no class attribute 'capabilities'"),
-        ("liar:Half", "liar:Half does not define decode"),
-    ],
-)
-def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path, target: str, words: str) -> None:
-    install_source(tmp_path, "liar", "1", hook_module(target=target) + INCOMPLETE)
-    code = "from codecbench.core.engine.registry import installed; installed().load('codec', 'mine')"
+TARGETS = {
+    "encoder": ("json:JSONEncoder", f"not a subclass of {CODECS}"),
+    "neither": ("incomplete:Neither", f"not a subclass of {CODECS}"),
+    "mute": ("incomplete:Mute", "incomplete:Mute does not define decoder"),
+    "blind": ("incomplete:Blind", "incomplete:Blind does not define decoder, extract"),
+    "nowhere": ("no_such_module_here:Thing", "does not import"),
+    "vague": ("incomplete:Vague", "incomplete:Vague has no class attribute 'capabilities'"),
+    "half": ("incomplete:Half", "incomplete:Half does not define decode"),
+}
+LOADING = """
+import sys
+from codecbench.core.engine.registry import installed
+
+for name in sys.argv[1:]:
+    try:
+        installed().load("codec", name)
+    except Exception as error:
+        print(f"{type(error).__name__}: {error}".replace("\\n", " "))
+    else:
+        print("was loaded")
+"""
+
+
+def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path) -> None:
+    (tmp_path / "incomplete.py").write_text(INCOMPLETE)
+    for name, (target, _) in TARGETS.items():
+        install_source(tmp_path, f"liar-{name}", "1", hook_module(name=name, target=target))
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
-    assert words in done.stderr
-    assert "liar 1" in done.stderr
+    command = [sys.executable, "-c", LOADING, *TARGETS]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    for (name, (_, words)), said in zip(TARGETS.items(), done.stdout.splitlines(), strict=True):
+        assert said.startswith("PluginError: "), said
+        assert words in said
+        assert f"liar-{name} 1" in said
 
 
 def test_the_former_names_still_work_and_say_the_new_ones() -> None:

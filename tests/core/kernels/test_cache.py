@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from codecbench.core.kernels.compiled import compiled
+
 KERNELS = """
 from codecbench.core.kernels.compiled import compiled
 
@@ -100,6 +102,21 @@ def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> N
 
 def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
+
+
+@compiled
+def plus(a, b):  # type: ignore[no-untyped-def]
+    return a + b
+
+
+@compiled
+def raised(n):  # type: ignore[no-untyped-def]
+    return plus(n, 1) + plus(n, 2) + plus(n, n)
+
+
+def test_constants_in_a_call_cost_no_signature_of_their_own() -> None:
+    assert raised(5) == 23
+    assert [len(raised.signatures), len(plus.signatures)] == [1, 1]
 
 
 @pytest.mark.thorough

@@ -109,6 +109,7 @@ def test_an_edit_is_seen(project: Project, file: str, old: str, new: str, result
     assert project.run() == ([19, 23], True), "what was compiled before the edit is still there"
 
 
+@pytest.mark.thorough
 def test_an_edit_that_changes_no_code_compiles_nothing(project: Project) -> None:
     project.edit("kernels.py", "'''At most the limit.'''", "'''Never more than the limit.'''\n    # by design\n")
     project.edit("thresholds.py", "LIMIT = 10", "UNUSED = 1\nLIMIT = 10")

@@ -92,7 +92,7 @@ def test_headers_are_sent_with_every_packet() -> None:
     assert latencies_s(found)[0] == pytest.approx(0.037)
 
 
-@pytest.mark.parametrize("load", [0.3, 0.7])
+@pytest.mark.parametrize("load", [pytest.param(0.3, marks=pytest.mark.thorough), 0.7])
 def test_waiting_times_are_those_of_a_queue_with_one_server(load: float) -> None:
     """Poisson arrivals and equal service times: the formula of Pollaczek and Khinchine."""
     service_s, count = 0.01, 25_000

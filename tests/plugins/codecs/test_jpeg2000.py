@@ -384,6 +384,7 @@ def test_pillow_s_library_is_used_where_the_system_has_none() -> None:
     assert "pillow" in done.stdout
 
 
+@pytest.mark.thorough
 def test_pillow_s_library_is_used_also_where_glymur_was_imported_before() -> None:
     done = _run(_WITHOUT_SYSTEM_LIBRARY + "import glymur\n" + _ROUND_TRIP)
     assert done.returncode == 0, done.stderr
@@ -416,6 +417,7 @@ for image, rate, own in (
 """
 
 
+@pytest.mark.thorough
 def test_pillow_s_own_codec_writes_the_same_file_with_the_same_library() -> None:
     done = _run(_WITHOUT_SYSTEM_LIBRARY + _ROUND_TRIP + _PILLOW_S_FILE)
     assert done.returncode == 0, done.stderr

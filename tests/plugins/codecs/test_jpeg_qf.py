@@ -267,6 +267,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 """
 
 
+@pytest.mark.thorough
 def test_the_largest_picture_in_the_fewest_bytes_decodes_within_512_megabytes() -> None:
     bitstream = JpegQf.create(qf=20, optimize=True).encode(np.full((4096, 4096, 3), 77, np.uint8))
     assert len(bitstream) < 200_000

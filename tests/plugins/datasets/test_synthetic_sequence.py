@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image, png_bytes
 from codecbench.plugins.datasets.files import read_image_file
-from codecbench.plugins.datasets.synthetic import photographs
+from codecbench.plugins.datasets.synthetic import photographs, rendered
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, _renderer, room_camera
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, LOOP_S, HandheldPath
@@ -29,7 +29,8 @@ PICTURES = GOLDEN / "synthetic"
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "cache"))
+    """Of frames; that of kernels is everybody's."""
+    monkeypatch.setattr(rendered, "cache_folder", lambda: tmp_path / "cache")
     return tmp_path / "cache"
 
 
@@ -253,7 +254,7 @@ def test_frames_are_the_callers_own():
 def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, monkeypatch):
     expected = small(frames=1).read(0).image
     (tmp_path / "in the way").write_text("a file where the folder should be")
-    monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "in the way"))
+    monkeypatch.setattr(rendered, "cache_folder", lambda: tmp_path / "in the way")
     np.testing.assert_array_equal(small(frames=1).read(0).image, expected)
 
 

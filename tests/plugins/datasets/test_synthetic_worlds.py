@@ -13,6 +13,7 @@ import pytest
 from pydantic import ValidationError
 
 from codecbench.core.contracts.image import gray_from_image
+from codecbench.plugins.datasets.synthetic import rendered
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, SyntheticParams
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
 from codecbench.plugins.datasets.synthetic.render import Renderer
@@ -27,7 +28,8 @@ EVERY_WORLD = pytest.mark.parametrize("world", WORLD_NAMES)
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "cache"))
+    """Of frames; that of kernels is everybody's."""
+    monkeypatch.setattr(rendered, "cache_folder", lambda: tmp_path / "cache")
 
 
 def small(world, **values):

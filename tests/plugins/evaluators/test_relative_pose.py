@@ -263,6 +263,7 @@ def test_frames_without_a_pair_say_why(tmp_path: Path) -> None:
     assert all("scene distances" in str(reason) for reason in missing.values())
 
 
+@pytest.mark.thorough
 def test_worse_pictures_lose_matches(tmp_path: Path) -> None:
     kept = [
         np.nanmean(values(measured(tmp_path, FunctionCodec(lambda i, q=q: jpeg(i, q))), "correct_matches"))

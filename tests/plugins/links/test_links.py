@@ -64,6 +64,7 @@ def test_packets_are_lost_independently_at_the_stated_share() -> None:
     assert (lost[1:] & lost[:-1]).mean() == pytest.approx(0.04, abs=0.004)
 
 
+@pytest.mark.thorough
 def test_bursts_of_gilbert_and_elliott_have_their_mean_lengths() -> None:
     link = GilbertElliott.create(rate_kbps=1e6, good_ms=300, bad_ms=100)
     lost = [p.arrives_s is None for p in passages(link, 100, 0.001, 300_000)]

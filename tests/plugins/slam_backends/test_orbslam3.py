@@ -117,6 +117,7 @@ def test_frames_are_paced() -> None:
     assert time.monotonic() - started >= 1.0
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("stand_in")
 def test_a_crash_is_an_error_that_says_where() -> None:
     with pytest.raises(SlamError, match=r"ended by SIGSEGV, frame 7; its last output: about to crash"):

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from solver_scenes import INTRINSICS, moved, project
+from solver_scenes import INTRINSICS, moved, project, similarity_from_tangent
 
 from codecbench.slam.geometry.similarity import estimate_similarity, optimize_similarity
 from codecbench.slam.geometry.transforms import sim3_exp, sim3_log
 
 pytestmark = pytest.mark.thorough
 
-TRUTH = sim3_exp(np.array([0.3, -0.1, 0.2, 0.1, 0.05, -0.3, 0.4]))
+TRUTH = similarity_from_tangent((0.3, -0.1, 0.2, 0.1, 0.05, -0.3, 0.4))
 
 
 def pairs(rng: np.random.Generator, count: int, noise_px: float = 0.0, map_noise: float = 0.0) -> list[Any]:

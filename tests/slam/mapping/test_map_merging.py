@@ -7,8 +7,8 @@ import pytest
 from map_scenes import assert_consistent, build_map
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
+from solver_scenes import similarity_from_tangent
 
-from codecbench.slam.geometry.transforms import sim3_exp
 from codecbench.slam.mapping.loop_closing import close_loop
 from codecbench.slam.mapping.loop_detection import Loop
 from codecbench.slam.mapping.map_merging import hang_up, take_in
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.thorough
 
 WALK = [looking((0.25 * i, 0.02 * i, 0.0), 0.01 * i) for i in range(16)]
 FIRST, SECOND = range(9), range(6, 16)
-MOVED = np.asarray(sim3_exp(np.array([0.4, -1.0, 2.0, 0.5, -0.3, 0.2, np.log(1.7)])))
+MOVED = similarity_from_tangent((0.4, -1.0, 2.0, 0.5, -0.3, 0.2, np.log(1.7)))
 
 
 def halves(rng: np.random.Generator) -> tuple[Mapper, Mapper, Loop, NDArray[np.float64]]:

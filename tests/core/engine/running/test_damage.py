@@ -302,6 +302,7 @@ def test_a_table_leaves_out_a_record_of_another_shape_and_a_run_makes_it_again(
         assert sound(folder, plan)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("literal", ["NaN", "1e999", "[" * 100_000])
 def test_what_is_no_json_is_refused(literal: str, folder: Path, site: Path) -> None:
     (folder / "plan.json").write_text(f'{{"checksum": "", "plan": {literal}}}')

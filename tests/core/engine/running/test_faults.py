@@ -241,7 +241,8 @@ def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) 
     assert bench.run(plan).kept == 4
 
 
-@pytest.mark.parametrize("how", ["flip", pytest.param("truncate", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("how", ["flip", "truncate"])
 def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) -> None:
     plan = bench.plan(matrix("faulty", "wandering"))
     bench.run(plan)
@@ -253,6 +254,7 @@ def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) 
     assert bench.store().read_plan() == plan
 
 
+@pytest.mark.thorough
 def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
     fsync = os.fsync

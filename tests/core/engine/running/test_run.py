@@ -69,6 +69,7 @@ def test_records_say_what_where_and_when(bench: Bench) -> None:
     assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
 
 
+@pytest.mark.thorough
 def test_what_a_sequence_notes_is_said_before_anything_is_computed(bench: Bench) -> None:
     plan = bench.plan(matrix("{use: faulty, params: {step: 1}}", "wandering"))
     told = replace(plan, sequences=tuple(replace(entry, notes=("is cut short",)) for entry in plan.sequences))
@@ -78,6 +79,7 @@ def test_what_a_sequence_notes_is_said_before_anything_is_computed(bench: Bench)
     assert [progress.notice for progress in seen[1:] if progress.notice] == []
 
 
+@pytest.mark.thorough
 def test_what_a_codec_remarks_of_a_setting_is_noted(bench: Bench) -> None:
     """Also where the evaluator runs the codec itself, as `alone` does."""
     plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [1, 6]}}}", "wandering, alone"))
@@ -90,6 +92,7 @@ def test_what_a_codec_remarks_of_a_setting_is_noted(bench: Bench) -> None:
     }
 
 
+@pytest.mark.thorough
 def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:
     plan = bench.plan(matrix(STEPS, "wandering, whole"))
     bench.run(plan, "one", workers=1)
@@ -97,6 +100,7 @@ def test_results_do_not_depend_on_workers_or_order(bench: Bench) -> None:
     assert contents(bench.store("one"), plan) == contents(bench.store("three"), plan)
 
 
+@pytest.mark.thorough
 def test_a_further_evaluator_encodes_nothing(bench: Bench) -> None:
     bench.run(matrix(STEPS, "wandering"), workers=1)
     more = bench.run(matrix(STEPS, "wandering, whole"), workers=1)

@@ -224,6 +224,7 @@ def test_a_single_run_tells_nothing_and_one_that_failed_is_the_worst() -> None:
     assert answer.best.name == "plain q=2.0"
 
 
+@pytest.mark.thorough
 def test_settings_that_are_alike_are_seldom_told_apart() -> None:
     rng, found = np.random.default_rng(0), 0
     for _ in range(100):

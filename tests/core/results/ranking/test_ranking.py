@@ -121,6 +121,7 @@ def test_the_same_numbers_under_other_names_are_one_group(rng: np.random.Generat
     assert set(places(only(run_of(*cells))).values()) == {(1, 3)}
 
 
+@pytest.mark.thorough
 def test_neighbouring_frames_are_no_independent_evidence() -> None:
     """Equal codecs whose errors drift from frame to frame, with a correlation of 0.9, over 400 frames.
 

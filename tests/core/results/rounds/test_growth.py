@@ -201,6 +201,7 @@ def test_where_every_setting_will_do_the_one_next_to_the_limit_is_taken(bench: S
     assert "every setting tried will do" in found.words
 
 
+@pytest.mark.thorough
 def test_a_noisy_limit_is_found_with_confidence_and_few_runs(bench: SearchBench) -> None:
     text = matrix(ENTRY % "search: {metric: caught, min: 1}", evaluators=TOSS)
     (found,) = bench.run(text, toss)

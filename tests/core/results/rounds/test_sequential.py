@@ -53,7 +53,7 @@ def decided(rate: float, most: int, rng: np.random.Generator) -> tuple[str, int]
     return said, count
 
 
-@pytest.mark.parametrize(("rate", "most"), [(0.5, 20), (0.5, 100)])
+@pytest.mark.parametrize(("rate", "most"), [(0.5, 20), pytest.param(0.5, 100, marks=pytest.mark.thorough)])
 def test_a_coin_is_seldom_said_to_hold_or_to_fail(rate: float, most: int, rng: np.random.Generator) -> None:
     said = [decided(rate, most, rng)[0] for _ in range(2000)]
     wrong = sum(verdict != "cannot tell" for verdict in said) / len(said)
