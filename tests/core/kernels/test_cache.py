@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.core.kernels.compiled import compiled
-
 KERNELS = """
 from codecbench.core.kernels.compiled import compiled
 
@@ -23,6 +21,10 @@ def plus(a, b):
 @compiled
 def factorial(n):
     return 1 if n < 2 else n * factorial(n - 1)
+
+@compiled
+def raised(n):
+    return plus(n, 1) + plus(n, 2) + plus(n, n)
 """
 PLUS = """
 from locked import plus
@@ -104,19 +106,9 @@ def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> 
     assert output(start(tmp_path, "from locked import factorial; print(factorial(5))")) == "120"
 
 
-@compiled
-def plus(a, b):  # type: ignore[no-untyped-def]
-    return a + b
-
-
-@compiled
-def raised(n):  # type: ignore[no-untyped-def]
-    return plus(n, 1) + plus(n, 2) + plus(n, n)
-
-
-def test_constants_in_a_call_cost_no_signature_of_their_own() -> None:
-    assert raised(5) == 23
-    assert [len(raised.signatures), len(plus.signatures)] == [1, 1]
+def test_constants_in_a_call_cost_no_signature_of_their_own(tmp_path: Path) -> None:
+    program = "from locked import plus, raised; print(raised(5), len(raised.signatures), len(plus.signatures))"
+    assert output(start(tmp_path, program)) == "23 1 1"
 
 
 @pytest.mark.thorough
