@@ -64,7 +64,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
     """Every decoded frame that has a revisit asks a database of the raw frames for what looks like it."""
 
     name = "place_recognition"
-    version = "1"
+    version = "2"
     params_type = PlaceRecognitionParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.slam",)

@@ -90,7 +90,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
     """
 
     name = "features"
-    version = "2"
+    version = "3"
     kernels = ("codecbench.plugins.evaluators.features", "codecbench.slam.features")
     params_type = FeaturesParams
     typical_ms_per_frame = 40.0

@@ -56,7 +56,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     """
 
     name = "localization"
-    version = "1"
+    version = "2"
     params_type = LocalizationParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.slam",)

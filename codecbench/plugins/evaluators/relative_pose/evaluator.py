@@ -61,7 +61,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     """
 
     name = "relative_pose"
-    version = "1"
+    version = "2"
     params_type = RelativePoseParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.plugins.evaluators.relative_pose",)
