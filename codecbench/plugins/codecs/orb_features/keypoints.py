@@ -114,7 +114,7 @@ class CodedKeypoints:
         down, across = np.divmod(self.parts, grid.parts)
         cells = np.stack([columns * grid.parts + across, rows * grid.parts + down], axis=1)
         size = grid.step / grid.parts
-        corners = np.minimum(cells * size + 0.5 * (size - 1), grid.sizes[octaves] - 1)
+        corners = np.clip(cells * size + 0.5 * (size - 1), 0.0, grid.sizes[octaves] - 1.0)
         pixels = (corners + 0.5) * grid.ratios[octaves] - 0.5
         signed = self.angles - ((self.angles >> (self.angle_bits - 1)) << self.angle_bits)  # -pi up to pi
         angles = signed * (_TURN / 2**self.angle_bits)

@@ -278,7 +278,7 @@ def test_slam_on_decoded_features_is_slam_on_pictures(mode: Any) -> None:
     codec = OrbFeatures.create(features=600, mode=mode)
     encoder, decoder = codec.encoder(), codec.decoder()
     raw, served = System(CAMERA, options), System(CAMERA, options)
-    for i in range(45):
+    for i in range(60):
         image = room.image(path_pose(i))
         raw.process(image, i / 15.0)
         features = decoder.push(encoder.push(codec.extract(image))).features
