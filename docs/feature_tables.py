@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from run_tables import CODING, SETTING, Column, machine, rows_of
+from slam_runs import error_m, path_of, system_of
 
-from codecbench import slam
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
@@ -30,8 +29,6 @@ from codecbench.core.results.markdown import table
 from codecbench.core.results.run_result import RunResult
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
-from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
-from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 from codecbench.plugins.slam_backends.keypoints import keypoints_of
 
 PICTURES: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
@@ -65,7 +62,6 @@ TASKS: Final = {
     "server ms": Column("timing.decode_cpu_ms.median"),
 }
 """Of a run of examples/features.yaml."""
-_ASSOCIATION_S: Final = 0.02
 _FRAME_RATE_HZ: Final = 30.0
 
 
@@ -129,7 +125,10 @@ def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool
         row: list[object] = [setting.title, round(size), 8.0 * size / pixels]
         row.append(sum(setting.sizes) / sum(setting.counts) if setting.counts else None)
         row.append(f"{100.0 * np.mean([len(p) / (len(frames) - s) for p, s in zip(paths, starts, strict=True)]):.0f} %")
-        row += [1e3 * float(np.median([error_m(found, sequence) for found in paths])), "to the bit" if same else "–"]
+        row += [
+            1e3 * float(np.median([error_m(found, sequence.ground_truth) for found in paths])),
+            "to the bit" if same else "–",
+        ]
         if times:
             row += [float(np.median(taken)) if taken else None for taken in setting.steps_ms.values()]
         yield row
@@ -175,29 +174,13 @@ def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
 
 def path(sequence: Sequence, sent: Sent, start: int) -> Trajectory:
     """The path that SLAM finds from a frame on."""
-    camera = sequence.camera
-    assert camera is not None
-    numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    system = slam.System(slam.Camera(*numbers, camera.distortion, camera.model), slam.Options(features=sent.features))
+    system = system_of(sequence, sent.features)
     for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):
         if isinstance(frame, Features):
             system.process_keypoints(keypoints_of(frame), stamp_s)
         else:
             system.process(frame, stamp_s)
-    found = system.finish().trajectory
-    return Trajectory(found.timestamps_s, found.world_from_camera)
-
-
-def error_m(found: Trajectory, sequence: Sequence) -> float:
-    """RMS distance from the true path, after alignment."""
-    if sequence.ground_truth is None:
-        return float("nan")
-    pairs = associate(found, sequence.ground_truth, _ASSOCIATION_S)
-    try:
-        errors: NDArray[np.float64] = position_errors(pairs, align(pairs))
-    except Undefined:
-        return float("inf")
-    return rms(errors)
+    return path_of(system.finish())
 
 
 if __name__ == "__main__":

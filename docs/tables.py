@@ -23,6 +23,7 @@ import feature_tables
 import link_tables
 import multilevel_table
 import run_tables
+import slam_faults
 import slam_tables
 import stream_tables
 import task_tables
@@ -118,6 +119,8 @@ BLOCKS = {
         ),
         slam_tables.rates,
     ),
+    "gaps": Block("docs/slam.md", "printed", "faults", slam_faults.GAPS, benchmark_tables.printed),
+    "faults": Block("docs/slam.md", "printed", "faults", slam_faults.FAULTS, benchmark_tables.printed),
     "worlds": Block(
         WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
     ),
