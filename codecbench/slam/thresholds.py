@@ -83,8 +83,8 @@ start is ambiguous (McNemar 1947; ORB-SLAM IV: one clear winner)."""
 INIT_SAME_MOTION_DEG: Final = 5.0
 """Degrees: motions nearer in rotation and in direction are no rivals (own)."""
 INIT_MAX_DEVIATION_DEG: Final = 6.0
-"""Degrees: standard deviation of the direction of motion, for pixels known to 1 px, above which the first map would be
-too bent to grow from: planes seen from nearly one place (own)."""
+"""Degrees: standard deviation of the direction of motion above which the first map would be too bent to grow from:
+planes seen from nearly one place (own)."""
 INIT_MAX_COSINE: Final = 0.99998
 """Cosine between two rays above which a point's depth is unknown: 0.36 degrees (own)."""
 INIT_MAX_FRAMES: Final = 90

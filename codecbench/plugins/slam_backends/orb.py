@@ -52,7 +52,7 @@ class Orb(SlamBackend[OrbParams]):
     """Equal frames and an equal seed give the same trajectory to the last bit."""
 
     name = "orb"
-    version = "5"
+    version = "6"
     params_type = OrbParams
     architectures = frozenset({"cta", "atc", "features"})
     kernels = ("codecbench.slam",)

@@ -12,13 +12,15 @@ Floats = NDArray[np.float64]
 _STEP = 1e-6  # radians: half the difference by which derivatives are taken
 
 
-def direction_deviation_deg(second_from_first: Floats, pixels_a: Floats, pixels_b: Floats, matrix: Floats) -> float:
+def direction_deviation_deg(
+    second_from_first: Floats, pixels_a: Floats, pixels_b: Floats, variances: Floats, matrix: Floats
+) -> float:
     """Standard deviation, degrees, of the direction of translation where two views fix it worst.
 
     `second_from_first` (4, 4) with unit translation explains the matches `pixels_a`, `pixels_b` (N, 2), whose errors
-    are taken to be of 1 px, `matrix` (3, 3) is the camera's. It is read off the inverse of the normal equations of the
-    Sampson distances by rotation (three parameters) and direction (two). Infinite where the direction has no effect:
-    the camera only turned. Source: Hartley and Zisserman, 2nd edition, sections 5.2 and 11.4.3.
+    have `variances` (N,) along each axis, px^2; `matrix` (3, 3) is the camera's. It is read off the inverse of the
+    normal equations of the Sampson distances by rotation (three parameters) and direction (two). Infinite where the
+    direction has no effect: the camera only turned. Source: Hartley and Zisserman, 2nd edition, sections 5.2, 11.4.3.
     """
     across = np.linalg.svd(second_from_first[None, :3, 3])[2][1:]
     slopes = []
@@ -30,7 +32,7 @@ def direction_deviation_deg(second_from_first: Floats, pixels_a: Floats, pixels_
                 moved[:3, :3] = se3_exp(np.eye(6)[3 + k] * step)[:3, :3] @ moved[:3, :3]
             else:
                 moved[:3, 3] += step * across[k - 3]
-            distances.append(sampson_distances(moved, pixels_a, pixels_b, matrix))
+            distances.append(sampson_distances(moved, pixels_a, pixels_b, matrix) / np.sqrt(variances))
         slopes.append((distances[0] - distances[1]) / (2.0 * _STEP))
     by_rotation, by_direction = np.array(slopes[:3]).T, np.array(slopes[3:]).T
     compensated = by_rotation @ np.linalg.lstsq(by_rotation, by_direction, rcond=None)[0]

@@ -119,19 +119,21 @@ def fit_rotation(rays_a: Floats, rays_b: Floats) -> Floats:
 
 
 @compiled
-def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
-    """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,)."""
+def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, variances: Any, inliers: Any) -> float:
+    """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,).
+
+    `variances` (N,) are those of the pixels along each axis, px^2.
+    """
     determinant = np.linalg.det(b_from_a)
     if abs(determinant) < 1e-12:
         for i in range(len(inliers)):
             inliers[i] = False
         return 0.0
     a_from_b = np.linalg.inv(b_from_a)
-    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
     score = 0.0
     for i in range(len(pixels_a)):
-        forward = _transfer_error2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
-        backward = _transfer_error2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        forward = _transfer_error2(b_from_a, pixels_a[i], pixels_b[i]) / variances[i]
+        backward = _transfer_error2(a_from_b, pixels_b[i], pixels_a[i]) / variances[i]
         inliers[i] = forward <= CHI2_95_2DOF and backward <= CHI2_95_2DOF
         score += max(CHI2_95_2DOF - forward, 0.0) + max(CHI2_95_2DOF - backward, 0.0)
     return score
@@ -149,14 +151,16 @@ def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
 
 
 @compiled
-def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, sigma_px: float, inliers: Any) -> float:
-    """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,)."""
+def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, variances: Any, inliers: Any) -> float:
+    """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,).
+
+    `variances` (N,) as in `score_homography`.
+    """
     a_from_b = b_from_a.T.copy()
-    inverse_sigma2 = 1.0 / (sigma_px * sigma_px)
     score = 0.0
     for i in range(len(pixels_a)):
-        forward = _line_distance2(b_from_a, pixels_a[i], pixels_b[i]) * inverse_sigma2
-        backward = _line_distance2(a_from_b, pixels_b[i], pixels_a[i]) * inverse_sigma2
+        forward = _line_distance2(b_from_a, pixels_a[i], pixels_b[i]) / variances[i]
+        backward = _line_distance2(a_from_b, pixels_b[i], pixels_a[i]) / variances[i]
         inliers[i] = forward <= CHI2_95_1DOF and backward <= CHI2_95_1DOF
         if forward <= CHI2_95_1DOF:
             score += CHI2_95_2DOF - forward

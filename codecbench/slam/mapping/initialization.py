@@ -12,6 +12,7 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
+from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
@@ -51,10 +52,16 @@ def match_for_start(first: Features, second: Features) -> NDArray[np.int64]:
 
 
 def start_from_two_views(
-    first: Features, second: Features, matches: NDArray[np.int64], camera: Camera, rng: np.random.Generator
+    first: Features,
+    second: Features,
+    matches: NDArray[np.int64],
+    scale_factors: Floats,
+    camera: Camera,
+    rng: np.random.Generator,
 ) -> TwoViewStart | str:
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
+    `scale_factors` are those of the pyramid's levels, which say how well a feature's place is known.
     Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
     motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
     both cameras with enough parallax, and when the matches leave little doubt about its direction.
@@ -64,24 +71,25 @@ def start_from_two_views(
     pixels_a, pixels_b = first.pixels[features_first], second.pixels[features_second]
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
+    variances = pixel_variance(scale_factors[first.octaves[features_first]])
     samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
-    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, samples)
+    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, variances, samples)
     if score_h + score_f <= 0.0:
         return "neither a homography nor a fundamental matrix fits"
     planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
     inliers = inliers_h if planar else inliers_f
-    turned = _count_turned(homography, pixels_a, pixels_b, camera)
+    turned = _count_turned(homography, pixels_a, pixels_b, variances, camera)
     if turned > thresholds.INIT_ROTATION_SHARE * inliers.sum():
         return f"a rotation explains {turned} matches, a motion {inliers.sum()}"
     if planar:
         motions = geometry.decompose_homography(homography, camera.matrix)
     else:
         motions = geometry.decompose_fundamental(fundamental, camera.matrix)
-    chosen = _choose_motion(motions, pixels_a, pixels_b, int(inliers.sum()), camera)
+    chosen = _choose_motion(motions, pixels_a, pixels_b, variances, int(inliers.sum()), camera)
     if isinstance(chosen, str):
         return chosen
     motion, points, good = chosen
-    deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], camera.matrix)
+    deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], variances[good], camera.matrix)
     if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
         return f"the direction of motion is known to {deviation:.1f} degrees"
     kept = np.nonzero(good)[0]
@@ -91,7 +99,7 @@ def start_from_two_views(
 
 
 @compiled
-def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
+def _fit_both(pixels_a: Any, pixels_b: Any, variances: Any, samples: Any) -> Any:
     """The best homography and fundamental matrix of the samples (S, 8), each fitted again to its own inliers."""
     normalized_a, normalizer_a = geometry.normalize_pixels(pixels_a)
     normalized_b, normalizer_b = geometry.normalize_pixels(pixels_b)
@@ -109,21 +117,21 @@ def _fit_both(pixels_a: Any, pixels_b: Any, samples: Any) -> Any:
         if len(chosen_h) >= 4:
             fitted = geometry.fit_homography(normalized_a[chosen_h], normalized_b[chosen_h])
             fitted = undo_b @ fitted @ normalizer_a
-            score = geometry.score_homography(fitted, pixels_a, pixels_b, 1.0, trial)
+            score = geometry.score_homography(fitted, pixels_a, pixels_b, variances, trial)
             if score > score_h:
                 homography, score_h = fitted, score
                 copy_numbers(trial, inliers_h)
         if len(chosen_f) >= 8:
             fitted = geometry.fit_fundamental(normalized_a[chosen_f], normalized_b[chosen_f])
             fitted = normalizer_b.T @ fitted @ normalizer_a
-            score = geometry.score_fundamental(fitted, pixels_a, pixels_b, 1.0, trial)
+            score = geometry.score_fundamental(fitted, pixels_a, pixels_b, variances, trial)
             if score > score_f:
                 fundamental, score_f = fitted, score
                 copy_numbers(trial, inliers_f)
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 
-def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera: Camera) -> int:
+def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, variances: Floats, camera: Camera) -> int:
     """How many matches a camera that only turns explains: the rotation nearest to a homography, fitted to its inliers.
 
     Without translation there is no depth; a plane or a fundamental matrix then fits only the noise.
@@ -135,7 +143,7 @@ def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera
     inliers, most = np.zeros(len(pixels_a), np.bool_), 0
     for _ in range(5):
         turn = camera.matrix @ rotation @ to_rays
-        geometry.score_homography(turn, pixels_a, pixels_b, 1.0, inliers)
+        geometry.score_homography(turn, pixels_a, pixels_b, variances, inliers)
         if inliers.sum() <= max(most, 2):
             break
         most = int(inliers.sum())
@@ -144,17 +152,17 @@ def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, camera
 
 
 def _choose_motion(
-    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, inlier_count: int, camera: Camera
+    motions: list[Floats], pixels_a: Floats, pixels_b: Floats, variances: Floats, inlier_count: int, camera: Camera
 ) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
     """The one motion that most points agree with, its points (N, 3) and which of them are good (N,).
 
     All matches have a say, not the model's inliers alone: what lies off a plane tells its two motions apart.
     """
-    results = []
+    results, limits = [], thresholds.CHI2_95_2DOF * variances
     for motion in motions:
         views = TwoViewPoints(np.eye(4), motion, pixels_a, pixels_b, camera.intrinsics)
         agree = (views.depths_a > 0.0) & (views.depths_b > 0.0)
-        agree &= (views.errors_a < thresholds.CHI2_95_2DOF) & (views.errors_b < thresholds.CHI2_95_2DOF)
+        agree &= (views.errors_a < limits) & (views.errors_b < limits)
         results.append((int(agree.sum()), motion, views, agree))
     results.sort(key=lambda result: -result[0])
     count, motion, views, agree = results[0]
@@ -207,7 +215,9 @@ class Initializer:
         if not enough or int((matches >= 0).sum()) < thresholds.INIT_MIN_MATCHES:
             self._first = frame if enough else None
             return f"{int((matches >= 0).sum())} matches between the first two frames"
-        start = start_from_two_views(first.features, frame.features, matches, self._camera, self._rng)
+        start = start_from_two_views(
+            first.features, frame.features, matches, self._scale_factors, self._camera, self._rng
+        )
         if isinstance(start, str):
             return start
         if first.decode is not None or frame.decode is not None:

@@ -47,11 +47,13 @@ def test_the_deviation_is_that_of_repeated_estimates(rng: np.random.Generator, b
         found = least_squares(lambda x, a=a, b=b: sampson_distances(motion(x), a, b, CAMERA.matrix), np.zeros(5))
         estimates.append(found.x[3:])
     spread = np.degrees(np.sqrt(np.linalg.eigvalsh(np.cov(np.array(estimates).T))[-1]))
-    predicted = sigma_px * direction_deviation_deg(true, views.pixels_a, views.pixels_b, CAMERA.matrix)
+    variances = np.full(150, sigma_px**2)
+    predicted = direction_deviation_deg(true, views.pixels_a, views.pixels_b, variances, CAMERA.matrix)
     assert predicted == pytest.approx(spread, rel=0.2)
 
 
 def test_a_turn_alone_has_no_direction(rng: np.random.Generator) -> None:
     views = two_views(rng)
     turned = CAMERA.project(views.points @ views.b_from_a[:3, :3].T)
-    assert direction_deviation_deg(unit(views.b_from_a), views.pixels_a, turned, CAMERA.matrix) > 1e3
+    deviation = direction_deviation_deg(unit(views.b_from_a), views.pixels_a, turned, np.ones(300), CAMERA.matrix)
+    assert deviation > 1e3

@@ -53,7 +53,7 @@ def test_the_fewest_matches_give_the_models_of_many(rng: np.random.Generator) ->
     assert np.abs(mapped - flat.pixels_b).max() < 1e-6
     inliers = np.zeros(300, np.bool_)
     fundamental = normalized_fit(geometry.fit_fundamental, deep.pixels_a[:8], deep.pixels_b[:8], False)
-    geometry.score_fundamental(fundamental, deep.pixels_a, deep.pixels_b, 1e-6, inliers)
+    geometry.score_fundamental(fundamental, deep.pixels_a, deep.pixels_b, np.full(300, 1e-12), inliers)
     assert inliers.all()
 
 
@@ -80,9 +80,22 @@ def test_scores_tell_a_plane_from_depth(rng: np.random.Generator) -> None:
         inliers = np.zeros(300, np.bool_)
         h = normalized_fit(geometry.fit_homography, views.pixels_a, views.pixels_b, True)
         f = normalized_fit(geometry.fit_fundamental, views.pixels_a, views.pixels_b, False)
-        score_h = geometry.score_homography(h, views.pixels_a, views.pixels_b, 1.0, inliers)
-        score_f = geometry.score_fundamental(f, views.pixels_a, views.pixels_b, 1.0, inliers)
+        score_h = geometry.score_homography(h, views.pixels_a, views.pixels_b, np.ones(300), inliers)
+        score_f = geometry.score_fundamental(f, views.pixels_a, views.pixels_b, np.ones(300), inliers)
         assert (score_h / (score_h + score_f) > 0.45) == planar
+
+
+def test_what_is_known_better_is_held_to_more(rng: np.random.Generator) -> None:
+    views = two_views(rng, planar=True)
+    h = normalized_fit(geometry.fit_homography, views.pixels_a, views.pixels_b, True)
+    f, _ = geometry.fundamental_between(np.eye(4), views.b_from_a, CAMERA.matrix)
+    missed = views.pixels_b + rng.normal(0.0, 1.0, (300, 2))
+    variances = np.where(np.arange(300) < 150, 1.0, 0.04)
+    for score, model in ((geometry.score_homography, h), (geometry.score_fundamental, f)):
+        inliers = np.zeros(300, np.bool_)
+        score(model, views.pixels_a, missed, variances, inliers)
+        assert inliers[:150].mean() > 0.8
+        assert inliers[150:].mean() < 0.4
 
 
 def test_decompositions_hold_the_true_motion(rng: np.random.Generator) -> None:

@@ -20,7 +20,7 @@ def test_the_motion_is_found_and_the_model_fits_the_scene(rng: np.random.Generat
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
     matches = match_for_start(first, second)
     assert (matches == np.arange(300)).mean() > 0.95
-    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    start = start_from_two_views(first, second, matches, FACTORS, CAMERA, np.random.default_rng(0))
     assert isinstance(start, TwoViewStart)
     assert start.model == ("homography" if planar else "fundamental")
     scale = np.linalg.norm(views.b_from_a[:3, 3])
@@ -35,7 +35,7 @@ def test_wrong_matches_do_not_matter(rng: np.random.Generator) -> None:
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
     matches = np.arange(300)
     matches[:60] = np.roll(matches[:60], 1)
-    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    start = start_from_two_views(first, second, matches, FACTORS, CAMERA, np.random.default_rng(0))
     assert isinstance(start, TwoViewStart)
     assert np.abs(start.second_from_first[:3, :3] - views.b_from_a[:3, :3]).max() < 0.02
     assert (start.features_first >= 60).mean() > 0.97
@@ -50,7 +50,7 @@ def test_pure_rotation_gives_no_map(rng: np.random.Generator, turn: float, noise
     turned[:30] = rng.uniform([0.0, 0.0], [320.0, 240.0], (30, 2))  # wrong matches
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(turned, descriptors)
-    start = start_from_two_views(first, second, np.arange(300), CAMERA, np.random.default_rng(0))
+    start = start_from_two_views(first, second, np.arange(300), FACTORS, CAMERA, np.random.default_rng(0))
     assert isinstance(start, str)
     assert "a rotation explains" in start
 
@@ -60,7 +60,7 @@ def test_few_matches_are_refused_with_a_reason(rng: np.random.Generator) -> None
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
     matches = np.where(np.arange(300) < 50, np.arange(300), -1)
-    start = start_from_two_views(first, second, matches, CAMERA, np.random.default_rng(0))
+    start = start_from_two_views(first, second, matches, FACTORS, CAMERA, np.random.default_rng(0))
     assert start == "50 matches between the first two frames"
 
 

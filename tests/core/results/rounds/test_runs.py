@@ -105,7 +105,7 @@ def test_a_broken_trial_is_told_and_nothing_else_is_lost(place: Path) -> None:
     assert "dial on flat0, weight_bytes = 100: stopped, " in text
     assert "the dial came off" in text
     broken, sound = codecbench.open_run(place / "run").plan.searches
-    assert (broken.state, sound.setting) == ("stopped", "level=30 broken_from=1001")
+    assert (broken.state, sound.setting) == ("stopped", "level=30")
 
 
 def test_a_killed_search_goes_on_and_computes_nothing_twice(place: Path) -> None:
