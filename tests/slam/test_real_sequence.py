@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from rendered_scenes import position_error
 
+from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.engine.registry import installed
 from codecbench.slam import Camera, System
 
 pytestmark = pytest.mark.thorough
@@ -33,3 +35,25 @@ def test_a_desk_filmed_by_hand_is_followed_to_a_centimetre(data_folder: Path) ->
     nearest = np.abs(true[:, 0] - times[:, None]).argmin(axis=1)
     assert np.abs(true[nearest, 0] - times).max() < 0.02
     assert position_error(result.trajectory.world_from_camera[:, :3, 3], true[nearest, 1:4]) < 0.010  # metres
+
+
+def test_right_angle_turns_of_a_street_are_followed_at_five_hertz(data_folder: Path) -> None:
+    """Each turn leaves 20 to 30 points of the map in a frame, of 1000 features."""
+    params = {"path": str(data_folder / "kitti00_half"), "stride": 2, "start": 4}
+    street = installed().create("dataset", "tum", params).open()
+    true, seen = street.ground_truth, street.camera
+    assert true is not None
+    assert seen is not None
+    system = System(Camera(seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy))
+    for frame in street:
+        assert frame.timestamp_s is not None
+        system.process(gray_from_image(frame.image), frame.timestamp_s)
+    result = system.finish()
+    states = [frame.state for frame in result.frames]
+    first = states.index("tracked")
+    assert states[first:] == ["tracked"] * (len(states) - first)
+    assert len(result.maps) == len(result.loops) == 1
+    nearest = np.abs(true.timestamps_s - result.trajectory.timestamps_s[:, None]).argmin(axis=1)
+    path = true.world_from_camera[nearest, :3, 3]
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    assert position_error(result.trajectory.world_from_camera[:, :3, 3], path) < 0.005 * length

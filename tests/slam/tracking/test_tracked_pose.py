@@ -39,7 +39,7 @@ def test_a_frame_is_fitted_anew_to_the_points_where_they_are_now() -> None:
 
 def test_a_frame_with_too_few_points_left_stays() -> None:
     pose, slam_map = tracked(200)
-    slam_map.remove_points(pose.points[20:].astype(np.int64))
+    slam_map.remove_points(pose.points[10:].astype(np.int64))
     assert pose.refined(slam_map, CAMERA) is pose
 
 
