@@ -194,7 +194,7 @@ def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) 
 def test_the_method_is_judged_at_the_paper_s_setting_and_at_its_best() -> None:
     """In the README's table, whose rows are also those of the page."""
     rows = {row[0] for row in table_rows(block(ROOT / "README.md", "method"))}
-    assert {"multilevel", "multilevel profile=context", "jpeg2000"} <= rows
+    assert {"multilevel", "multilevel profile=context effort=best", "jpeg2000"} <= rows
     assert "multilevel group=4 color=ycbcr420 scan=coefficient table=flat" in rows
     page = {row[1] for row in table_rows(block(DOCS / "multilevel.md", "rates-beside-jpeg"))}
     assert rows == page
