@@ -29,6 +29,7 @@ import psutil
 from codecbench.core.contracts.executor import Task, retirement
 from codecbench.plugins.executors.fork_server import Surroundings
 from codecbench.plugins.executors.process_state import ProcessState
+from codecbench.plugins.executors.process_tree import private_mb
 
 RETIRED: Final = 86
 """Exit status of a worker that declines a task because an earlier one left too much memory in use, or left the process
@@ -150,16 +151,6 @@ def begun_by(files: WorkerFiles, task: Task) -> int | None:
         pid, _, id_ = files.begun.read_text().partition(" ")
         return int(pid) if id_ == task.id else None
     return None
-
-
-def private_mb(pid: int) -> float:
-    """Anonymous and shared memory of a process in MB, without the pages of files it maps; 0 if it is gone."""
-    total_kb = 0
-    with suppress(OSError), open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:
-        for line in status:
-            if line.startswith(("RssAnon:", "RssShmem:")):
-                total_kb += int(line.split()[1])
-    return total_kb / 1024
 
 
 def _redirect_output(path: Path) -> None:

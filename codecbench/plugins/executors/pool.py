@@ -21,14 +21,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.confined_context import ConfinedContext
 from codecbench.plugins.executors.fork_server import Surroundings, server_pid, worker_context
-from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform, private_mb
+from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform
+from codecbench.plugins.executors.process_tree import kill_tree, runs, tree_mb
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 _POLL_S: Final = 0.1
@@ -129,7 +129,7 @@ class WorkerPool:
         """Kill what the workers are doing; each task that this hits ends as crashed. For use from another thread."""
         for slot in self._slots:
             with suppress(OSError, ValueError):
-                _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
+                kill_tree(json.loads(slot.files.identity.read_text())["pid"])
 
     def _slot_for(self, task: Task) -> _Slot:
         """A free worker of the task's company, else one that has not started, else another company's that has to go."""
@@ -182,7 +182,7 @@ class WorkerPool:
                 self._discard(slot)
                 self._launch(slot)
                 return None
-            lost = exitcode == _UNKNOWN and not slot.confined and slot.server is not None and not _runs(slot.server)
+            lost = exitcode == _UNKNOWN and not slot.confined and slot.server is not None and not runs(slot.server)
             return self._end(slot, "crashed", _LOST if lost else _death(exitcode), discard=True)
         if isinstance(error, RuntimeError) and (slot.pool is None or not slot.pool.active):
             return self._restarted(slot, f"its worker could not start or answer: {error}")
@@ -221,13 +221,13 @@ class WorkerPool:
             if slot.future is not None and slot.future.running():
                 self._meet(slot, now)
             elif (pid := begun_by(slot.files, task)) is not None:  # pebble has not heard of it, and may never
-                slot.pid, slot.started, slot.baseline_mb = pid, now, _tree_mb(pid)
+                slot.pid, slot.started, slot.baseline_mb = pid, now, tree_mb(pid)
             elif now - slot.launched > _START_S:
                 return self._restarted(slot, f"its worker did not start within {_START_S:g} s")
             return None
         if task.timeout_s is not None and now - slot.started > task.timeout_s + _GRACE_S:
             return self._end(slot, "timed_out", f"no result within {task.timeout_s:g} s", discard=True)
-        used_mb = _tree_mb(slot.pid) - slot.baseline_mb
+        used_mb = tree_mb(slot.pid) - slot.baseline_mb
         if task.memory_mb is not None and used_mb > task.memory_mb:
             reason = f"used {used_mb:.0f} MB with its children; memory_mb allows {task.memory_mb}"
             return self._end(slot, "crashed", reason, discard=True)
@@ -238,7 +238,7 @@ class WorkerPool:
 
     def _watch_gone(self, slot: _Slot, now: float) -> Finished | None:
         """A worker that left with status 0 in the middle of a task is no death to pebble, but it is one."""
-        if _runs(slot.pid):
+        if runs(slot.pid):
             slot.gone_since = None
         elif slot.gone_since is None:
             slot.gone_since = now
@@ -254,7 +254,7 @@ class WorkerPool:
         identity = json.loads(slot.files.identity.read_text())
         slot.pid, slot.started = taken_by, now
         known = identity["baseline_mb"] if identity["pid"] == taken_by else None
-        slot.baseline_mb = _tree_mb(slot.pid) if known is None else known
+        slot.baseline_mb = tree_mb(slot.pid) if known is None else known
 
     def _discard(self, slot: _Slot) -> None:
         """Kill the slot's worker with its descendants and let go of its pool."""
@@ -265,7 +265,7 @@ class WorkerPool:
             slot.confining.close()
         pool.stop()  # type: ignore[no-untyped-call]
         with suppress(OSError, ValueError):
-            _kill_tree(json.loads(slot.files.identity.read_text())["pid"])
+            kill_tree(json.loads(slot.files.identity.read_text())["pid"])
         slot.files.identity.unlink(missing_ok=True)
         shutil.rmtree(slot.files.scratch, ignore_errors=True)
         # Joining can wait forever for the rest of a message from a worker that died while sending it.
@@ -279,37 +279,6 @@ def _taken_by(slot: _Slot) -> int | None:
     assert slot.pool is not None
     tasks = list(slot.pool._pool_manager.task_manager.tasks.values())
     return next((task.worker_id for task in tasks if task.future is slot.future), None)
-
-
-def _kill_tree(pid: int) -> None:
-    """Kill a worker, its process group and whatever left the group."""
-    descendants: list[psutil.Process] = []
-    with suppress(psutil.NoSuchProcess):
-        descendants = psutil.Process(pid).children(recursive=True)
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(pid, signal.SIGKILL)
-    for process in descendants:
-        with suppress(psutil.NoSuchProcess):
-            process.kill()
-
-
-def _runs(pid: int) -> bool:
-    """Whether the process still runs. One whose parent died stays a zombie where the first process reaps none.
-
-    That is so in a container whose command is its first process.
-    """
-    try:
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False
-
-
-def _tree_mb(pid: int) -> float:
-    """Memory of a worker and its descendants; a page that they share is counted once a process."""
-    total = private_mb(pid)
-    with suppress(psutil.NoSuchProcess):
-        total += sum(private_mb(child.pid) for child in psutil.Process(pid).children(recursive=True))
-    return total
 
 
 def _death(exitcode: int) -> str:
