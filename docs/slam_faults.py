@@ -2,8 +2,8 @@
 
 python docs/slam_faults.py OFFICE > faults.txt
 
-OFFICE is TUM's freiburg3_long_office_household in the layout of TUM. A row is one SLAM that is shown frames, in gray.
-`docs/tables.py --printed faults=faults.txt` puts both tables into the page.
+OFFICE is TUM's freiburg3_long_office_household in the layout of TUM. A row of the first table and a cell of the second
+is one SLAM that is shown frames, in gray. `docs/tables.py --printed faults=faults.txt` puts both tables into the page.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from codecbench.plugins.evaluators.trajectory.alignment import associate
 
 RATE_HZ: Final = 30.0
 GAPS: Final = ("sequence", "black", "seen again", "maps, merged", "tracked %", "error, mm", "without the gap")
-FAULTS: Final = ("fault", "tracked %", "error, mm", "maps")
+WORLDS: Final = ("room", "corridor_loop", "street", "field")
+FAULTS: Final = ("fault", "office", *WORLDS)
 _ASSOCIATION_S: Final = 0.02
 _BURSTS: Final = (0.30, 0.55, 0.80)
 """Where on the way they begin."""
@@ -50,9 +51,9 @@ Course = list[Shown]
 """What one SLAM is shown."""
 
 
-def course(indices: list[int]) -> Course:
+def course(indices: list[int], rate_hz: float = RATE_HZ) -> Course:
     """Frames in this order, one after another at the rate of the camera."""
-    return [Shown(index, place / RATE_HZ) for place, index in enumerate(indices)]
+    return [Shown(index, place / rate_hz) for place, index in enumerate(indices)]
 
 
 def blackened(frames: Course, first: int, last: int) -> Course:
@@ -69,8 +70,13 @@ def in_two_parts(one: range, other: range, black: int) -> tuple[Course, Course]:
 def in_bursts(frames: Course, seconds: float) -> list[bool]:
     """Which frames lie in one of three bursts of this length."""
     starts = [round(share * len(frames)) for share in _BURSTS]
-    length = round(seconds * RATE_HZ)
+    length = round(seconds / interval_s(frames))
     return [any(start <= place < start + length for start in starts) for place in range(len(frames))]
+
+
+def interval_s(frames: Course) -> float:
+    """Seconds between two frames of a course."""
+    return frames[1].time_s - frames[0].time_s
 
 
 def faults(frames: Course) -> Iterator[tuple[str, Course]]:
@@ -93,7 +99,7 @@ def faults(frames: Course) -> Iterator[tuple[str, Course]]:
     again[0] = False
     repeated = [replace(f, index=f.index - 1) if twice else f for f, twice in zip(frames, again, strict=True)]
     yield "20 % are the frame before once more", repeated
-    late = np.random.default_rng(0).uniform(0.0, 0.9, len(frames)) / RATE_HZ
+    late = np.random.default_rng(0).uniform(0.0, 0.9, len(frames)) * interval_s(frames)
     times = zip(frames, late.tolist(), strict=True)
     yield "time stamps late by up to 0.9 frames, at random", [replace(f, time_s=f.time_s + by) for f, by in times]
     exposed = [replace(f, gain=_EXPOSURES[int(f.time_s) % len(_EXPOSURES)]) for f in frames]
@@ -126,6 +132,11 @@ class Film:
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the camera: the nearest multiple of 5 Hz, because recordings waver."""
+        return 5.0 * round(0.2 / float(np.median(np.diff(self.sequence.timestamps_s))))
 
     def frame(self, shown: Shown) -> Image:
         if shown.index not in self._frames:
@@ -187,11 +198,17 @@ def gap_row(title: str, black: str, with_gap: Outcome, without: Outcome) -> list
     return [title, black, with_gap.seen_again, maps, f"{with_gap.tracked:.1f}", error, before]
 
 
-def fault_rows(office: Film) -> Iterator[list[object]]:
-    """The office's frames spoilt, one row a fault."""
-    for title, frames in faults(course(list(range(len(office))))):
-        found = office.outcome(frames)
-        yield [title, f"{found.tracked:.1f}", f"{found.error_mm:.1f}", str(len(found.result.maps))]
+def fault_rows(films: list[Film]) -> Iterator[list[object]]:
+    """The frames of each film spoilt, one row a fault."""
+    spoilt = [faults(course(list(range(len(film))), film.rate_hz)) for film in films]
+    for each in zip(*spoilt, strict=True):
+        cells = [fault_cell(film.outcome(frames)) for film, (_, frames) in zip(films, each, strict=True)]
+        yield [each[0][0], *cells]
+
+
+def fault_cell(found: Outcome) -> str:
+    maps = len(found.result.maps)
+    return f"{found.tracked:.1f} %, {found.error_mm:.1f} mm" + (f", {maps} maps" if maps > 1 else "")
 
 
 def main() -> None:
@@ -199,9 +216,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("office", type=Path)
     office = Film(Tum.create(path=str(parser.parse_args().office)).open())
+    worlds = [Film(Synthetic.create(world=name).open()) for name in WORLDS]
     printed: tuple[Callable[[], str], ...] = (
         lambda: table(GAPS, gap_rows(Film(Synthetic.create().open()), office)),
-        lambda: table(FAULTS, fault_rows(office)),
+        lambda: table(FAULTS, fault_rows([office, *worlds])),
     )
     for one in printed:
         print(one())

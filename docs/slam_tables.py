@@ -27,6 +27,19 @@ def ablations(run: RunResult, heads: Heads) -> Iterator[str]:
     yield table(heads, rows)
 
 
+def anchor(run: RunResult, heads: Heads) -> Iterator[str]:
+    """What each backend makes of the same frames, one row a sequence, codec and backend."""
+    rows = []
+    for entry in run.plan.sequences:
+        here = [result for result in run.results if result.cell.sequence.name == entry.name]
+        for codec in dict.fromkeys(result.cell.codec for result in here):
+            for evaluator in dict.fromkeys(result.cell.evaluator for result in here):
+                runs = [result for result in here if (result.cell.codec, result.cell.evaluator) == (codec, evaluator)]
+                backend = f"`{evaluator.params['backend']}`"
+                rows.append([entry.name, codec.title, backend, str(len(runs)), *_measured(runs)])
+    yield table(heads, rows)
+
+
 def rates(run: RunResult, heads: Heads) -> Iterator[str]:
     """What raw frames give of each sequence of examples/slam_rates.yaml: `place_hz`, or `place_size_hz`."""
     rows = []

@@ -111,6 +111,11 @@ BLOCKS = {
         ("sequence", "options", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
         slam_tables.ablations,
     ),
+    "anchor": Block(
+        "docs/slam.md", "run", "slam_anchor",
+        ("sequence", "codec", "backend", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
+        slam_tables.anchor,
+    ),
     "rates": Block(
         "docs/slam.md", "run", "slam_rates",
         (

@@ -27,9 +27,10 @@ FAST_CANDIDATES_PER_FEATURE: Final = 1.5
 KEYPOINT_SIGMA_PX: Final = 0.33
 """Level pixels: standard deviation along each axis with which corners are found (own; residuals after adjustment, by
 their median: 0.15 on rendered sequences, 0.2 on a street and on the coarse levels of a hand-held camera)."""
-CAMERA_SIGMA_PX: Final = 0.5
-"""Pixels: the same for what the camera's model leaves out, at every level (own; the fine levels of a hand-held camera
-have residuals of 0.4, with JPEG and without; measured at a width of 640 and used at every one)."""
+CAMERA_SIGMA_DEG: Final = 0.075
+"""Degrees in the middle of the image: the same for what the camera's model leaves out, on every level (own; residuals
+of a hand-held camera grow with its focal length and have a part of 0.04 degrees; with 0.05 the sharp turns of a street
+are lost in some runs at 5 Hz, because the gates are as narrow)."""
 POINT_VARIANCES: Final = 2.0
 """Times a keypoint's variance: that of how far it is from where a map point should be in a frame, because points are
 known from keypoints, too (own)."""
@@ -58,9 +59,8 @@ INIT_MIN_FEATURES: Final = 100
 """Features: fewer in a frame and it cannot start or finish an initialisation (ORB-SLAM IV)."""
 INIT_MIN_MATCHES: Final = 100
 """Matches: fewer between the two frames and the reference frame is replaced (ORB-SLAM IV)."""
-INIT_WINDOW_PX: Final = 100.0
-"""Pixels: half side of the window in which a match is searched between the two frames (own; measured at a width of 640
-and used at every one)."""
+INIT_WINDOW_DEG: Final = 10.0
+"""Degrees in the middle of the image: half side of the window in which a match is searched between two frames (own)."""
 INIT_RATIO: Final = 0.9
 """Best over second-best distance of such a match (own)."""
 INIT_RANSAC_ITERATIONS: Final = 200
@@ -92,23 +92,25 @@ INIT_MAX_FRAMES: Final = 90
 the wait of a camera that hardly moves; one that moves loses its matches, and the reference with them, at any rate."""
 
 # Tracking -----------------------------------------------------------------------------------------------------------
-TRACK_WINDOW_PX: Final = 15.0
-"""Pixels at the finest level: search radius round a position that the motion model predicts (own; measured at a width
-of 640 and used at every one)."""
-TRACK_WINDOW_WIDE_PX: Final = 30.0
-"""Pixels at the finest level: second try (own; as TRACK_WINDOW_PX)."""
+TRACK_WINDOW_DEG: Final = 1.6
+"""Degrees in the middle of the image, at the finest level: search radius round a position that the motion model
+predicts. How far a camera turns from what was expected does not depend on its pixels (own)."""
+TRACK_WINDOW_WIDE_DEG: Final = 3.2
+"""Degrees, as TRACK_WINDOW_DEG: second try (own)."""
 TRACK_RATIO: Final = 0.9
 """Best over second-best distance, where both lie on one level, of a match in those windows (own)."""
 TRACK_MIN_MATCHES: Final = 20
 """Matches: fewer by the motion model and the wide window, then the reference keyframe, is tried (ORB-SLAM V-B)."""
 TRACK_MIN_INLIERS: Final = 10
-"""Points: fewer after optimisation and a first guess of the pose is refused (own)."""
+"""Points: fewer after optimisation and a first guess of the pose is refused (own). So few are tried round the
+prediction where neither TRACK_MIN_MATCHES nor a keyframe's view gives a pose: LOCAL_MIN_INLIERS decides then."""
 KEYFRAME_MIN_MATCHES: Final = 15
 """Matches: fewer with the reference keyframe and it cannot give a pose (own)."""
 KEYFRAME_RATIO: Final = 0.7
 """Best over second-best distance of such a match (own)."""
 LOCAL_WINDOW_PX: Final = 4.0
-"""Pixels at the finest level: search radius of a local map point seen obliquely (own)."""
+"""Pixels at the finest level: search radius of a local map point seen obliquely (own). What is in pixels from here
+on covers what keypoints and optimised poses are off by; windows that grew with the focal length gained nothing."""
 LOCAL_WINDOW_FRONTAL_PX: Final = 2.5
 """Pixels at the finest level: search radius of a local map point seen as before (own)."""
 FRONTAL_COSINE: Final = 0.998

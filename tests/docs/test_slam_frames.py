@@ -48,7 +48,7 @@ def test_every_step_names_what_there_is(script: ModuleType) -> None:
 def test_arrays_are_counted_once_with_what_they_are_views_of(script: ModuleType) -> None:
     array = np.zeros((10, 4))
     assert script.array_bytes([array, array[2:5], {"again": array}, (np.zeros(3, np.uint8), "text", 5)]) == 323
-    slam_map = Map(0, 1.2 ** np.arange(8), 500)
+    slam_map = Map(0, 1.2 ** np.arange(8), np.ones(8), 500)
     before = script.array_bytes(slam_map)
     slam_map.points.add(np.zeros((5000, 3)), 0, 0)  # more than the table holds: it doubles
     row = 3 * 8 + 3 * 8 + 8 + 8 + 4 * 8 + 1 + 7 * 8

@@ -37,9 +37,10 @@ def test_a_desk_filmed_by_hand_is_followed_to_a_centimetre(data_folder: Path) ->
     assert position_error(result.trajectory.world_from_camera[:, :3, 3], true[nearest, 1:4]) < 0.010  # metres
 
 
-def test_right_angle_turns_of_a_street_are_followed_at_five_hertz(data_folder: Path) -> None:
-    """Each turn leaves 20 to 30 points of the map in a frame, of 1000 features."""
-    params = {"path": str(data_folder / "kitti00_half"), "stride": 2, "start": 4}
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_right_angle_turns_of_a_street_are_followed_at_five_hertz(data_folder: Path, scale: float) -> None:
+    """Each turn leaves 15 to 30 points of the map in a frame, of 1000 features."""
+    params = {"path": str(data_folder / "kitti00_half"), "stride": 2, "start": 4, "scale": scale}
     street = installed().create("dataset", "tum", params).open()
     true, seen = street.ground_truth, street.camera
     assert true is not None

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, features_at
 
+from codecbench.slam.features.uncertainty import pixel_variances
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.mapping.mapper import Mapper
 
 FACTORS = 1.2 ** np.arange(8)
+VARIANCES = pixel_variances(CAMERA, FACTORS)
 
 
 def observe_scene(
@@ -32,7 +34,7 @@ def build_map(
     poses: list[NDArray[np.float64]], points: NDArray[np.float64], descriptors: NDArray[np.uint64]
 ) -> tuple[Map, Mapper]:
     """A map with a keyframe at each pose and each point, map index i being point i."""
-    slam_map = Map(0, FACTORS, len(points))
+    slam_map = Map(0, FACTORS, VARIANCES, len(points))
     mapper = Mapper(slam_map, CAMERA)
     slam_map.points.add(points, 0, 0)
     for index, pose in enumerate(poses):

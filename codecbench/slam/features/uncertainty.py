@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
 
-from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.thresholds import CAMERA_SIGMA_PX, KEYPOINT_SIGMA_PX
+from codecbench.slam.geometry.camera import Camera, Floats
+from codecbench.slam.thresholds import CAMERA_SIGMA_DEG, KEYPOINT_SIGMA_PX
 
 
-@compiled
-def pixel_variance(scale: Any) -> Any:
-    """Variance of a keypoint's place in the image along each axis, px^2, by its level's scale factor.
+def pixel_variances(camera: Camera, scale_factors: Floats) -> Floats:
+    """Variance of a keypoint's place in the image along each axis, px^2, by level (L,), whose `scale_factors` are (L,).
 
     What a corner is missed by grows with its level; what the camera's model leaves out, of lens and shutter, does not.
     """
-    return CAMERA_SIGMA_PX * CAMERA_SIGMA_PX + (KEYPOINT_SIGMA_PX * scale) ** 2
+    return np.asarray(camera.pixels_across(CAMERA_SIGMA_DEG) ** 2 + (KEYPOINT_SIGMA_PX * scale_factors) ** 2)

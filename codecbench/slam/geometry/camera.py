@@ -61,6 +61,10 @@ class Camera:
         """The calibration matrix K (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def pixels_across(self, angle_deg: float) -> float:
+        """How many pixels in the middle of the image cover a small angle, degrees."""
+        return math.radians(angle_deg) * math.sqrt(self.fx * self.fy)
+
     @property
     def is_distorted(self) -> bool:
         return self.is_fisheye or any(k != 0.0 for k in self.distortion)

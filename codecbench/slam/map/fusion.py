@@ -10,7 +10,6 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import CELL_PX
 from codecbench.slam.features.hamming import hamming
-from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.map.map import Indices, Map
@@ -30,12 +29,13 @@ class _Points(NamedTuple):
 
 class _View(NamedTuple):
     """A keyframe's pose and features: `camera_from_world` (4, 4), `intrinsics` (4,), `bounds` (4,) of the image,
-    `scale_factors`; `points` (N,) that it sees; the rest as in Features."""
+    `scale_factors` and `pixel_variances` (L,) of its levels; `points` (N,) that it sees; the rest as in Features."""
 
     camera_from_world: Any
     intrinsics: Any
     bounds: Any
     scale_factors: Any
+    pixel_variances: Any
     points: Any
     pixels: Any
     octaves: Any
@@ -54,8 +54,9 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     table, features = slam_map.points, slam_map.keyframes.features[keyframe]
     shown = slam_map.keyframes.points[keyframe, : len(features)]
     view = _View(
-        camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, shown, features.pixels,
-        features.octaves, features.descriptors, features.cell_starts, features.cell_members, features.grid,
+        camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, slam_map.pixel_variances,
+        shown, features.pixels, features.octaves, features.descriptors, features.cell_starts, features.cell_members,
+        features.grid,
     )  # fmt: skip
     columns = table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.alive
     candidates, found = _find_duplicates(points, _Points(*columns), view)
@@ -97,7 +98,7 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
             for m in range(starts[row * columns + left], starts[row * columns + right]):
                 f = members[m]
                 dx, dy = pixels_b[f, 0] - pixels[i, 0], pixels_b[f, 1] - pixels[i, 1]
-                limit = thresholds.CHI2_95_2DOF * pixel_variance(scale_factors[octaves_b[f]])
+                limit = thresholds.CHI2_95_2DOF * view.pixel_variances[octaves_b[f]]
                 near[count] = f  # no branch, which nobody could predict
                 count += (octaves_b[f] >= octave - 1) & (octaves_b[f] <= octave) & (dx * dx + dy * dy < limit)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import sim3_scale
 from codecbench.slam.map import kernels as map_kernels
@@ -27,13 +26,17 @@ class CulledKeyframe:
 
 
 class Map:
-    """Keyframes and points with the graph between them."""
+    """Keyframes and points with the graph between them.
 
-    def __init__(self, index: int, scale_factors: Array, features_limit: int) -> None:
+    `scale_factors` (L,) of the levels of the pyramid; `pixel_variances` (L,) of a keypoint there along each axis, px^2.
+    """
+
+    def __init__(self, index: int, scale_factors: Array, pixel_variances: Array, features_limit: int) -> None:
         self.index = index
         self.scale_factors = scale_factors
-        self.inverse_sigma2: Array = 1.0 / pixel_variance(scale_factors)
-        self.inverse_sigma2_of_points = 1.0 / (POINT_VARIANCES * pixel_variance(scale_factors))
+        self.pixel_variances = pixel_variances
+        self.inverse_sigma2: Array = 1.0 / pixel_variances
+        self.inverse_sigma2_of_points: Array = 1.0 / (POINT_VARIANCES * pixel_variances)
         self.points = PointTable()
         self.keyframes = KeyframeTable(features_limit)
         self.culled: dict[int, CulledKeyframe] = {}

@@ -15,7 +15,6 @@ from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
 from codecbench.slam.features.matching import claim
 from codecbench.slam.features.sorting import stable_order
-from codecbench.slam.features.uncertainty import pixel_variance
 from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
 from codecbench.slam.map.point_kernels import median_depth
@@ -25,12 +24,13 @@ from codecbench.slam.optimisation.bundle_kernels import reprojection
 
 @compiled
 def triangulate_features(
-    keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any
+    keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any, variances: Any
 ) -> Any:
     """Points that free features of `keyframe` show together with free features of its `neighbors`, first come first
     served.
 
-    `positions` (P, 3) of the map's points. Returns for each new point its
+    `positions` (P, 3) of the map's points; of each level (L,) its scale factor and the variance of a keypoint's place,
+    px^2. Returns for each new point its
     feature in `keyframe` (N,), the neighbour (N,), the feature there (N,), and its place in the world (N, 3).
     """
     count = views.counts[keyframe]
@@ -41,11 +41,11 @@ def triangulate_features(
         depth = median_depth(views.points[neighbor], positions, views.poses[neighbor])
         if _distance(views.centers[keyframe], views.centers[neighbor]) < thresholds.TRIANGULATION_MIN_BASELINE * depth:
             continue
-        matches = _match_on_lines(keyframe, neighbor, free, views, camera_matrix, scale_factors)
+        matches = _match_on_lines(keyframe, neighbor, free, views, camera_matrix, scale_factors, variances)
         for f in range(count):
             other = matches[f]
             if other >= 0 and _triangulate_match(
-                keyframe, f, neighbor, other, views, camera_matrix, scale_factors, system, points[made]
+                keyframe, f, neighbor, other, views, camera_matrix, scale_factors, variances, system, points[made]
             ):
                 features[made], partners[made], partner_features[made] = f, neighbor, other
                 free[f] = False
@@ -60,7 +60,7 @@ def _distance(a: Any, b: Any) -> float:
 
 @compiled
 def _match_on_lines(
-    keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any
+    keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any, variances: Any
 ) -> Any:
     """Match the free features of a keyframe with those of a neighbour near their epipolar lines (F,), -1 for none.
 
@@ -72,7 +72,7 @@ def _match_on_lines(
     xs, ys, reaches = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for k, f in enumerate(candidates):
         xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
-        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF * pixel_variance(scale_factors[views.octaves[neighbor, f]]))
+        reaches[k] = math.sqrt(thresholds.CHI2_95_1DOF * variances[views.octaves[neighbor, f]])
     pixels, octaves, descriptors = views.pixels[keyframe], views.octaves[keyframe], views.descriptors[keyframe]
     descriptors_b = views.descriptors[neighbor]
     eights = np.zeros(len(candidates) // 8 + 1, np.uint64)
@@ -154,7 +154,7 @@ def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -
 @compiled
 def _triangulate_match(
     a: int, feature_a: int, b: int, feature_b: int, views: Views, camera_matrix: Any, scale_factors: Any,
-    system: Any, point: Any,
+    variances: Any, system: Any, point: Any,
 ) -> bool:  # fmt: skip
     """Fill in the `point` (3,) that features of keyframes a and b show; returns whether it passes every check.
 
@@ -169,9 +169,9 @@ def _triangulate_match(
     if w == 0.0:
         return False
     point[0], point[1], point[2] = x / w, y / w, z / w
-    scale_a, scale_b = scale_factors[views.octaves[a, feature_a]], scale_factors[views.octaves[b, feature_b]]
-    for pose, pixel, scale in ((pose_a, pixel_a, scale_a), (pose_b, pixel_b, scale_b)):
-        weight = 1.0 / math.sqrt(pixel_variance(scale))
+    octave_a, octave_b = views.octaves[a, feature_a], views.octaves[b, feature_b]
+    for pose, pixel, octave in ((pose_a, pixel_a, octave_a), (pose_b, pixel_b, octave_b)):
+        weight = 1.0 / math.sqrt(variances[octave])
         if reprojection(pose, point, pixel[0], pixel[1], weight, intrinsics)[5] > thresholds.CHI2_95_2DOF:
             return False
     center_a, center_b = views.centers[a], views.centers[b]
@@ -180,6 +180,6 @@ def _triangulate_match(
     for k in range(3):
         dot += (point[k] - center_a[k]) * (point[k] - center_b[k])
     cosine = dot / max(distance_a * distance_b, 1e-24)
-    stretch = distance_b * scale_a / max(distance_a * scale_b, 1e-12)
+    stretch = distance_b * scale_factors[octave_a] / max(distance_a * scale_factors[octave_b], 1e-12)
     limit = thresholds.SCALE_CONSISTENCY * scale_factors[min(1, len(scale_factors) - 1)]
     return bool(0.0 < cosine < thresholds.TRIANGULATION_MAX_COSINE and 1.0 / limit < stretch < limit)

@@ -12,7 +12,7 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
-from codecbench.slam.features.uncertainty import pixel_variance
+from codecbench.slam.features.uncertainty import pixel_variances
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
@@ -41,11 +41,12 @@ class TwoViewStart:
     model: str
 
 
-def match_for_start(first: Features, second: Features) -> NDArray[np.int64]:
+def match_for_start(first: Features, second: Features, camera: Camera) -> NDArray[np.int64]:
     """Features of `second` that match those of `first` (N,), -1 for none: within a window, on the same level."""
     octaves = first.octaves.astype(np.int64)
+    radii = np.full(len(first), camera.pixels_across(thresholds.INIT_WINDOW_DEG))
     matches = match_in_windows(
-        first.pixels, np.full(len(first), thresholds.INIT_WINDOW_PX), octaves, octaves, first.descriptors,
+        first.pixels, radii, octaves, octaves, first.descriptors,
         second, np.ones(len(second), np.bool_), thresholds.HAMMING_LOW, thresholds.INIT_RATIO,
     )  # fmt: skip
     return np.asarray(keep_consistent_rotations(matches, first.angles, second.angles))
@@ -55,13 +56,13 @@ def start_from_two_views(
     first: Features,
     second: Features,
     matches: NDArray[np.int64],
-    scale_factors: Floats,
+    level_variances: Floats,
     camera: Camera,
     rng: np.random.Generator,
 ) -> TwoViewStart | str:
     """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
-    `scale_factors` are those of the pyramid's levels, which say how well a feature's place is known.
+    `level_variances` (L,) say how well a feature's place is known on each level, px^2.
     Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
     motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
     both cameras with enough parallax, and when the matches leave little doubt about its direction.
@@ -71,7 +72,7 @@ def start_from_two_views(
     pixels_a, pixels_b = first.pixels[features_first], second.pixels[features_second]
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
-    variances = pixel_variance(scale_factors[first.octaves[features_first]])
+    variances = level_variances[first.octaves[features_first]]
     samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
     homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, variances, samples)
     if score_h + score_f <= 0.0:
@@ -192,6 +193,7 @@ class Initializer:
     def __init__(self, camera: Camera, scale_factors: Floats, features_limit: int, rng: np.random.Generator) -> None:
         self._camera = camera
         self._scale_factors = scale_factors
+        self._variances = pixel_variances(camera, scale_factors)
         self._features_limit = features_limit
         self._rng = rng
         self._first: TrackingFrame | None = None
@@ -211,13 +213,11 @@ class Initializer:
         if first is None or frame.index - first.index > thresholds.INIT_MAX_FRAMES:
             self._first = frame if enough else None
             return "waiting for a second view" if enough else f"{len(frame.features)} features"
-        matches = match_for_start(first.features, frame.features)
+        matches = match_for_start(first.features, frame.features, self._camera)
         if not enough or int((matches >= 0).sum()) < thresholds.INIT_MIN_MATCHES:
             self._first = frame if enough else None
             return f"{int((matches >= 0).sum())} matches between the first two frames"
-        start = start_from_two_views(
-            first.features, frame.features, matches, self._scale_factors, self._camera, self._rng
-        )
+        start = start_from_two_views(first.features, frame.features, matches, self._variances, self._camera, self._rng)
         if isinstance(start, str):
             return start
         if first.decode is not None or frame.decode is not None:
@@ -248,7 +248,7 @@ class Initializer:
         self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart, index: int
     ) -> tuple[Map, Mapper] | str:
         """Map from two views: bundle adjustment over both, then the scale."""
-        slam_map = Map(index, self._scale_factors, self._features_limit)
+        slam_map = Map(index, self._scale_factors, self._variances, self._features_limit)
         mapper = Mapper(slam_map, self._camera)
         second.camera_from_world = start.second_from_first
         first.camera_from_world = np.eye(4)

@@ -92,7 +92,7 @@ class Mapper:
         """Make points of free features of a keyframe that match free features of its neighbours (ORB-SLAM VI-C)."""
         found = triangulate_features(
             keyframe, neighbors, self.map.keyframes.views, self.map.points.positions,
-            self.camera.matrix, self.map.scale_factors,
+            self.camera.matrix, self.map.scale_factors, self.map.pixel_variances,
         )  # fmt: skip
         self.add_points(keyframe, *found)
 

@@ -59,13 +59,13 @@ class Localizer:
         frame = TrackingFrame.of(0, 0.0, features)
         points = self.map.keyframes.points[self._nearest_keyframe(camera_from_world)]
         points = points[points >= 0]
-        for window_px in (thresholds.TRACK_WINDOW_PX, thresholds.TRACK_WINDOW_WIDE_PX):
+        for window_deg in (thresholds.TRACK_WINDOW_DEG, thresholds.TRACK_WINDOW_WIDE_DEG):
             frame.points[:] = NONE
             frame.camera_from_world = camera_from_world.copy()
             projections = project_map_points(
                 self.map, points, camera_from_world, self._camera, thresholds.VIEWING_COSINE
             )
-            widen = window_px / thresholds.LOCAL_WINDOW_PX
+            widen = self._camera.pixels_across(window_deg) / thresholds.LOCAL_WINDOW_PX
             if match_projections(self.map, frame, projections, widen) >= thresholds.TRACK_MIN_MATCHES:
                 break
         else:

@@ -47,7 +47,7 @@ class Tracker:
         """
         assert self.last is not None
         self.last.points = self.map.resolve_points(self.last.points)
-        if not (self._track_by_motion(frame) or self._track_by_keyframe(frame)):
+        if not (self._track_by_motion(frame) or self._track_by_keyframe(frame) or self._hold_on(frame)):
             return 0
         inliers = self.track_local_map(frame)
         if inliers < thresholds.LOCAL_MIN_INLIERS:
@@ -66,29 +66,47 @@ class Tracker:
     # First guesses --------------------------------------------------------------------------------------------
 
     def _track_by_motion(self, frame: TrackingFrame) -> bool:
-        """Predict with constant velocity and search round the predictions, then in wider windows."""
-        assert self.last is not None
-        interval_s = frame.timestamp_s - self.last.timestamp_s
-        if self._velocity is None:
-            predicted = self.last.camera_from_world
-        elif interval_s <= thresholds.MAX_VELOCITY_GAP * self._interval_s:
-            predicted = se3_exp(self._velocity * interval_s) @ self.last.camera_from_world
-        else:
+        """Search round what constant velocity predicts, then in wider windows."""
+        predicted = self._predicted(frame)
+        if predicted is None:
             return False
-        for window in (thresholds.TRACK_WINDOW_PX, thresholds.TRACK_WINDOW_WIDE_PX):
-            frame.points[:] = NONE
-            frame.camera_from_world = predicted
-            if self._match_last(frame, window) >= thresholds.TRACK_MIN_MATCHES:
+        for window_deg in (thresholds.TRACK_WINDOW_DEG, thresholds.TRACK_WINDOW_WIDE_DEG):
+            if self._match_last(frame, predicted, window_deg) >= thresholds.TRACK_MIN_MATCHES:
                 return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
         return False
 
-    def _match_last(self, frame: TrackingFrame, window_px: float) -> int:
+    def _hold_on(self, frame: TrackingFrame) -> bool:
+        """Go on from the few matches near their predictions: in a sharp turn at a low rate little is seen twice.
+
+        The local map then decides whether the guess was right.
+        """
+        predicted = self._predicted(frame)
+        if predicted is None:
+            return False
+        found = self._match_last(frame, predicted, thresholds.TRACK_WINDOW_DEG)
+        return found >= thresholds.TRACK_MIN_INLIERS and self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
+
+    def _predicted(self, frame: TrackingFrame) -> Array | None:
+        """The pose by constant velocity; None where the last frame is too long ago."""
         assert self.last is not None
+        interval_s = frame.timestamp_s - self.last.timestamp_s
+        if self._velocity is None:
+            return self.last.camera_from_world
+        if interval_s > thresholds.MAX_VELOCITY_GAP * self._interval_s:
+            return None
+        return np.asarray(se3_exp(self._velocity * interval_s) @ self.last.camera_from_world)
+
+    def _match_last(self, frame: TrackingFrame, camera_from_world: Array, window_deg: float) -> int:
+        """Look for what the last frame shows where it should appear from a pose; returns how many points were found."""
+        assert self.last is not None
+        frame.points[:] = NONE
+        frame.camera_from_world = camera_from_world
         last, features = self.last, frame.features
         return int(
             search_last(
-                last.points, last.features.octaves, last.features.angles, window_px, columns_of(self.map.points),
-                self._lens, frame.camera_from_world, features.view, features.angles, frame.points,
+                last.points, last.features.octaves, last.features.angles, self.camera.pixels_across(window_deg),
+                columns_of(self.map.points), self._lens, frame.camera_from_world, features.view, features.angles,
+                frame.points,
             )
         )  # fmt: skip
 

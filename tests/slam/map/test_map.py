@@ -191,7 +191,7 @@ def test_an_appended_map_is_the_same_under_other_numbers(rng: np.random.Generato
 
 
 def test_rows_that_come_after_an_appended_map_are_empty(slam_map: Map) -> None:
-    other = Map(1, slam_map.scale_factors, 200)
+    other = Map(1, slam_map.scale_factors, slam_map.pixel_variances, 200)
     other.points.add(np.zeros((5000, 3)), NONE, 0)
     other.points.heads[:] = 3
     slam_map.append(other, np.empty(0, np.int64))

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from map_scenes import FACTORS, assert_consistent, build_map, observe_scene
+from map_scenes import FACTORS, VARIANCES, assert_consistent, build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
 
@@ -38,8 +38,9 @@ def mapper(points: NDArray[np.float64], descriptors: NDArray[np.uint64]) -> Mapp
 def triangulate(slam_map: Map, keyframe: int, neighbors: list[int]) -> tuple[NDArray[np.float64], Indices]:
     """New points of a keyframe, and which point of the scene each feature shows: features are in their order."""
     features, partners, partner_features, found = triangulate_features(
-        keyframe, np.array(neighbors), slam_map.keyframes.views, slam_map.points.positions, CAMERA.matrix, FACTORS
-    )
+        keyframe, np.array(neighbors), slam_map.keyframes.views, slam_map.points.positions, CAMERA.matrix, FACTORS,
+        VARIANCES,
+    )  # fmt: skip
     assert np.array_equal(features, partner_features)
     assert np.isin(partners, neighbors).all()
     return found, features

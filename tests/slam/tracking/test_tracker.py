@@ -6,6 +6,7 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
+from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.tracking.tracker import Tracker
@@ -32,13 +33,13 @@ class Scene:
         pixels = seen.features.pixels + self.rng.normal(0.0, noise_px, (len(shown), 2)) * (noise_px > 0.0)
         return TrackingFrame.of(int(100 * time_s), time_s, features_at(pixels, self.descriptors[shown])), shown
 
-    def tracker(self) -> Tracker:
-        """A tracker that stands at the last keyframe."""
+    def tracker(self, camera: Camera = CAMERA) -> Tracker:
+        """A tracker that stands at the last keyframe and looks on through `camera`."""
         frame, shown = self.frame(KEYFRAMES[-1], 0.0)
         frame.camera_from_world = KEYFRAMES[-1].copy()
         frame.points = np.where(self.map.points.alive[shown], shown, NONE)
         frame.reference = len(KEYFRAMES) - 1
-        tracker = Tracker(self.map, CAMERA)
+        tracker = Tracker(self.map, camera)
         tracker.start(frame)
         return tracker
 
@@ -73,6 +74,21 @@ def test_noise_bounds_the_error(scene: Scene) -> None:
     assert inliers > 100
     assert np.abs(frame.camera_from_world[:3, :3] - next_pose(0.3)[:3, :3]).max() < 0.003
     assert np.abs(frame.camera_from_world[:3, 3] - next_pose(0.3)[:3, 3]).max() < 0.02
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+@pytest.mark.parametrize(("turn_deg", "expected"), [(2.9, True), (3.8, False)])
+def test_an_unforeseen_turn_is_followed_up_to_an_angle_at_any_size(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, scale: float, turn_deg: float, expected: bool
+) -> None:
+    """The wide window is 3.2 degrees; nothing but it may help."""
+    monkeypatch.setattr(Tracker, "_track_by_keyframe", lambda *_: False)
+    numbers = (260.0, 262.0, 158.5, 121.0)
+    tracker = scene.tracker(Camera(round(320 * scale), round(240 * scale), *(scale * number for number in numbers)))
+    pose = looking((0.6, 0.08, 0.0), 0.04 + np.deg2rad(turn_deg))
+    seen, shown = observe_scene(pose, scene.points, scene.descriptors)
+    frame = TrackingFrame.of(1, 0.1, features_at(seen.features.pixels * scale, scene.descriptors[shown]))
+    assert (tracker.track(frame) > 0) == expected
 
 
 def test_steady_motion_is_predicted(scene: Scene) -> None:

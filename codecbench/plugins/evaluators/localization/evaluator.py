@@ -56,7 +56,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     """
 
     name = "localization"
-    version = "3"
+    version = "4"
     params_type = LocalizationParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.slam",)
