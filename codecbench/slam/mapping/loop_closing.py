@@ -46,7 +46,10 @@ def adjust_map(slam_map: Map, camera: Camera, iterations: tuple[int, ...] = (10,
     """Bundle adjustment of all keyframes and points; the oldest keyframe stays."""
     keyframes = slam_map.alive_keyframes
     if len(keyframes) > 1:
-        adjust_keyframes(slam_map, camera, keyframes[1:], keyframes[:1], slam_map.alive_points, iterations)
+        adjust_keyframes(
+            slam_map, camera, keyframes[1:], keyframes[:1], slam_map.alive_points, iterations,
+            huber=thresholds.MAP_HUBER_SIGMAS,
+        )  # fmt: skip
 
 
 def _merge_sides(slam_map: Map, camera: Camera, loop: Loop, group: Indices, corrected: Array) -> None:

@@ -12,7 +12,7 @@ from codecbench.slam.map.fusion import fuse
 from codecbench.slam.map.map import NONE, Indices, Map
 from codecbench.slam.map.point_kernels import median_depth
 from codecbench.slam.map.triangulation import triangulate_features
-from codecbench.slam.optimisation.bundle_adjustment import adjust
+from codecbench.slam.optimisation.bundle_adjustment import HUBER_95, adjust
 from codecbench.slam.places.recognition import PlaceRecognition
 
 
@@ -157,6 +157,7 @@ def adjust_keyframes(
     points: Indices,
     iterations: tuple[int, ...],
     tolerance: float = 1e-4,
+    huber: float = HUBER_95,
 ) -> None:
     """Bundle adjustment of `free` keyframes and `points`, with `fixed` keyframes; outliers lose their observation."""
     table, keyframes = slam_map.points, slam_map.keyframes
@@ -169,7 +170,7 @@ def adjust_keyframes(
         keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
         keyframes.pixels.reshape(-1, 2).take(seen, axis=0),
         slam_map.inverse_sigma2[keyframes.octaves.ravel().take(seen)], camera.intrinsics,
-        np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance,
+        np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance, huber=huber,
     )  # fmt: skip
     keyframes.set_pose(free, result.camera_from_world[: len(free)])
     table.positions[points] = result.points_world

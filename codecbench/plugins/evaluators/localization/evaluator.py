@@ -56,7 +56,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     """
 
     name = "localization"
-    version = "4"
+    version = "5"
     params_type = LocalizationParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.slam",)
