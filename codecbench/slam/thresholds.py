@@ -192,8 +192,8 @@ LOCAL_BUNDLE_FIXED: Final = 30
 LOCAL_BUNDLE_TOLERANCE: Final = 1e-3
 """Of the cost: a round of a local adjustment ends with a step that gains less; the next one goes on (own)."""
 MAP_HUBER_SIGMAS: Final = 0.6
-"""Standard deviations: observations that are farther off have less and less say when a whole map is adjusted. 1.345 times
-(Huber 1981) the spread of what is left, which is 0.35 to 0.5 of the deviations that the gates are made of (own)."""
+"""Standard deviations: observations that are farther off have less and less say when a whole map is adjusted. 1.345
+times (Huber 1981) the spread of what is left, which is 0.35 to 0.5 of the deviations that make the gates (own)."""
 
 # Place recognition ----------------------------------------------------------------------------------------------------
 SHARED_WORDS_SHARE: Final = 0.8
