@@ -35,8 +35,9 @@ def anchor(run: RunResult, heads: Heads) -> Iterator[str]:
         for codec in dict.fromkeys(result.cell.codec for result in here):
             for evaluator in dict.fromkeys(result.cell.evaluator for result in here):
                 runs = [result for result in here if (result.cell.codec, result.cell.evaluator) == (codec, evaluator)]
+                setting = " ".join(filter(None, (codec.name, codec.label)))
                 backend = f"`{evaluator.params['backend']}`"
-                rows.append([entry.name, codec.title, backend, str(len(runs)), *_measured(runs)])
+                rows.append([entry.name, setting, backend, str(len(runs)), *_measured(runs)])
     yield table(heads, rows)
 
 

@@ -73,8 +73,11 @@ class Conversation:
     def _ending(self) -> str:
         code = self._process.wait(timeout=10.0)
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
-        return f"{self._name} {how}"
+        advice = " for want of memory: allow more by the run's memory_mb" if "bad_alloc" in self._output() else ""
+        return f"{self._name} {how}{advice}"
 
     def _last_words(self) -> str:
-        text = self._log.read_text(errors="replace") if self._log.exists() else ""
-        return f"its last output: {' | '.join(text.split(chr(10)))[-_LOG_TAIL_CHARS:].strip() or 'none'}"
+        return f"its last output: {' | '.join(self._output().split(chr(10)))[-_LOG_TAIL_CHARS:].strip() or 'none'}"
+
+    def _output(self) -> str:
+        return self._log.read_text(errors="replace") if self._log.exists() else ""

@@ -51,6 +51,8 @@ class Slam:
             ctypes.CDLL(None).puts(b"New Map created with 100 points")
         if level == 204:
             sys.exit(3)
+        if level == 205:
+            raise MemoryError("std::bad_alloc")
         if level < 3:
             return Result("TrackingState.NOT_INITIALIZED", False, None, 0)
         if level == 9:
@@ -122,6 +124,15 @@ def test_frames_are_paced() -> None:
 def test_a_crash_is_an_error_that_says_where() -> None:
     with pytest.raises(SlamError, match=r"ended by SIGSEGV, frame 7; its last output: about to crash"):
         OrbSlam3.create().run(frames([5, 5, 200, 5]), CAMERA, seed=0)
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("stand_in")
+def test_a_want_of_memory_is_an_error_that_says_how_to_give_more() -> None:
+    with pytest.raises(
+        SlamError, match=r"exit status 1 for want of memory: allow more by the run's memory_mb, frame 6"
+    ):
+        OrbSlam3.create().run(frames([5, 205, 5]), CAMERA, seed=0)
 
 
 @pytest.mark.thorough
