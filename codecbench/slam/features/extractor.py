@@ -69,6 +69,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def same_as(self, other: Features) -> bool:
+        """Whether these are the features of the same picture: places and descriptors are equal to the bit."""
+        return np.array_equal(self.pixels, other.pixels) and np.array_equal(self.descriptors, other.descriptors)
+
     @property
     def view(self) -> View:
         """The features as compiled code reads them."""

@@ -43,10 +43,15 @@ class Tracker:
     def track(self, frame: TrackingFrame) -> int:
         """Find the pose and points of `frame`; returns the number of inliers, 0 when it is lost.
 
-        On success `frame` holds its pose, points and reference keyframe and is the new `last`.
+        On success `frame` holds its pose, points and reference keyframe and is the new `last`; one that shows the last
+        picture once more, as a link that stalls does, has its pose and says nothing of how the camera moves.
         """
         assert self.last is not None
         self.last.points = self.map.resolve_points(self.last.points)
+        if frame.features.same_as(self.last.features):
+            frame.points, frame.reference = self.last.points.copy(), self.last.reference
+            frame.camera_from_world = self.last.camera_from_world.copy()
+            return len(frame.matched)
         if not (self._track_by_motion(frame) or self._track_by_keyframe(frame) or self._hold_on(frame)):
             return 0
         inliers = self.track_local_map(frame)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Floats, features_at, looking, random_descriptors
 
 from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.transforms import se3_inverse, se3_log
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.tracking.tracker import Tracker
@@ -89,6 +90,20 @@ def test_an_unforeseen_turn_is_followed_up_to_an_angle_at_any_size(
     seen, shown = observe_scene(pose, scene.points, scene.descriptors)
     frame = TrackingFrame.of(1, 0.1, features_at(seen.features.pixels * scale, scene.descriptors[shown]))
     assert (tracker.track(frame) > 0) == expected
+
+
+def test_a_picture_shown_again_says_nothing_of_the_motion(scene: Scene) -> None:
+    """A camera moves on by ten pixels a frame, and every second frame shows the one before."""
+    tracker = scene.tracker()
+    tracker._track_by_keyframe = lambda _: False  # type: ignore[method-assign]
+    tracker._velocity, tracker._interval_s = np.asarray(se3_log(next_pose(1.0) @ se3_inverse(next_pose(0.0)))), 1.0
+    for step in (1, 3, 5):
+        moved, again = scene.frame(next_pose(step), step)[0], scene.frame(next_pose(step), step + 1.0)[0]
+        assert tracker.track(moved) > 100
+        assert tracker.track(again) == len(moved.matched)
+        assert tracker.last is moved
+        assert np.array_equal(again.camera_from_world, moved.camera_from_world)
+        assert np.array_equal(again.points, moved.points)
 
 
 def test_steady_motion_is_predicted(scene: Scene) -> None:
