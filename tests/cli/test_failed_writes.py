@@ -135,9 +135,10 @@ def full_disk(tmp_path: Path) -> Iterator[Path]:
     """A small disk in memory without a free byte."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)], capture_output=True)
+    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)]
+    mounted = subprocess.run(command, capture_output=True, text=True)
     if mounted.returncode != 0:
-        pytest.skip("no disk can be mounted here: that takes root")
+        pytest.skip(f"no disk can be mounted here, which takes root: {mounted.stderr.strip()}")
     try:
         with suppress(OSError), open(disk / "filler", "wb", buffering=0) as filler:
             while filler.write(bytes(4096)):
