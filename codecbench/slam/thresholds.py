@@ -110,7 +110,7 @@ KEYFRAME_RATIO: Final = 0.7
 """Best over second-best distance of such a match (own)."""
 LOCAL_WINDOW_PX: Final = 4.0
 """Pixels at the finest level: search radius of a local map point seen obliquely (own). What is in pixels from here
-on covers what keypoints and poses are off by; on a street of twice the size, windows of twice the size gained nothing."""
+on covers what keypoints and poses are off by; on a street of twice the size, larger windows gained nothing."""
 LOCAL_WINDOW_FRONTAL_PX: Final = 2.5
 """Pixels at the finest level: search radius of a local map point seen as before (own)."""
 FRONTAL_COSINE: Final = 0.998
