@@ -7,6 +7,7 @@ bound what a decoder allocates, and let gray stay gray where the standard knows 
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from abc import abstractmethod
@@ -25,6 +26,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 _HEADER = struct.Struct("<4sBBII")
 _CRC = struct.Struct("<I")
 _CONTENT = _HEADER.size + _CRC.size
+_SIZ = struct.Struct(">HHHH8IH")
 P = TypeVar("P", bound=Params)
 
 
@@ -67,6 +69,7 @@ class _Enveloped(Codec[P]):
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         shape = self._checked_shape(bitstream)
+        self._check_declared_size(bitstream[_CONTENT:], shape)
         stored = (*shape[:2], 3) if self.colour_only else shape
         pixels: Image = np.empty(stored, np.uint8)
         try:
@@ -75,6 +78,12 @@ class _Enveloped(Codec[P]):
         except (RuntimeError, ValueError, TypeError) as error:
             raise BitstreamError(f"{self.name}: the library cannot read the file: {error}") from error
         return pixels if stored == shape else gray_from_image(pixels)
+
+    def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
+        """Raise BitstreamError if the file declares another size than the header, by which it would be allocated for.
+
+        The libraries of JPEG XL, JPEG-LS and WebP compare the size with the output's before they decode.
+        """
 
     def libraries(self) -> dict[str, str]:
         told = (getattr(self._library, f"{name}_version")().partition(" ") for name in self._functions)
@@ -170,6 +179,14 @@ class Htj2k(_Enveloped[Htj2kParams]):
     def is_lossless(self) -> bool:
         return self.params.step == 0
 
+    def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
+        """OpenJPEG decodes all that SIZ (T.800 A.5.1) declares: one tile of 8-bit components, as OpenJPH writes it."""
+        height, width, channels = (*shape, 1)[:3]
+        declared = _SIZ.pack(0xFF4F, 0xFF51, _SIZ.size - 4 + 3 * channels, 0, *2 * (width, height, 0, 0), channels)
+        declared += b"\x07\x01\x01" * channels
+        if content[:6] + content[8 : len(declared)] != declared[:6] + declared[8:]:  # bytes 6 and 7: the profile
+            raise BitstreamError(f"{self.name}: the codestream does not declare one tile of {width}x{height} pixels")
+
     def _arguments(self) -> dict[str, Any]:
         return {"reversible": True} if self.is_lossless() else {"reversible": False, "level": self.params.step}
 
@@ -213,6 +230,12 @@ class Avif(_Enveloped[AvifParams]):
     params_type = AvifParams
     examples = ({}, {"subsampling": "444", "quality": 90})
     magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
+
+    def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
+        """libavif allocates for what the property `ispe` (ISO/IEC 23008-12, 6.5.3) declares, up to 2^28 pixels."""
+        declared = {content[at.end() : at.end() + 12] for at in re.finditer(b"ispe", content.partition(b"mdat")[0])}
+        if struct.pack(">III", 0, shape[1], shape[0]) not in declared or len(declared) > 1:
+            raise BitstreamError(f"{self.name}: the file does not declare {shape[1]}x{shape[0]} pixels")
 
     def _arguments(self) -> dict[str, Any]:
         params = self.params

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import io
 import re
+import zlib
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from skimage.metrics import peak_signal_noise_ratio
 pytest.importorskip("imagecodecs", reason="the extra `codecs` is not installed")
 
 from codecbench import BitstreamError
+from codecbench.plugins.codecs import imagecodecs
 from codecbench.plugins.codecs.imagecodecs import Avif, Htj2k, JpegLs, JpegXl, Webp
 
 PICTURE = np.ascontiguousarray(skimage.data.astronaut()[60:188, 100:261])
@@ -74,6 +76,20 @@ def test_what_the_envelope_holds_is_a_file_of_the_standard(codec_class: Any) -> 
     bitstream = codec.encode(PICTURE)
     theirs = np.asarray(PIL.Image.open(io.BytesIO(bitstream[_ENVELOPE_BYTES:])).convert("RGB"))
     assert np.abs(theirs.astype(int) - codec.decode(bitstream)).max() <= 3
+
+
+@pytest.mark.parametrize("codec_class", [Htj2k, Avif], ids=lambda codec_class: codec_class.name)
+@pytest.mark.parametrize("shape", [(64, 48, 3), (48, 64, 3)])
+def test_a_file_that_declares_another_size_is_not_decoded(
+    codec_class: Any, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their libraries allocate for what the file declares, and compare it afterwards."""
+    codec = codec_class.create()
+    content = codec.encode(np.full((1200, 900, 3), 120, np.uint8))[_ENVELOPE_BYTES:]
+    header = imagecodecs._HEADER.pack(codec.magic, 3, 0, shape[1], shape[0])
+    monkeypatch.setattr(codec, "_library", None)
+    with pytest.raises(BitstreamError, match="declare"):
+        codec.decode(header + zlib.crc32(content, zlib.crc32(header)).to_bytes(4, "little") + content)
 
 
 @EVERY_CODEC

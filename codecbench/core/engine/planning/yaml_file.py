@@ -58,6 +58,8 @@ class Problems:
 def load(path: Path) -> tuple[str, Any]:
     """The text of a YAML file and its content, which remembers positions. Raises MatrixError."""
     try:
+        if path.exists() and not path.is_file():
+            raise MatrixError(f"{path}: not a plain file; a matrix is a text file of YAML")  # a pipe would never end
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:
