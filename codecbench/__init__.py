@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 from warnings import warn
 
 if TYPE_CHECKING:
-    from codecbench.core.contracts.codec import AnyCodec, Capabilities, Codec, Fragment, PartialImage
+    from codecbench.core.contracts.codec import (
+        AnyCodec,
+        Capabilities,
+        Codec,
+        FeatureCodec,
+        Fragment,
+        PartialImage,
+        StreamCodec,
+        decoder_of,
+        encoder_of,
+    )
     from codecbench.core.contracts.errors import (
         BitstreamError,
         CodecbenchError,
@@ -39,14 +49,7 @@ if TYPE_CHECKING:
         SequenceEvaluator,
     )
     from codecbench.core.contracts.executor import Executor, Finished, Task
-    from codecbench.core.contracts.features import (
-        FeatureCodec,
-        FeatureDecoder,
-        FeatureEncoder,
-        FeatureFrame,
-        Features,
-        FeatureSet,
-    )
+    from codecbench.core.contracts.features import FeatureDecoder, FeatureEncoder, FeatureFrame, Features, FeatureSet
     from codecbench.core.contracts.hooks import PluginSpec, hookimpl
     from codecbench.core.contracts.image import Image, check_image, gray_from_image
     from codecbench.core.contracts.link import Channel, Link, Passage, Queue
@@ -54,17 +57,7 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Origin, Sequence, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
-    from codecbench.core.contracts.stream import (
-        LOST,
-        Loss,
-        Packet,
-        Picture,
-        StreamCodec,
-        StreamDecoder,
-        StreamEncoder,
-        decoder_of,
-        encoder_of,
-    )
+    from codecbench.core.contracts.stream import LOST, Loss, Packet, Picture, StreamDecoder, StreamEncoder
     from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
@@ -81,7 +74,10 @@ __version__ = "0.1.0"
 
 _CONTRACTS = "codecbench.core.contracts."
 _HOMES = {
-    _CONTRACTS + "codec": ("AnyCodec", "Capabilities", "Codec", "Fragment", "PartialImage"),
+    _CONTRACTS + "codec": (
+        "AnyCodec", "Capabilities", "Codec", "FeatureCodec", "Fragment", "PartialImage", "StreamCodec", "decoder_of",
+        "encoder_of",
+    ),
     _CONTRACTS + "errors": (
         "BitstreamError", "CodecbenchError", "DatasetError", "ImageError", "KeyCollision", "MatrixError",
         "ParamsError", "PluginError", "SlamError", "StoreError", "Unsupported",
@@ -92,7 +88,7 @@ _HOMES = {
     ),
     _CONTRACTS + "executor": ("Executor", "Finished", "Task"),
     _CONTRACTS + "features": (
-        "FeatureCodec", "FeatureDecoder", "FeatureEncoder", "FeatureFrame", "Features", "FeatureSet",
+        "FeatureDecoder", "FeatureEncoder", "FeatureFrame", "Features", "FeatureSet",
     ),
     _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
     _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
@@ -101,10 +97,7 @@ _HOMES = {
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Origin", "Sequence", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
-    _CONTRACTS + "stream": (
-        "LOST", "Loss", "Packet", "Picture", "StreamCodec", "StreamDecoder", "StreamEncoder",
-        "decoder_of", "encoder_of",
-    ),
+    _CONTRACTS + "stream": ("LOST", "Loss", "Packet", "Picture", "StreamDecoder", "StreamEncoder"),
     _CONTRACTS + "view": ("Course", "Drawing", "Lane", "Line", "Marks", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),

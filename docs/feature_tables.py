@@ -19,11 +19,10 @@ import numpy as np
 from run_tables import CODING, SETTING, Column, machine, rows_of
 from slam_runs import error_m, path_of, system_of
 
-from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.codec import AnyCodec, decoder_of, encoder_of
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import Sequence, Trajectory
-from codecbench.core.contracts.stream import decoder_of, encoder_of
 from codecbench.core.engine.registry import installed
 from codecbench.core.results.markdown import table
 from codecbench.core.results.run_result import RunResult

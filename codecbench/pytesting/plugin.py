@@ -128,7 +128,6 @@ def _cases(text: str) -> list[CodecCase]:
     from pydantic import ValidationError
 
     from codecbench.core.conformance.settings import setting_from_text, setting_label
-    from codecbench.core.contracts.codec import Codec
     from codecbench.core.contracts.errors import CodecbenchError, Unsupported
     from codecbench.core.engine.registry import installed, loads
 
@@ -142,7 +141,7 @@ def _cases(text: str) -> list[CodecCase]:
         try:
             registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # what ends its process ends another
             cls = registry.load("codec", chosen)
-            if not issubclass(cls, Codec):
+            if not cls.stateless:
                 raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
             for example in [setting_from_text(rest)] if rest else cls.examples:
                 codec = cls(cls.params_type.model_validate(example))

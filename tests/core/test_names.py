@@ -13,7 +13,7 @@ import pytest
 
 import codecbench
 from codecbench.core.conformance.suite import Shape
-from codecbench.core.contracts.features import Architecture
+from codecbench.core.contracts.codec import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role
 from codecbench.core.engine.registry import Registry

@@ -11,8 +11,9 @@ import numpy as np
 from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
 from codecbench.core.conformance.moving_pictures import MovingPictures
 from codecbench.core.conformance.round_trip import require_equal
+from codecbench.core.contracts.codec import FeatureCodec
 from codecbench.core.contracts.errors import ImageError
-from codecbench.core.contracts.features import ANGLE_TOLERANCE_RAD, FeatureCodec, Features, FeatureSet
+from codecbench.core.contracts.features import ANGLE_TOLERANCE_RAD, Features, FeatureSet
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import Loss, Packet

@@ -26,8 +26,9 @@ from codecbench.core.conformance.moving_pictures import MovingPictures
 from codecbench.core.conformance.robustness import BOMBED_BYTES, FOREIGN, HUGE, mutations
 from codecbench.core.conformance.sandbox import Verb, sandbox
 from codecbench.core.conformance.variations import other_settings
+from codecbench.core.contracts.codec import FeatureCodec
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.features import FeatureCodec, Features, FeatureSet
+from codecbench.core.contracts.features import Features, FeatureSet
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import LOST, Loss, Packet

@@ -20,9 +20,10 @@ from codecbench.core.conformance.stream_round_trip import (
     whole_images,
 )
 from codecbench.core.conformance.variations import other_settings
+from codecbench.core.contracts.codec import StreamCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
+from codecbench.core.contracts.stream import Packet, Picture
 
 _TIMEOUT_S = 120.0
 _MEMORY_MB = 2048

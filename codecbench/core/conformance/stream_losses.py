@@ -18,10 +18,11 @@ from codecbench.core.conformance.robustness import BOMBED_BYTES, FOREIGN, HUGE, 
 from codecbench.core.conformance.round_trip import require_equal
 from codecbench.core.conformance.sandbox import sandbox
 from codecbench.core.conformance.stream_round_trip import StreamClass, packets_of, pictures_of, whole_images
+from codecbench.core.contracts.codec import StreamCodec
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import LOST, Packet, StreamCodec
+from codecbench.core.contracts.stream import LOST, Packet
 
 _TIMEOUT_S = 20.0
 _MEMORY_MB = 1024

@@ -16,10 +16,11 @@ from codecbench.core.conformance.moving_pictures import (
     moving_pictures,
 )
 from codecbench.core.conformance.round_trip import require_equal
+from codecbench.core.contracts.codec import StreamCodec
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec, is_recovery
+from codecbench.core.contracts.stream import Loss, Packet, Picture, is_recovery
 from codecbench.core.counting.trace import CountingTrace
 
 StreamClass = type[StreamCodec[Any]]

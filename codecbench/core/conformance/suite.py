@@ -22,9 +22,7 @@ from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
 from codecbench.core.conformance.images import conformance_images
 from codecbench.core.conformance.moving_pictures import moving_pictures, pictures_with_corners
 from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import StreamCodec
 
 
 @dataclass(frozen=True)
@@ -166,9 +164,9 @@ _MATERIAL: dict[Shape, Callable[[int], Any]] = {
 
 def shape_of(codec_class: type[Any]) -> Shape:
     """By which contract a codec goes."""
-    if issubclass(codec_class, FeatureCodec):
+    if codec_class.carries == "features":
         return "features"
-    return "stream" if issubclass(codec_class, StreamCodec) else "pictures"
+    return "pictures" if codec_class.stateless else "stream"
 
 
 def checks_of(shape: Shape) -> tuple[Check, ...]:

@@ -1,4 +1,4 @@
-"""The contract of codecs of features: the device finds them, codes them, and the server never sees a picture.
+"""Features of images, and the sessions that code them: the device finds them, and the server never sees a picture.
 
 What the device finds of one image is a set, `Features`. Sessions code the sets of one sequence in order, one packet for
 each, alone or after those before; `Packet` and LOST are those of `stream`.
@@ -8,20 +8,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.params import P
-
-if TYPE_CHECKING:
-    from codecbench.core.contracts.stream import Loss, Packet
+from codecbench.core.contracts.stream import Loss, Packet
 
 DESCRIPTOR_BYTES = 32
+ANGLE_TOLERANCE_RAD = 1e-8
+"""A thousand times less than what separates two thirtieths of a turn in practice."""
 
 
 @dataclass(frozen=True)
@@ -112,69 +108,3 @@ class FeatureDecoder(ABC):
         A set that depends on one that is missing is missing too: nothing is made up. Raises BitstreamError for damaged
         and foreign bytes; the session goes on with the next packet that `starts`.
         """
-
-
-class FeatureCodec(AnyCodec[P]):
-    """Base class of codecs of features. Equal images, in the same order, give equal packets.
-
-    A lossless setting gives back positions, levels and descriptors to the bit, in any order, and angles to within
-    ANGLE_TOLERANCE_RAD; responses need not come back.
-    """
-
-    @abstractmethod
-    def extract(self, image: Image) -> Features:
-        """What the device finds in an image, gray or RGB, which is left untouched.
-
-        Raises ImageError for an image outside `capabilities`. Equal images give equal features.
-        """
-
-    @abstractmethod
-    def encoder(self) -> FeatureEncoder:
-        """A session for one sequence, which knows nothing of any other."""
-
-    @abstractmethod
-    def decoder(self) -> FeatureDecoder:
-        """A session for one stream that any instance of this class encoded, from its packets alone."""
-
-    def encode(self, image: Image, **_: Any) -> bytes:
-        """Raises Unsupported, which tells an evaluator that was written for codecs of pictures what to do."""
-        raise sends_no_picture(self)
-
-    def decode(self, bitstream: bytes, **_: Any) -> Image:
-        """Raises Unsupported, as `encode` does."""
-        raise sends_no_picture(self)
-
-
-ANGLE_TOLERANCE_RAD = 1e-8
-"""A thousand times less than what separates two thirtieths of a turn in practice."""
-
-Architecture = Literal["cta", "features"]
-"""Who analyses: `cta`, the server does, on whatever the codec sends; `features`, the same, and that is features."""
-
-
-def gets_features(codec: AnyCodec[Any], architecture: str) -> bool:
-    """Whether who analyses what a codec sends gets features: so it is with codecs of features, whatever was asked for.
-
-    Raises Unsupported where `architecture` is `features` and the codec is of pictures.
-    """
-    if isinstance(codec, FeatureCodec):
-        return True
-    if architecture == "features":
-        raise sends_no_features(codec)
-    return False
-
-
-def sends_no_picture(codec: AnyCodec[Any]) -> Unsupported:
-    """For who asks a codec of features for a picture."""
-    return Unsupported(
-        f"{codec.name} sends features, so that there is no picture to look at; "
-        f"measure it by what reads features: docs/pictures-or-features.md says what does"
-    )
-
-
-def sends_no_features(codec: AnyCodec[Any]) -> Unsupported:
-    """For who asks a codec of pictures for features."""
-    return Unsupported(
-        f"{codec.name} sends pictures, not features; "
-        f"leave `architecture: features` out, and each codec is measured by what it sends"
-    )

@@ -12,7 +12,7 @@ from codecbench.core.contracts.hooks import Kind, PluginSpec
 from codecbench.core.engine.foreign_errors import describe_error
 
 _BASES: Final[dict[Kind, tuple[str, ...]]] = {
-    "codec": ("codec:Codec", "stream:StreamCodec", "features:FeatureCodec"),
+    "codec": ("codec:Codec", "codec:StreamCodec", "codec:FeatureCodec"),
     "evaluator": ("evaluator:Evaluator",),
     "dataset": ("sequence:Dataset",),
     "slam_backend": ("slam:SlamBackend",),

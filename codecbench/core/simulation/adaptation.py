@@ -9,11 +9,11 @@ from typing import Any, Final, Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence, SentPacket
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import StreamCodec, StreamEncoder
+from codecbench.core.contracts.stream import StreamEncoder
 from codecbench.core.simulation.settings import Adaptation
 
 WINDOW_S: Final = 1.0
@@ -76,19 +76,17 @@ def adaptive_encoder(coded: CodedSequence, adaptation: Adaptation) -> AdaptiveEn
     Raises Unsupported for a codec that holds pictures back, and for a parameter or a range that it does not take.
     """
     codec = coded.codec
-    if isinstance(codec, StreamCodec):
-        return AdaptiveStream(coded, codec, adaptation)
-    if isinstance(codec, Codec):
-        return AdaptivePictures(coded, codec, adaptation)
-    raise Unsupported(f"adapt: {codec.name} codes neither single pictures nor a stream of them")
+    if codec.carries != "pictures":
+        raise Unsupported(f"adapt: {codec.name} codes neither single pictures nor a stream of them")
+    return AdaptivePictures(coded, adaptation) if codec.stateless else AdaptiveStream(coded, adaptation)
 
 
 class AdaptivePictures:
     """Codes each picture as finely as fits, between the ends of a range."""
 
-    def __init__(self, coded: CodedSequence, codec: Codec[Any], adaptation: Adaptation) -> None:
+    def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
         self._sequence = coded.sequence
-        self._codecs = _variants(codec, adaptation)
+        self._codecs = _variants(coded.codec, adaptation)
         self.bitstreams: dict[int, bytes] = {}
 
     def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
@@ -114,7 +112,8 @@ class AdaptiveStream:
     waits: coded as a session of their own, with the start that it costs. It is looked for once a second.
     """
 
-    def __init__(self, coded: CodedSequence, codec: StreamCodec[Any], adaptation: Adaptation) -> None:
+    def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
+        codec = coded.codec
         if not codec.is_low_delay():
             raise Unsupported(f"adapt: {codec.name} holds pictures back with this setting; give one that does not")
         self._sequence = coded.sequence
@@ -139,7 +138,7 @@ class AdaptiveStream:
             room_bytes = budget_bytes * len(pictures) - waiting_bytes
             level = _finest_within(room_bytes, len(self._codecs), lambda level: self._size_bytes(level, pictures))
         if self._encoder is None or level != self._level:
-            self._encoder = self._codecs[level].encoder(self._sequence.frame_rate_hz)
+            self._encoder = self._codecs[level].open_encoder(self._sequence.frame_rate_hz)
             self._level, self._session, self._pushed = level, self._session + 1, 0
         self._recent.append((now_s, image))
         packets = self._encoder.push(image)
@@ -153,7 +152,7 @@ class AdaptiveStream:
 
     def _size_bytes(self, level: int, pictures: Iterable[Image]) -> int:
         """Of these as a session of their own."""
-        encoder = self._codecs[level].encoder(self._sequence.frame_rate_hz)
+        encoder = self._codecs[level].open_encoder(self._sequence.frame_rate_hz)
         return sum(len(packet.data) for picture in pictures for packet in encoder.push(picture))
 
 

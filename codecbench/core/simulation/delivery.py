@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
-from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.adaptation import AdaptiveEncoder, adaptive_encoder
 from codecbench.core.simulation.partial import Part, PartialDecoder, Salvage, remains_of
@@ -91,7 +90,7 @@ class Delivery:
 def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
     """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
     settings = settings.timed(context.awaited)
-    if settings.concealed and isinstance(coded.codec, FeatureCodec):
+    if settings.concealed and coded.codec.carries == "features":
         # What depends on a lost set is missing: nothing is made up.
         settings = settings.model_copy(update={"concealed": False})
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from codecbench.core.contracts.codec import Codec, Fragment, PartialImage
+from codecbench.core.contracts.codec import Fragment, PartialImage
 from codecbench.core.contracts.errors import BitstreamError, PluginError
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.simulation.settings import LinkSettings
@@ -84,7 +84,7 @@ class PartialDecoder:
     def __init__(self, coded: CodedSequence, bitstreams: Mapping[int, bytes]) -> None:
         self._coded, self._bitstreams = coded, bitstreams
         codec = coded.codec
-        self._codec = codec if isinstance(codec, Codec) and codec.capabilities.partial_decoding else None
+        self._codec = codec if codec.capabilities.partial_decoding else None
 
     def decode(self, frame: int, ranges: Ranges) -> PartialImage | None:
         """None where the codec makes nothing of it. Raises PluginError for what is no picture with a mask of it."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import decoder_of
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import LOST, Picture, StreamCodec, StreamDecoder, decoder_of
+from codecbench.core.contracts.stream import LOST, Picture, StreamDecoder
 from codecbench.core.simulation.delivery import Delivery
 from codecbench.core.simulation.partial import PartialDecoder
 
@@ -22,7 +22,7 @@ class DeliveredPictures:
     def __init__(self, coded: CodedSequence, delivery: Delivery) -> None:
         self._coded, self._came, self._bitstreams = coded, delivery.came, delivery.bitstreams
         self._parts, self._partial = delivery.parts, PartialDecoder(coded, delivery.bitstreams)
-        is_recoded = bool(delivery.bitstreams) and isinstance(coded.codec, StreamCodec)
+        is_recoded = bool(delivery.bitstreams) and not coded.codec.stateless
         self._decoder = decoder_of(coded.codec) if is_recoded or "concealed" in delivery.fates else None
         self._is_over = False
         self._units = iter(delivery.units)
@@ -35,7 +35,7 @@ class DeliveredPictures:
         if frame in self._parts:
             found = self._partial.decode(frame, self._parts[frame].remains.ranges)
             return None if found is None else found.image
-        if frame in self._bitstreams and isinstance(self._coded.codec, Codec):
+        if frame in self._bitstreams and self._coded.codec.stateless:
             return self._coded.codec.decode(self._bitstreams[frame])
         if self._decoder is None:
             return self._coded.frame(frame).decoded

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from codecbench.core.contracts.codec import Architecture, gets_features
 from codecbench.core.contracts.evaluator import (
     CodedSequence,
     Context,
@@ -19,7 +20,6 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of

@@ -112,7 +112,7 @@ def test_what_holds_pictures_back_cannot_adapt() -> None:
     held = SimpleNamespace(codec=Delta.create(hold=2), sequence=None)
     with pytest.raises(Unsupported, match="delta holds pictures back with this setting"):
         adaptive_encoder(held, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
-    foreign = SimpleNamespace(codec=SimpleNamespace(name="features"), sequence=None)
+    foreign = SimpleNamespace(codec=SimpleNamespace(name="features", carries="features"), sequence=None)
     with pytest.raises(Unsupported, match="features codes neither single pictures nor a stream"):
         adaptive_encoder(foreign, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
 

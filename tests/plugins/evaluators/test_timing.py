@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from memory_sequence import MemorySequence, context
 
-from codecbench.core.contracts.codec import Capabilities, Codec
+from codecbench.core.contracts.codec import Capabilities, Codec, StreamCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec, StreamDecoder, StreamEncoder
+from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.evaluators.timing import Timing
 from codecbench.plugins.evaluators.timing.clock import duration

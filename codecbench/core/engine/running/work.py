@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.confinement import confined_by, outer_pid
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import (
@@ -198,7 +198,7 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
 def _write_coded(file: BinaryIO, codec: AnyCodec[Any], sequence: Sequence, job_id: str, position: WorkPosition) -> None:
     """Encode the sequence into a file of the job."""
     packets = encode_sequence(codec, sequence, position)
-    if isinstance(codec, Codec):
+    if codec.stateless:
         write_bitstreams(file, (packet.data for packet in packets), job_id)
     else:
         write_stream(file, packets, job_id)

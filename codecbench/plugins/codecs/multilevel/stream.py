@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from codecbench.core.contracts.codec import Capabilities
+from codecbench.core.contracts.codec import Capabilities, StreamCodec
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, check_image
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamCodec, StreamDecoder, StreamEncoder
+from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.planes import Color
 from codecbench.plugins.codecs.multilevel.codec import STATIC_KERNELS, Multilevel, image_from_values

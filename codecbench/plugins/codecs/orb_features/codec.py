@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from codecbench.core.contracts.codec import Capabilities
+from codecbench.core.contracts.codec import Capabilities, FeatureCodec
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.features import FeatureCodec, FeatureDecoder, FeatureEncoder, Features, FeatureSet
+from codecbench.core.contracts.features import FeatureDecoder, FeatureEncoder, Features, FeatureSet
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import Loss, Packet

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, TypeVar
 
-from codecbench.core.contracts.codec import Capabilities
-from codecbench.core.contracts.stream import StreamCodec
+from codecbench.core.contracts.codec import Capabilities, StreamCodec
 from codecbench.plugins.codecs.video.decoding import VideoDecoder
 from codecbench.plugins.codecs.video.encoding import VideoEncoder
 from codecbench.plugins.codecs.video.library import open_encoder, require, versions

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
+from codecbench.core.contracts.codec import Architecture, gets_features
 from codecbench.core.contracts.evaluator import (
     CodedSequence,
     Context,
@@ -16,7 +17,6 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.simulation.delivery import delivery_of

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
@@ -106,7 +106,7 @@ class Operations(CodecEvaluator[OperationsParams]):
         return "source" in self.params.families
 
     def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
-        if not isinstance(codec, Codec):
+        if not codec.stateless:
             raise Unsupported(f"{codec.name} is opaque: it has memory, and what a frame takes depends on those before")
         families = self._available(codec)
         for index in evenly_spread(len(sequence), self.params.frames):
@@ -119,7 +119,7 @@ class Operations(CodecEvaluator[OperationsParams]):
                 for name in _names("machine"):
                     yield Measurement(f"machine_{name}", math.nan, stage=direction, reason=reason)
 
-    def _available(self, codec: Codec[Any]) -> list[Family]:
+    def _available(self, codec: AnyCodec[Any]) -> list[Family]:
         """The requested families that there are for this codec here; Unsupported, with reasons, if none."""
         reasons: dict[Family, str | None] = {
             "source": None
@@ -133,17 +133,17 @@ class Operations(CodecEvaluator[OperationsParams]):
             raise Unsupported("; ".join(reasons[family] or "" for family in self.params.families))
         return available
 
-    def _has_model(self, codec: Codec[Any]) -> bool:
+    def _has_model(self, codec: AnyCodec[Any]) -> bool:
         return codec_models.has_model(codec.name, codec.params.model_dump())
 
-    def _count(self, family: Family, codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
+    def _count(self, family: Family, codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
             return _with_totals(*source_counts(codec.prepared(image), image))
         if family == "model":
             return _with_totals(*self._modelled(codec, image))
         return machine.executed(codec, image)
 
-    def _modelled(self, codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
+    def _modelled(self, codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
         values = codec.params.model_dump()
         height, width = image.shape[:2]
         every = self.params.planes == "all"
@@ -154,7 +154,7 @@ class Operations(CodecEvaluator[OperationsParams]):
         return codec_models.modelled(codec.name, values, planes, share)
 
 
-def source_counts(codec: Codec[Any], image: Image) -> tuple[Stages, Stages]:
+def source_counts(codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
     """What the codec's kernels do to encode and to decode an image, by stage.
 
     Raises RuntimeError where counting changes the bitstream or the decoded image.

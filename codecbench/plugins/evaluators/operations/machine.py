@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.contracts.codec import Codec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.counting.operations import OperationCounts
 from codecbench.plugins.evaluators.operations.instructions import classified, object_code, read_profile, relocated
@@ -40,7 +40,7 @@ def missing() -> str | None:
     return f"{' and '.join(modules)} not installed: pip install 'codecbench[machine]'" if modules else None
 
 
-def executed(codec: Codec[Any], image: Image) -> dict[str, OperationCounts]:
+def executed(codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
     """Operations of one encoding and one decoding, under `encode` and `decode`.
 
     The codec is prepared for the image, so no search for a rate is counted. Both have run once before, so no

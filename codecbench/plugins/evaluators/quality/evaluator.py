@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
@@ -70,7 +69,7 @@ class Quality(SequenceEvaluator[NoParams]):
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        sequence, sends_features = coded.sequence, isinstance(coded.codec, FeatureCodec)
+        sequence, sends_features = coded.sequence, coded.codec.carries == "features"
         for index in range(len(coded)):
             frame = None if sends_features else coded.frame(index)
             original = sequence.read(index) if frame is None else frame.original

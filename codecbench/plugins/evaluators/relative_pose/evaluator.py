@@ -10,9 +10,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from codecbench.core.contracts.codec import Architecture, gets_features
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.features import Architecture, gets_features
 from codecbench.core.contracts.metric import Better, Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Frame, Sequence

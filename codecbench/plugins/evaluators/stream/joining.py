@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.codec import AnyCodec, decoder_of
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.evaluator import CodedSequence, SentPacket
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import Packet, Picture, StreamCodec, decoder_of
+from codecbench.core.contracts.stream import Packet, Picture
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
 
 
@@ -35,7 +35,7 @@ def frames_until_whole(coded: CodedSequence, places: list[int], whole_db: float)
     A picture is whole where its PSNR against the uninterrupted decoding is `whole_db` or more; infinity where the last
     of the sequence is not. Codecs without memory and those of features are whole from the next packet that starts.
     """
-    if not isinstance(coded.codec, StreamCodec):
+    if coded.codec.stateless or coded.codec.carries == "features":
         return [_until_start(coded.packets[place:]) for place in places]
     joiners = {place: _Joiner(coded.codec, coded.packets[place].frame) for place in places}
     for at, sent in enumerate(coded.packets):

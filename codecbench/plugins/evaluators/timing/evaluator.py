@@ -17,14 +17,12 @@ from typing import Annotated, Any, ClassVar, Final
 import cv2
 from pydantic import Field
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import AnyCodec, FeatureCodec
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
-from codecbench.core.contracts.features import FeatureCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.contracts.stream import StreamCodec
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.timing.clock import Duration, duration, no_collection, yardstick
 from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order, times_in_order
@@ -106,14 +104,12 @@ class Timing(CodecEvaluator[TimingParams]):
 
     def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
         cv2.setNumThreads(1)
-        if isinstance(codec, StreamCodec):
-            yield from self._in_order(codec, sequence)
-            return
         if isinstance(codec, FeatureCodec):
             yield from self._of_features(codec, sequence)
             return
-        if not isinstance(codec, Codec):
-            raise TypeError(f"{type(codec).__name__} is neither a Codec nor a StreamCodec nor a FeatureCodec")
+        if not codec.stateless:
+            yield from self._in_order(codec, sequence)
+            return
         images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
         for index in list(images)[:1]:
             for _ in range(self.params.warmup):
@@ -125,7 +121,7 @@ class Timing(CodecEvaluator[TimingParams]):
                 durations, images[index], index, f"{codec.name} searches for nothing with this setting"
             )
 
-    def _in_order(self, codec: StreamCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
+    def _in_order(self, codec: AnyCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
         times_in_order(codec, sequence.frame_rate_hz, images[: self.params.warmup], lambda: None)
         yardsticks: list[Duration] = []
@@ -151,7 +147,7 @@ class Timing(CodecEvaluator[TimingParams]):
             yield Measurement("encode_wall_ms", finding.wall_ms, index, "encode/extract")
             yield Measurement("encode_cpu_ms", finding.cpu_ms, index, "encode/extract")
 
-    def _durations(self, codec: Codec[Any], image: Image) -> _Durations:
+    def _durations(self, codec: AnyCodec[Any], image: Image) -> _Durations:
         prepared = codec.prepared(image)
         bitstream = prepared.encode(image)
         encoding = duration(lambda: prepared.encode(image), self.params.min_ms)

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
-from codecbench.core.contracts.features import FeatureCodec
+from codecbench.core.contracts.codec import AnyCodec, Decoded, FeatureCodec
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
+from codecbench.core.contracts.stream import Packet
 from codecbench.plugins.evaluators.timing.clock import Duration, timed
 
-_Made = TypeVar("_Made", Packet, Picture)
+_Made = TypeVar("_Made", Packet, Decoded)
 
 
 def times_in_order(
-    codec: StreamCodec[Any], frame_rate_hz: float, images: list[Image], beside: Callable[[], object]
+    codec: AnyCodec[Any], frame_rate_hz: float, images: list[Image], beside: Callable[[], object]
 ) -> tuple[list[Duration], list[Duration]]:
     """What each of these frames, the first of a sequence, takes to encode and to decode.
 
     beside: is called after each frame was encoded, and not timed.
     """
-    encoder, decoder = codec.encoder(frame_rate_hz), codec.decoder()
+    encoder, decoder = codec.open_encoder(frame_rate_hz), codec.open_decoder()
     pushed = ((frame, partial(encoder.push, image)) for frame, image in enumerate(images))
     packets, encoding = _timed_session(pushed, encoder.flush, beside)
     fed = ((packet.frame, partial(decoder.push, packet)) for packet in packets)
@@ -45,8 +45,8 @@ def feature_times_in_order(
 
 
 def _timed_session(
-    calls: Iterable[tuple[int, Callable[[], list[_Made]]]],
-    flush: Callable[[], list[_Made]],
+    calls: Iterable[tuple[int, Callable[[], Sequence[_Made]]]],
+    flush: Callable[[], Sequence[_Made]],
     beside: Callable[[], object],
 ) -> tuple[list[_Made], dict[int, Duration]]:
     """What a session made, and the time of each call by its frame; that of flush is shared by the frames it gives."""

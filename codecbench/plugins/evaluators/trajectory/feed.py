@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.codec import AnyCodec, gets_features, sends_no_picture
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence
-from codecbench.core.contracts.features import FeatureFrame, gets_features, sends_no_picture
+from codecbench.core.contracts.features import FeatureFrame
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame
 from codecbench.core.contracts.slam import SlamBackend, SlamRun

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import (
+    AnyCodec,
+    sends_no_features,
+    sends_no_picture,
+)
 from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
-from codecbench.core.contracts.features import FeatureCodec, Features, sends_no_features, sends_no_picture
+from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.contracts.stream import StreamCodec
 from codecbench.core.engine.running.coding.decoding import SharedPictures, StreamPictures, checked_decoding
 from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
@@ -36,7 +39,7 @@ class CodedFrames:
     ) -> None:
         if len(bitstreams) != len(sequence):
             raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
-        if bitstreams.is_stream == isinstance(codec, Codec):
+        if bitstreams.is_stream == codec.stateless:
             kind = "a stream" if bitstreams.is_stream else "single pictures"
             raise BitstreamDamage(f"the file holds {kind}; {codec.name} codes something else by now")
         self.sequence = sequence
@@ -45,12 +48,12 @@ class CodedFrames:
         self._position = position
         self._stream = (
             StreamPictures(codec, bitstreams.packets, bitstreams.read, position, shared=shared)
-            if isinstance(codec, StreamCodec)
+            if codec.carries == "pictures" and not codec.stateless
             else None
         )
         self._features = (
             StreamFeatures(codec, bitstreams.packets, bitstreams.read, position)
-            if isinstance(codec, FeatureCodec)
+            if codec.carries == "features"
             else None
         )
 
@@ -110,7 +113,7 @@ class CodedFrames:
     def sender(self) -> FrameSender:
         if self._features is not None:
             raise sends_no_picture(self.codec)
-        if isinstance(self.codec, StreamCodec):
+        if self._stream is not None:
             return LiveSender(self.codec, self.sequence, self._position)
         return StoredSender(self)
 
@@ -121,7 +124,6 @@ class CodedFrames:
     def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
         if self._stream is not None:
             return self._stream.picture(index, original)
-        assert isinstance(self.codec, Codec)
         decoded = checked_decoding(self.codec.decode(bitstream), original)
         self._position.came_back()
         return decoded

@@ -8,9 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.stream import Packet, Picture, StreamCodec
+from codecbench.core.contracts.stream import Packet, Picture
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 
 KEPT_BYTES: Final = 64 << 20
@@ -28,7 +29,7 @@ class StreamPictures:
 
     def __init__(
         self,
-        codec: StreamCodec[Any],
+        codec: AnyCodec[Any],
         packets: Sequence[SentPacket],
         read: Callable[[int], bytes],
         position: WorkPosition,
@@ -137,8 +138,8 @@ class CheckedDecoder:
     given: the frames whose picture has come. Pictures of other frames, from before decoding started, are left out.
     """
 
-    def __init__(self, codec: StreamCodec[Any], owed: Container[int], position: WorkPosition) -> None:
-        self._decoder = codec.decoder()
+    def __init__(self, codec: AnyCodec[Any], owed: Container[int], position: WorkPosition) -> None:
+        self._decoder = codec.open_decoder()
         position.came_back()
         self._owed, self._position = owed, position
         self.given: set[int] = set()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from codecbench.core.contracts.codec import AnyCodec, Codec
+from codecbench.core.contracts.codec import AnyCodec, encoder_of
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Sequence
-from codecbench.core.contracts.stream import Packet, encoder_of, is_recovery
+from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -35,7 +35,7 @@ class CheckedEncoder:
     def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float, position: WorkPosition) -> None:
         self._encoder = encoder_of(codec, frame_rate_hz)
         position.came_back()
-        self._gives_packets = not isinstance(codec, Codec)
+        self._gives_packets = not codec.stateless
         self._position = position
         self._pushed = 0
         self._sent: set[int] = set()

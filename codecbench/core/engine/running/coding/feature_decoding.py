@@ -6,8 +6,9 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from codecbench.core.contracts.codec import AnyCodec, Decoder
 from codecbench.core.contracts.evaluator import SentPacket
-from codecbench.core.contracts.features import FeatureCodec, FeatureDecoder, Features, FeatureSet
+from codecbench.core.contracts.features import Features, FeatureSet
 from codecbench.core.contracts.stream import Packet
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 
@@ -20,14 +21,14 @@ class StreamFeatures:
 
     def __init__(
         self,
-        codec: FeatureCodec[Any],
+        codec: AnyCodec[Any],
         packets: Sequence[SentPacket],
         read: Callable[[int], bytes],
         position: WorkPosition,
     ) -> None:
         self._codec, self._packets, self._read, self._position = codec, packets, read, position
         self._starts = [packet.frame for packet in packets if packet.starts]
-        self._decoder: FeatureDecoder | None = None
+        self._decoder: Decoder | None = None
         self._next = 0
 
     def features(self, frame: int) -> Features:
@@ -35,12 +36,12 @@ class StreamFeatures:
         start = self._starts[bisect_right(self._starts, frame) - 1]
         decoder, self._decoder = self._decoder, None  # one that raises is not used again
         if decoder is None or not start <= self._next <= frame:
-            decoder, self._next = self._codec.decoder(), start
+            decoder, self._next = self._codec.open_decoder(), start
             self._position.came_back()
         while True:
             sent = self._packets[self._next]
             self._position.at("decode", sent.frame)
-            found = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts))
+            (found,) = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts))
             self._position.came_back()
             features = _checked(found, sent.frame)
             self._next += 1

@@ -16,7 +16,7 @@ from feature_streams import PICTURES, coded_features
 from memory_sequence import FunctionCodec, MemorySequence
 
 from codecbench import Features, FeatureSet, Unsupported, decoder_of, encoder_of
-from codecbench.core.contracts.features import gets_features
+from codecbench.core.contracts.codec import gets_features
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, write_bitstreams
