@@ -17,15 +17,16 @@ from codecbench.cli.completion import codec_names
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
 from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
+from codecbench.core.conformance.harness import Check
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS, FEATURE_CHECKS, STREAM_CHECKS, Check, CheckResult, checks_of
+from codecbench.core.conformance.suite import CHECKS, CheckResult, checks_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
-_CHECK_NAMES = list(dict.fromkeys(check.name for check in (*CHECKS, *STREAM_CHECKS, *FEATURE_CHECKS)))
+_CHECK_NAMES = [check.name for check in CHECKS]
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 
 

@@ -19,8 +19,9 @@ from typing import Any, ClassVar
 
 import pytest
 
+from codecbench.core.conformance.harness import Check, shape_of
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, checks_of, run_checks, shape_of
+from codecbench.core.conformance.suite import checks_of, run_checks
 from codecbench.core.contracts.codec import AnyCodec
 
 __all__ = ["CodecSuite"]
@@ -36,16 +37,12 @@ class CodecSuite:
     settings: ClassVar[Sequence[dict[str, Any]]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Take the tests of another shape of codec away, and put those of its own in their place."""
+        """Give the class the tests of its codec's shape."""
         super().__init_subclass__()
-        shape = shape_of(getattr(cls, "codec", object))
-        if shape == "pictures":
-            return
-        inherited = {f"test_{check.name}": None for check in CHECKS}
-        own = {f"test_{check.name}": _test_of(check) for check in checks_of(shape)}
-        for name, test in {**inherited, **own}.items():
-            if name not in vars(cls):
-                setattr(cls, name, test)
+        codec = getattr(cls, "codec", None)
+        for check in () if codec is None else checks_of(shape_of(codec)):
+            if not hasattr(cls, f"test_{check.name}"):
+                setattr(cls, f"test_{check.name}", _test_of(check))
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Run each test of the class once for each setting."""
@@ -69,7 +66,3 @@ def _test_of(check: Check) -> Callable[[CodecSuite, dict[str, Any]], None]:
     test.__qualname__ = f"{CodecSuite.__qualname__}.{test.__name__}"
     test.__doc__ = f"Check that {check.proves}."
     return test
-
-
-for _check in CHECKS:
-    setattr(CodecSuite, f"test_{_check.name}", _test_of(_check))

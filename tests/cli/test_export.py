@@ -20,7 +20,7 @@ from video_pictures import gliding_pictures
 
 from codecbench import Packet, ParamsError
 from codecbench.cli import cli
-from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
@@ -82,7 +82,7 @@ def test_a_demuxer_finds_the_pictures_and_their_times(
     packets = packets_of(codec, gliding_pictures(9, 66, 98, channels))
     content = file_from_packets(codec, packets, 20, f"x{suffix}")
     frames = frames_of(content)
-    for picture, frame in zip(pictures_of(codec, packets), frames, strict=True):
+    for picture, frame in zip(decoded_of(codec, packets), frames, strict=True):
         shown = image_from_frame(frame, channels)
         assert shown is not None
         assert np.array_equal(shown[:66, :98], picture.image)

@@ -12,7 +12,7 @@ from typing import get_args
 import pytest
 
 import codecbench
-from codecbench.core.conformance.suite import Shape
+from codecbench.core.conformance.harness import Shape
 from codecbench.core.contracts.codec import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role

@@ -259,3 +259,30 @@ class NeverEnds(_Broken):
 class EndsWhenConstructed(_Broken):
     def __init__(self, params: Any) -> None:
         os._exit(0)
+
+
+BROKEN: dict[type[Any], str] = {
+    KeepsTheImage: "self_contained",
+    DecodesByItsParams: "self_contained",
+    Random: "stateless",
+    DiffersByProcess: "deterministic",
+    WritesIntoItsInput: "untouched",
+    LosesARow: "shape",
+    WrapsRound: "range",
+    ReturnsFloats: "shape",
+    PreparesAnotherSetting: "prepared",
+    IsChangedByPreparing: "prepared",
+    NotLossless: "lossless",
+    FillsWhatIsCut: "cut",
+    TripsOverForeignBytes: "foreign",
+    Crashes: "foreign",
+    Hangs: "bombs",
+    Allocates: "bombs",
+    SharesABuffer: "threads",
+    AcceptsAnything: "bad_images",
+    ClaimsToCount: "counting",
+    ForgetsAParameter: "params",
+    ClaimsTooMuchOfParts: "partial",
+    ClaimsPartsAndHasNone: "partial",
+}
+"""Each with the check that is meant to catch it."""

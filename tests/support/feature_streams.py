@@ -8,7 +8,7 @@ from bitstream_files import JOB
 from memory_sequence import MemorySequence
 
 from codecbench import FeatureCodec
-from codecbench.core.conformance.moving_pictures import pictures_with_corners
+from codecbench.core.conformance.material import pictures_with_corners
 from codecbench.core.contracts.params import P
 from codecbench.core.contracts.sequence import Sequence
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from codecbench.core.conformance.integer_images import GENERATOR, integer_image
+from codecbench.core.conformance.material import GENERATOR, integer_image
 from codecbench.core.conformance.sandbox import Reply, Verb, sandbox
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import PluginError, StoreError, Unsupported

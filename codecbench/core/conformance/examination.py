@@ -14,8 +14,9 @@ from typing import Any, Final, Self
 from pydantic import ValidationError
 
 from codecbench.core.conformance.corpus import CodecClass, Entry, EntryResult, check_entry, coded_pictures
+from codecbench.core.conformance.harness import Check, Shape, shape_of
 from codecbench.core.conformance.sandbox import Reply, Sandbox
-from codecbench.core.conformance.suite import Check, CheckResult, Shape, checks_of, run_check, shape_of
+from codecbench.core.conformance.suite import CHECKS, CheckResult, run_check
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.engine.registry import installed
 
@@ -167,5 +168,5 @@ def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:
 def _result(subject: Subject, check_name: str, channels: int) -> CheckResult:
     codec_class: Any = installed().load("codec", subject.codec)
     params = codec_class.params_type.model_validate(subject.setting)
-    check = next(check for check in checks_of(subject.shape) if check.name == check_name)
+    check = next(check for check in CHECKS if check.name == check_name)
     return run_check(check, channels, codec_class, params)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from codecbench.core.conformance.failure import ConformanceFailure
+from codecbench.core.conformance.harness import ConformanceFailure
 from codecbench.core.contracts.link import Link, Passage
 
 _PACKETS: Final = 2000

@@ -2,45 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
-from codecbench.core.conformance import (
-    counting,
-    feature_round_trip,
-    feature_sessions,
-    isolation,
-    partial,
-    robustness,
-    round_trip,
-    stream_isolation,
-    stream_losses,
-    stream_round_trip,
-)
-from codecbench.core.conformance.failure import ConformanceFailure, NotClaimed
-from codecbench.core.conformance.images import conformance_images
-from codecbench.core.conformance.moving_pictures import moving_pictures, pictures_with_corners
+from codecbench.core.conformance import checks, damage
+from codecbench.core.conformance.harness import Check, ConformanceFailure, NotClaimed, Shape, shape_of
+from codecbench.core.conformance.material import Film, conformance_images, moving_pictures, pictures_with_corners
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.params import Params
 
-
-@dataclass(frozen=True)
-class Check:
-    """A named check: what it proves, and the function that raises ConformanceFailure where a codec falls short.
-
-    The function takes the class, a setting, and the material for that shape of codec: NamedImages for one that codes
-    pictures on their own, MovingPictures for one with memory or of features.
-    """
-
-    name: str
-    proves: str
-    function: Callable[[Any, Params, Sequence[Any]], None]
-
-
 Status = Literal["passed", "failed", "skipped"]
-Shape = Literal["pictures", "stream", "features"]
-"""What a codec codes: pictures on their own, pictures with memory between them, or features."""
+_ALL: Final[tuple[Shape, ...]] = ("pictures", "stream", "features")
+_IMAGES: Final[tuple[Shape, ...]] = ("pictures", "stream")
+_FILMS: Final[tuple[Shape, ...]] = ("stream", "features")
+
+CHECKS: Final = (
+    Check("params", "parameters survive JSON, which is how they are stored", checks.params_survive_json, _ALL),
+    Check("extract", "what is found is of the picture, and repeats", checks.features_are_of_the_picture, ("features",)),
+    Check("bytes", "packets are bytes, so their size is what is measured", checks.packets_are_bytes, _ALL),
+    Check("flush", "no frame is lost or doubled when a session ends", checks.no_frame_is_lost_or_doubled, ("stream",)),
+    Check("shape", "decoded images are uint8, of the shape that went in", checks.shape_and_type_return, _IMAGES),
+    Check("sets", "every packet gives its set, and sets are left alone", checks.sets_come_back, ("features",)),
+    Check("untouched", "images are left alone, however they lie in memory", checks.input_is_untouched, _ALL),
+    Check("stateless", "order and instance make no difference", checks.sessions_repeat, _ALL),
+    Check("interleaved", "two sessions at once know nothing of each other", checks.sessions_do_not_interfere, _FILMS),
+    Check("prepared", "what is found beforehand changes no byte", checks.preparing_changes_nothing, ("pictures",)),
+    Check("one_in_one_out", "where low delay is claimed, nothing waits", checks.one_in_gives_one_out, ("stream",)),
+    Check("future", "packets that have left are final, of the past only", checks.what_was_sent_is_final, ("stream",)),
+    Check("lossless", "settings that claim to be lossless are", checks.lossless_means_lossless, _ALL),
+    Check("range", "samples stop at black and at white", checks.samples_stop_at_black_and_white, ("pictures",)),
+    Check("empty", "a set of no feature is a set", checks.empty_sets_are_sets, ("features",)),
+    Check("limits", "sets too large to be coded are refused", checks.limits_are_kept, ("features",)),
+    Check("bad_images", "what is no image of a declared layout is refused", checks.bad_images_are_refused, _ALL),
+    Check("libraries", "foreign libraries are named with their versions", checks.libraries_are_named, _ALL),
+    Check("starts", "decoding from each declared start gives the same", damage.starts_are_starts, _FILMS),
+    Check("loss", "whatever packet is lost, only what is whole is called so", damage.losses_are_told, _FILMS),
+    Check("deterministic", "another process writes the same bytes", checks.another_process_encodes_alike, _ALL),
+    Check("self_contained", "the bytes alone decode: another process and setting", checks.packets_alone_decode, _ALL),
+    Check("threads", "an instance that claims to be thread-safe is", checks.threads_do_not_interfere, _ALL),
+    Check("foreign", "foreign bytes are refused", damage.foreign_bytes_are_refused, _ALL),
+    Check("cut", "cut or prolonged bitstreams are refused", damage.cut_streams_are_refused, ("pictures", "features")),
+    Check("damaged", "damaged bitstreams neither crash, hang nor raise", damage.damaged_streams_are_survived, _ALL),
+    Check("bombs", "headers that claim too much cost little", damage.huge_headers_are_survived, _ALL),
+    Check("partial", "parts of a bitstream give no more than they claim", damage.parts_decode, ("pictures",)),
+    Check("counting", "counting operations changes no byte and repeats", checks.counting_changes_nothing, _IMAGES),
+)
 
 
 @dataclass(frozen=True)
@@ -62,121 +69,16 @@ class CheckResult:
         return f"{mark} {self.check.name} ({self.layout})" + (f": {self.reason}" if self.reason else "")
 
 
-CHECKS: tuple[Check, ...] = (
-    Check("params", "parameters survive JSON, which is how they are stored", round_trip.params_survive_json),
-    Check("bytes", "a bitstream is bytes, so its size is what is measured", round_trip.bytes_in_between),
-    Check("shape", "decoded images are uint8, of the shape that went in", round_trip.shape_and_type_return),
-    Check("untouched", "encoding leaves the image alone, however it lies in memory", round_trip.input_is_untouched),
-    Check("stateless", "order and instance make no difference", round_trip.one_instance_keeps_no_state),
-    Check(
-        "prepared", "what a codec finds on an image beforehand changes no byte", round_trip.preparing_changes_nothing
-    ),
-    Check("lossless", "settings that claim to be lossless are", round_trip.lossless_means_lossless),
-    Check("range", "samples stop at black and at white", round_trip.samples_stop_at_black_and_white),
-    Check("bad_images", "what is no image of a declared layout is refused", round_trip.bad_images_are_refused),
-    Check("libraries", "foreign libraries are named with their versions", round_trip.libraries_are_named),
-    Check("deterministic", "another process writes the same bytes", isolation.another_process_encodes_alike),
-    Check("self_contained", "the bytes alone decode: another process, another setting", isolation.bytes_alone_decode),
-    Check("threads", "an instance that claims to be thread-safe is", isolation.threads_do_not_interfere),
-    Check("foreign", "foreign bytes are refused", robustness.foreign_bytes_are_refused),
-    Check("cut", "cut or prolonged bitstreams are refused", robustness.cut_streams_are_refused),
-    Check("damaged", "damaged bitstreams neither crash, hang nor raise", robustness.damaged_streams_are_survived),
-    Check("bombs", "headers that claim too much cost little", robustness.huge_headers_are_survived),
-    Check("partial", "parts of a bitstream give no more than they claim", partial.parts_decode),
-    Check("counting", "counting operations changes no byte and repeats exactly", counting.counting_changes_nothing),
-)
-"""Of codecs that code pictures on their own."""
-
-STREAM_CHECKS: tuple[Check, ...] = (
-    Check("params", "parameters survive JSON, which is how they are stored", round_trip.params_survive_json),
-    Check("bytes", "packets are bytes, so their size is what is measured", stream_round_trip.packets_are_bytes),
-    Check("flush", "no frame is lost or doubled when a session ends", stream_round_trip.no_frame_is_lost_or_doubled),
-    Check("shape", "decoded images are uint8, of the shape that went in", stream_round_trip.shape_and_type_return),
-    Check("untouched", "pictures are left alone, and may change after push", stream_round_trip.input_is_untouched),
-    Check("stateless", "sessions repeat, on the same instance and on another", stream_isolation.sessions_repeat),
-    Check("interleaved", "two sessions at once know nothing of each other", stream_isolation.sessions_do_not_interfere),
-    Check("one_in_one_out", "where low delay is claimed, nothing waits", stream_round_trip.one_in_gives_one_out),
-    Check("future", "what was sent is final and says nothing of what comes", stream_round_trip.what_was_sent_is_final),
-    Check("lossless", "settings that claim to be lossless are", stream_round_trip.lossless_means_lossless),
-    Check(
-        "bad_images",
-        "no image of a declared layout or another shape: refused",
-        stream_round_trip.bad_images_are_refused,
-    ),
-    Check("libraries", "foreign libraries are named with their versions", round_trip.libraries_are_named),
-    Check("starts", "decoding from each declared start gives the same pictures", stream_losses.starts_are_starts),
-    Check("loss", "whatever packet is lost, only whole pictures are called so", stream_losses.losses_are_told),
-    Check("deterministic", "another process writes the same packets", stream_isolation.another_process_encodes_alike),
-    Check(
-        "self_contained",
-        "packets alone decode: another process, another setting",
-        stream_isolation.packets_alone_decode,
-    ),
-    Check("threads", "an instance that claims to be thread-safe is", stream_isolation.threads_do_not_interfere),
-    Check("foreign", "foreign bytes are refused", stream_losses.foreign_bytes_are_refused),
-    Check("damaged", "damaged packets neither crash, hang nor raise", stream_losses.damaged_streams_are_survived),
-    Check("bombs", "headers that claim too much cost little", stream_losses.huge_headers_are_survived),
-    Check("counting", "counting operations changes no byte", stream_round_trip.counting_changes_nothing),
-)
-"""Of codecs with memory."""
-
-
-FEATURE_CHECKS: tuple[Check, ...] = (
-    Check("params", "parameters survive JSON, which is how they are stored", round_trip.params_survive_json),
-    Check("extract", "what is found is of the picture, and repeats", feature_round_trip.features_are_of_the_picture),
-    Check("bytes", "packets are bytes, one for each set, and the first starts", feature_round_trip.packets_are_bytes),
-    Check("sets", "every packet gives its set, and sets are left alone", feature_round_trip.sets_come_back),
-    Check("stateless", "sessions repeat, on the same instance and on another", feature_sessions.sessions_repeat),
-    Check("interleaved", "two sessions at once know nothing of each other", feature_sessions.sessions_do_not_interfere),
-    Check("lossless", "settings that claim to be lossless are", feature_round_trip.lossless_means_lossless),
-    Check("empty", "a set of no feature is a set", feature_round_trip.empty_sets_are_sets),
-    Check("limits", "sets too large to be coded are refused, and change nothing", feature_round_trip.limits_are_kept),
-    Check("bad_images", "what is no image of a declared layout is refused", feature_round_trip.bad_images_are_refused),
-    Check("libraries", "foreign libraries are named with their versions", round_trip.libraries_are_named),
-    Check("starts", "decoding from each declared start gives the same sets", feature_sessions.starts_are_starts),
-    Check("loss", "whatever packet is lost, no set is made up", feature_sessions.losses_are_told),
-    Check("deterministic", "another process writes the same packets", feature_sessions.another_process_encodes_alike),
-    Check(
-        "self_contained",
-        "packets alone decode: another process, another setting",
-        feature_sessions.packets_alone_decode,
-    ),
-    Check("threads", "an instance that claims to be thread-safe is", feature_sessions.threads_do_not_interfere),
-    Check("foreign", "foreign bytes are refused", feature_sessions.foreign_bytes_are_refused),
-    Check("damaged", "damaged packets are refused", feature_sessions.damage_is_told),
-    Check(
-        "bombs", "headers that claim too much are refused at little cost", feature_sessions.huge_headers_are_survived
-    ),
-)
-"""Of codecs of features."""
-
-_CHECKS: dict[Shape, tuple[Check, ...]] = {
-    "pictures": CHECKS,
-    "stream": STREAM_CHECKS,
-    "features": FEATURE_CHECKS,
-}
-_MATERIAL: dict[Shape, Callable[[int], Any]] = {
-    "pictures": conformance_images,
-    "stream": moving_pictures,
-    "features": pictures_with_corners,
-}
-
-
-def shape_of(codec_class: type[Any]) -> Shape:
-    """By which contract a codec goes."""
-    if codec_class.carries == "features":
-        return "features"
-    return "pictures" if codec_class.stateless else "stream"
-
-
 def checks_of(shape: Shape) -> tuple[Check, ...]:
     """The checks for codecs of a shape."""
-    return _CHECKS[shape]
+    return tuple(check for check in CHECKS if shape in check.shapes)
 
 
-def material_of(shape: Shape, channels: int) -> Any:
-    """What the checks for codecs of a shape are given, of one layout."""
-    return _MATERIAL[shape](channels)
+def films_of(shape: Shape, channels: int) -> list[Film]:
+    """What codecs of a shape are checked on, of one layout."""
+    if shape == "pictures":
+        return conformance_images(channels)
+    return moving_pictures(channels) if shape == "stream" else pictures_with_corners(channels)
 
 
 def run_checks(
@@ -191,7 +93,7 @@ def run_checks(
 def run_check(check: Check, channels: int, codec_class: type[AnyCodec[Any]], params: Params) -> CheckResult:
     """One check on images of one layout."""
     try:
-        check.function(codec_class, params, material_of(shape_of(codec_class), channels))
+        check.function(codec_class, params, films_of(shape_of(codec_class), channels))
     except NotClaimed as claim:
         return CheckResult(check, channels, "skipped", str(claim))
     except ConformanceFailure as failure:

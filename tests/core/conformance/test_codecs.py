@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from codecbench.core.conformance.harness import Check, shape_of
 from codecbench.core.conformance.settings import setting_label
-from codecbench.core.conformance.suite import CHECKS, Check, checks_of, material_of, shape_of
+from codecbench.core.conformance.suite import checks_of, films_of
 from codecbench.core.engine.registry import installed
 
 SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "future", "self_contained")
@@ -26,12 +27,12 @@ def _cases() -> Iterator[Any]:
                 "lossless": codec_class(codec_class.params_type(**setting)).is_lossless(),
                 "threads": codec_class.capabilities.thread_safe,
                 "partial": codec_class.capabilities.partial_decoding,
-                "one_in_one_out": getattr(codec_class(codec_class.params_type(**setting)), "is_low_delay", bool)(),
+                "one_in_one_out": codec_class(codec_class.params_type(**setting)).is_low_delay(),
             }
             for check in checks_of(shape_of(codec_class)):
                 if claims.get(check.name, True):
                     is_slow = check.name == "counting"
-                    if check not in CHECKS:
+                    if not codec_class.stateless:
                         is_slow = setting != codec_class.examples[0] or (
                             name != "h264" and check.name in SLOW_STREAM_CHECKS
                         )
@@ -44,7 +45,7 @@ def _cases() -> Iterator[Any]:
 def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Check) -> None:
     codec_class = installed().load("codec", name)
     for channels in codec_class.capabilities.channels:
-        check.function(codec_class, codec_class.params_type(**setting), material_of(shape_of(codec_class), channels))
+        check.function(codec_class, codec_class.params_type(**setting), films_of(shape_of(codec_class), channels))
 
 
 @pytest.mark.parametrize("name", NAMES)

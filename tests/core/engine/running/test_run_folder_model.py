@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 from project import THIRD_PARTY
 
-from codecbench.core.conformance.integer_images import integer_image
+from codecbench.core.conformance.material import integer_image
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.registry import installed

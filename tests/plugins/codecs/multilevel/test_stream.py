@@ -10,7 +10,7 @@ import pytest
 from video_pictures import gliding_pictures
 
 from codecbench import LOST, BitstreamError, ImageError
-from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.plugins.codecs.multilevel.codec import Multilevel
 from codecbench.plugins.codecs.multilevel.memory import Memory
 from codecbench.plugins.codecs.multilevel.stream import MultilevelStream
@@ -31,7 +31,7 @@ def test_pictures_are_those_of_the_codec_without_memory(setting: dict[str, Any],
     packets = packets_of(stream, pictures)
     assert [packet.starts for packet in packets] == [True, False, False, False, False, True, False]
     assert packets[0].data == still.encode(pictures[0])
-    for shown, picture in zip(pictures_of(MultilevelStream.create(), packets), pictures, strict=True):
+    for shown, picture in zip(decoded_of(MultilevelStream.create(), packets), pictures, strict=True):
         assert shown.state == "whole"
         assert np.array_equal(shown.image, still.decode(still.encode(picture)))
 
@@ -59,9 +59,9 @@ def test_memory_after_a_packet_is_that_of_the_encoder() -> None:
 
 def test_pictures_are_missing_from_a_loss_to_the_next_start() -> None:
     packets = packets_of(MultilevelStream.create(gop=4), gliding_pictures(10, 40, 56, 1))
-    whole = pictures_of(MultilevelStream.create(), packets)
+    whole = decoded_of(MultilevelStream.create(), packets)
     for lost in range(10):
-        pictures = pictures_of(MultilevelStream.create(), [*packets[:lost], LOST, *packets[lost + 1 :]])
+        pictures = decoded_of(MultilevelStream.create(), [*packets[:lost], LOST, *packets[lost + 1 :]])
         gone = set(range(lost, min(lost // 4 * 4 + 4, 10)))
         assert [picture.frame for picture in pictures] == list(range(10))
         assert {picture.frame for picture in pictures if picture.state == "missing"} == gone
@@ -73,7 +73,7 @@ def test_each_packet_of_sixty_frames_may_be_lost() -> None:
     codec = MultilevelStream.create(gop=15)
     packets = packets_of(codec, gliding_pictures(60, 40, 56, 1))
     for lost in range(60):
-        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        pictures = decoded_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
         restart = (lost // 15 + 1) * 15
         assert [picture.frame for picture in pictures] == list(range(60))
         assert [picture.frame for picture in pictures if picture.state != "whole"] == list(range(lost, restart))

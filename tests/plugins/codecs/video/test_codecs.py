@@ -21,8 +21,9 @@ pytest.importorskip("av", reason="the extra `video` is not installed")
 import av
 
 from codecbench import ImageError, Unsupported
-from codecbench.core.conformance.moving_pictures import long_sequence
-from codecbench.core.conformance.stream_round_trip import no_frame_is_lost_or_doubled, packets_of, pictures_of
+from codecbench.core.conformance.checks import no_frame_is_lost_or_doubled
+from codecbench.core.conformance.harness import decoded_of, packets_of
+from codecbench.core.conformance.material import long_sequence
 from codecbench.plugins.codecs.video import library
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 
@@ -35,7 +36,7 @@ COLOUR = gliding_pictures(12, 96, 128, 3)
 
 
 def images_of(codec: Any, packets: Any) -> list[np.ndarray]:
-    pictures = pictures_of(codec, packets)
+    pictures = decoded_of(codec, packets)
     assert [picture.state for picture in pictures] == ["whole"] * len(pictures)
     return [picture.image for picture in pictures]
 
@@ -323,7 +324,7 @@ def test_hardware_is_used_where_it_is_and_refused_with_a_reason_where_not(encode
         reason = str(unsupported)
     else:
         packets = packets_of(codec, gliding_pictures(4, 240, 320, 1))
-        assert [picture.frame for picture in pictures_of(codec, packets)] == [0, 1, 2, 3]
+        assert [picture.frame for picture in decoded_of(codec, packets)] == [0, 1, 2, 3]
         return
     assert encoder in reason
     assert "set encoder: libx264, which needs no hardware" in reason
@@ -363,7 +364,7 @@ def test_a_build_without_a_hardware_encoder_is_no_matter_of_reinstalling(
 
 _NOISY = """
 import numpy as np
-from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.core.contracts.stream import LOST
 from codecbench.plugins.codecs.video.codecs import Av1, Ffv1, H264, Hevc, Mjpeg, Vp9
 rng = np.random.default_rng(1)
@@ -371,7 +372,7 @@ pictures = [rng.integers(0, 256, (64, 80), dtype=np.uint8) for _ in range(6)]
 for codec_class in (H264, Hevc, Av1, Vp9, Mjpeg, Ffv1):
     codec = codec_class.create()
     packets = packets_of(codec, pictures)
-    pictures_of(codec, [packets[0], LOST, *packets[2:]])
+    decoded_of(codec, [packets[0], LOST, *packets[2:]])
 """
 
 

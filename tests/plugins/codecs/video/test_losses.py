@@ -15,7 +15,7 @@ from video_pictures import gliding_pictures
 pytest.importorskip("av", reason="the extra `video` is not installed")
 
 from codecbench import LOST, BitstreamError, Packet
-from codecbench.core.conformance.stream_round_trip import packets_of, pictures_of
+from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.delivery import deliver
 from codecbench.core.simulation.pictures import DeliveredPictures
@@ -29,10 +29,10 @@ FIRST_BYTES_AS_SENT = 11
 
 def lose_each_in_turn(codec: Any, packets: list[Packet]) -> dict[str, int]:
     """Count the states of pictures between a loss and the next start, which must be as in the whole stream."""
-    expected = {picture.frame: picture.image for picture in pictures_of(codec, packets)}
+    expected = {picture.frame: picture.image for picture in decoded_of(codec, packets)}
     found = {"whole": 0, "concealed": 0, "missing": 0}
     for lost, packet in enumerate(packets):
-        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        pictures = decoded_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
         assert [picture.frame for picture in pictures] == list(range(len(packets)))
         restart = min((later.frame for later in packets[lost + 1 :] if later.starts), default=len(packets))
         for picture in pictures:
@@ -69,9 +69,9 @@ def test_each_packet_of_sixty_frames_may_be_lost(codec_class: Any, latency: Any)
 def test_everything_may_be_lost_up_to_a_start(codec_class: Any) -> None:
     codec = codec_class.create(gop=1 if codec_class is Mjpeg else 4)
     packets = packets_of(codec, gliding_pictures(10, 48, 64, 1))
-    whole = pictures_of(codec, packets)
+    whole = decoded_of(codec, packets)
     for gone in range(1, 9):
-        pictures = pictures_of(codec, [LOST] * gone + packets[gone:])
+        pictures = decoded_of(codec, [LOST] * gone + packets[gone:])
         restart = min(packet.frame for packet in packets[gone:] if packet.starts)
         assert [picture.state for picture in pictures] == ["missing"] * restart + ["whole"] * (10 - restart)
         assert np.array_equal(pictures[-1].image, whole[-1].image)
@@ -83,9 +83,9 @@ def test_intra_refresh_makes_pictures_whole_without_a_start() -> None:
     codec = H264.create(intra_refresh=True, gop=gop)
     packets = packets_of(codec, gliding_pictures(50, 96, 128, 1))
     assert [packet.frame for packet in packets if packet.starts] == [0]
-    expected = [picture.image for picture in pictures_of(codec, packets)]
+    expected = [picture.image for picture in decoded_of(codec, packets)]
     for lost in range(1, 25):
-        pictures = pictures_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
+        pictures = decoded_of(codec, [*packets[:lost], LOST, *packets[lost + 1 :]])
         states = [picture.state for picture in pictures]
         healed = states.index("whole", lost)
         assert set(states[healed:]) == {"whole"}
@@ -97,8 +97,8 @@ def test_intra_refresh_makes_pictures_whole_without_a_start() -> None:
 def test_a_decoder_that_joins_an_intra_refreshed_stream_gets_whole_pictures_in_time() -> None:
     codec = H264.create(intra_refresh=True, gop=10)
     packets = packets_of(codec, gliding_pictures(40, 96, 128, 1))
-    expected = [picture.image for picture in pictures_of(codec, packets)]
-    pictures = pictures_of(codec, packets[13:])
+    expected = [picture.image for picture in decoded_of(codec, packets)]
+    pictures = decoded_of(codec, packets[13:])
     states = {picture.frame: picture.state for picture in pictures}
     first = min(frame for frame, state in states.items() if state == "whole")
     assert 20 < first <= 30
@@ -120,7 +120,7 @@ def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was
     codec, count = H264.create(intra_refresh=True, **params), 34
     images = gliding_pictures(count, 96, 128, 1)
     packets = packets_of(codec, images)
-    sent = [picture.image for picture in pictures_of(codec, packets)]
+    sent = [picture.image for picture in decoded_of(codec, packets)]
     units = tuple(SentPacket(p.frame, len(p.data), p.starts, p.frame + 1, p.recovery_frames) for p in packets)
     assert next(unit.frame for unit in units if unit.recovery_frames is not None) == params["gop"]
     frames = [
@@ -132,7 +132,7 @@ def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was
         link = Losing(*lost)
         found = deliver(units, np.arange(count) / 30, link, settings, np.random.default_rng(0))
         received = [LOST if packet.frame in lost else packet for packet in packets]
-        states = {picture.frame: picture.state for picture in pictures_of(codec, received)}
+        states = {picture.frame: picture.state for picture in decoded_of(codec, received)}
         assert [fate == "on time" for fate in found.fates] == [states.get(i) == "whole" for i in range(count)], lost
         assert [fate == "concealed" for fate in found.fates] == [states.get(i) == "concealed" for i in range(count)]
         shown = DeliveredPictures(coded, found)
@@ -146,7 +146,7 @@ def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was
 def test_bytes_that_a_decoder_cannot_read_are_refused_and_the_next_start_is_whole(codec_class: Any) -> None:
     codec = codec_class.create(gop=1 if codec_class is Mjpeg else 4)
     packets = packets_of(codec, gliding_pictures(8, 48, 64, 1))
-    expected = pictures_of(codec, packets)
+    expected = decoded_of(codec, packets)
     decoder = codec.decoder()
     with pytest.raises(BitstreamError):
         decoder.push(dataclasses.replace(packets[0], data=packets[0].data[:FIRST_BYTES_AS_SENT] + bytes(60)))

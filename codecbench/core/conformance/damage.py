@@ -1,0 +1,327 @@
+"""Checks of what a decoder makes of packets of which some are lost, cut or damaged, and of bytes that no encoder wrote.
+
+Whatever may go wrong is decoded in a process that may die of it, with caps of time and memory. Foreign and cut
+bitstreams must be refused with BitstreamError; damaged ones may give some picture, because not every format has a
+checksum, but never crash, hang or raise. Of features nobody sees that they are wrong, so that all damage is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from codecbench.core.conformance.harness import (
+    CodecClass,
+    ConformanceFailure,
+    NotClaimed,
+    Shape,
+    content_of,
+    decoded_of,
+    encoded,
+    require_same,
+    require_same_contents,
+    shape_of,
+    state_of,
+    whole,
+)
+from codecbench.core.conformance.material import Film
+from codecbench.core.conformance.sandbox import sandbox
+from codecbench.core.contracts.codec import AnyCodec, Decoded, Fragment, PartialImage
+from codecbench.core.contracts.errors import BitstreamError, ImageError
+from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
+from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.stream import LOST, Loss, Packet
+
+_TIMEOUT_S = 20.0
+_MEMORY_MB: Final = 1024
+_CUTS: Final = 40
+_MUTATIONS: Final[dict[Shape, int]] = {"pictures": 60, "stream": 10, "features": 40}
+"""Of each packet that is damaged."""
+_BOMBED_BYTES: Final = 96
+_HUGE: Final = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x01\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\xff\x7f")
+_FOREIGN: Final = {
+    "no bytes": b"",
+    "one byte": b"\x00",
+    "zeros": bytes(200),
+    "ones": b"\xff" * 200,
+    "text": b"What a codec is given may be anything, a letter too.\n" * 4,
+    "a PNG signature": b"\x89PNG\r\n\x1a\n" + bytes(40),
+    "a JPEG start and end": b"\xff\xd8\xff\xd9",
+    "a JPEG 2000 signature": b"\x00\x00\x00\x0cjP  \r\n\x87\n" + bytes(40),
+    "a RIFF header": b"RIFF\x28\x00\x00\x00WEBPVP8 " + bytes(40),
+    "noise": np.random.default_rng(7).integers(0, 256, 3000, dtype=np.uint8).tobytes(),
+}
+_PARTS: Final = 12
+"""Into which a bitstream is cut, some of which are then missing."""
+_TRIALS: Final = 20
+_LOSS: Final = 0.25
+
+Damaged = Iterable[tuple[str, Sequence[Packet]]]
+"""Packets of which the last but those that came whole is damaged, and what was done to it."""
+
+
+def starts_are_starts(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    """A new decoder from each declared start on gives what the uninterrupted one gives."""
+    codec = codec_class(params)
+    for film, packets in encoded(codec, films):
+        expected = decoded_of(codec, packets)
+        for index in [index for index, packet in enumerate(packets) if packet.starts]:
+            where = f"{film.name} from packet {index} on"
+            try:
+                decoded = decoded_of(codec, packets[index:])
+            except BitstreamError as error:
+                raise ConformanceFailure(where, f"BitstreamError: {error}", "what there is from there on") from error
+            require_same_contents(where, decoded, expected, packets[index].frame)
+
+
+def losses_are_told(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    """What is called whole is, and from the next start on all is, or from where a recovery point says, whatever is
+    missing.
+
+    Each packet is lost in turn, alone and with the one behind it; and each is the first that a new decoder gets, which
+    nobody tells that there were others. Packets of features say their frames, so that a decoder sees an untold gap.
+    """
+    codec = codec_class(params)
+    for film, packets in encoded(codec, films):
+        expected = whole(f"decoding {film.name}", decoded_of(codec, packets))
+        for index, packet in enumerate(packets):
+            before, rest, lost = packets[:index], packets[index + 1 :], {packet.frame}
+            where = f"decoding {film.name} without packet {index}, of frame {packet.frame}"
+            _require_honesty(where, codec, [*before, LOST, *rest], rest, lost, expected)
+            if rest:
+                both = lost | {rest[0].frame}
+                received: list[Packet | Loss] = [*before, LOST, LOST, *rest[1:]]
+                _require_honesty(f"{where} and the next", codec, received, rest[1:], both, expected)
+            if codec.carries == "features":
+                _require_honesty(f"{where}, untold", codec, [*before, *rest], rest, lost, expected)
+            where = f"joining {film.name} behind packet {index}, of frame {packet.frame}"
+            _require_honesty(where, codec, rest, rest, lost, expected)
+
+
+def _require_honesty(
+    where: str,
+    codec: AnyCodec[Any],
+    received: Sequence[Packet | Loss],
+    rest: Sequence[Packet],
+    lost: set[int],
+    expected: dict[int, Any],
+) -> None:
+    """received: packets and what the decoder is told of losses. rest: the packets after the loss. lost: frames."""
+    try:
+        decoded = decoded_of(codec, received)
+    except BitstreamError as error:
+        raise ConformanceFailure(where, f"BitstreamError: {error}", "pictures: no byte was damaged") from error
+    states = {shown.frame: state_of(shown) for shown in decoded}
+    if len(states) != len(decoded) or not states.keys() <= expected.keys():
+        frames = [shown.frame for shown in decoded]
+        raise ConformanceFailure(where, f"the frames {frames}", "each frame of the stream at most once")
+    if codec.carries == "features" and len(decoded) != len(received):
+        raise ConformanceFailure(where, f"{len(decoded)} sets", f"{len(received)}, one of each packet or loss")
+    for shown in decoded:
+        _require_honest(f"{where}, frame {shown.frame}", shown, lost, expected)
+    start = min((first for packet in rest if (first := packet.whole_from) is not None), default=math.inf)
+    due = {frame for frame in expected if frame >= start and frame not in lost}
+    if codec.carries == "features" and len(received) > len(rest):
+        due |= {frame for frame in expected if frame < min(lost)}
+    if broken := sorted(frame for frame in due if states.get(frame) != "whole"):
+        raise ConformanceFailure(where, f"frames {broken} are not whole", "those before the loss and from a start on")
+
+
+def _require_honest(where: str, shown: Decoded, lost: set[int], expected: dict[int, Any]) -> None:
+    content, state = content_of(shown), state_of(shown)
+    if state == "whole" and shown.frame in lost:
+        raise ConformanceFailure(where, "whole", "concealed or missing: its packet never came")
+    if (content is None) != (state == "missing"):
+        raise ConformanceFailure(where, shown, "an image unless it is missing")
+    if state == "whole":
+        require_same(f"{where}, which is called whole", content, expected[shown.frame])
+
+
+def foreign_bytes_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    foreign = ((f"push({name}) as a start", [Packet(data, 0, starts=True)]) for name, data in _FOREIGN.items())
+    _must_refuse(codec_class, params, 0, foreign)
+
+
+def cut_streams_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    for name, packets, index in _samples(codec_class, params, films):
+        _must_refuse(codec_class, params, index, _with_each(packets, index, _cuts(packets[index].data, name)))
+
+
+def damaged_streams_are_survived(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    rng, shape = np.random.default_rng(11), shape_of(codec_class)
+    for name, packets, index in _samples(codec_class, params, films):
+        data = packets[index].data
+        damaged = _with_each(packets, index, mutations(data, rng, _MUTATIONS[shape], name))
+        _must_withstand(codec_class, params, index, damaged)
+
+
+def huge_headers_are_survived(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    """Every place of the first header in turn claims as much as it can, within the time and memory caps."""
+    samples = _samples(codec_class, params, films if codec_class.stateless else films[-1:])
+    name, packets, _ = min(samples, key=lambda sample: len(sample[1][0].data))
+    _must_withstand(codec_class, params, 0, _with_each(packets[:2], 0, _bombs(packets[0].data, name)))
+
+
+def _samples(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> list[tuple[str, Sequence[Packet], int]]:
+    """Packets to damage, and which of them: of single pictures the longest and the shortest that the codec takes, of
+    each film the first and one in the middle."""
+    streams = [(film.name, packets) for film, packets in encoded(codec_class(params), films)]
+    if codec_class.stateless:
+        by_size = sorted(streams, key=lambda stream: len(stream[1][0].data))
+        return [(name, packets, 0) for name, packets in dict([by_size[-1], by_size[0]]).items()]
+    places = [(name, packets, index) for name, packets in streams for index in (0, len(packets) // 2)]
+    return [(f"{name}, packet {index}", packets, index) for name, packets, index in places]
+
+
+def _with_each(
+    packets: Sequence[Packet], index: int, damaged: Iterable[tuple[str, bytes]]
+) -> Iterator[tuple[str, Sequence[Packet]]]:
+    """The packets with one of them damaged, in each of these ways that changes it."""
+    for where, data in damaged:
+        if data != packets[index].data:
+            yield where, [*packets[:index], replace(packets[index], data=data), *packets[index + 1 :]]
+
+
+def _cuts(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
+    for length in sorted({*np.linspace(0, len(data) - 1, _CUTS, dtype=int).tolist(), len(data) - 1}):
+        yield f"decoding {name}, {length} of {len(data)} bytes", data[:length]
+    yield f"decoding {name} with a byte added", data + b"\0"
+
+
+def _bombs(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
+    for place in range(min(_BOMBED_BYTES, len(data) - 4)):
+        for huge in _HUGE:
+            yield (
+                f"decoding {name}, {huge.hex()} at byte {place}",
+                data[:place] + huge + data[place + len(huge) :],
+            )
+
+
+def mutations(data: bytes, rng: np.random.Generator, count: int, name: str) -> Iterator[tuple[str, bytes]]:
+    """Copies of a bitstream with bits flipped, bytes changed, parts overwritten, taken out or repeated."""
+    for index in range(count):
+        mutant = bytearray(data)
+        place = int(rng.integers(len(data)))
+        kind = index % 5
+        if kind == 0:
+            mutant[place] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            for _ in range(int(rng.integers(1, 8))):
+                mutant[int(rng.integers(len(data)))] = int(rng.integers(256))
+        elif kind == 2:
+            part = mutant[place : place + int(rng.integers(1, 20))]
+            mutant[place : place + len(part)] = rng.integers(0, 256, len(part), dtype=np.uint8).tobytes()
+        elif kind == 3:
+            del mutant[place : place + int(rng.integers(1, 30))]
+        else:
+            mutant[place:place] = mutant[: int(rng.integers(1, 30))]
+        yield f"decoding {name}, mutation {index} at byte {place}", bytes(mutant)
+
+
+def _must_withstand(codec_class: CodecClass, params: Params, index: int, damaged: Damaged) -> None:
+    if codec_class.carries == "features":
+        _must_refuse(codec_class, params, index, damaged)
+    else:
+        _must_survive(codec_class, params, damaged)
+
+
+def _must_survive(codec_class: CodecClass, params: Params, damaged: Damaged) -> None:
+    """Every packet is refused or gives uint8 images of a sane size."""
+    for where, packets in damaged:
+        for image in _decoded_elsewhere(where, codec_class, params, packets)[0]:
+            try:
+                check_image(image)
+            except ImageError as error:
+                raise ConformanceFailure(where, str(error), "BitstreamError or an image") from error
+            if image.shape[0] * image.shape[1] > MAX_PIXELS:
+                raise ConformanceFailure(where, f"an image of shape {image.shape}", f"at most {MAX_PIXELS} pixels")
+
+
+def _must_refuse(codec_class: CodecClass, params: Params, index: int, damaged: Damaged) -> None:
+    """The packet at this index is refused in each stream. It is the last that is decoded."""
+    for where, packets in damaged:
+        contents, refused = _decoded_elsewhere(where, codec_class, params, packets[: index + 1])
+        if refused != [index]:
+            got = f"{len(contents)} pictures or sets of features" if not refused else f"packets {refused} refused"
+            raise ConformanceFailure(where, got, "BitstreamError")
+
+
+def _decoded_elsewhere(where: str, codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> Any:
+    """What `_survivors` gives in another process. Fails where it gives nothing, because the codec raised or crashed."""
+    place = sandbox("decode")
+    reply = place.call(_survivors, codec_class, params, packets, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+    if reply.status != "done":
+        raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "BitstreamError, or what a decoder gives")
+    return reply.value
+
+
+def _survivors(codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> tuple[list[Any], list[int]]:
+    """What a decoder gives of damaged packets, and the indexes of those that it refuses."""
+    session = codec_class(params).open_decoder()
+    decoded: list[Decoded] = []
+    refused = []
+    for index, packet in enumerate(packets):
+        try:
+            decoded += session.push(packet)
+        except BitstreamError:
+            refused.append(index)
+    decoded += session.flush()
+    return [content for shown in decoded if (content := content_of(shown)) is not None], refused
+
+
+def parts_decode(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
+    """What is there of a bitstream is refused, or gives a picture of the right shape that says truly what is whole."""
+    if not codec_class.capabilities.partial_decoding:
+        raise NotClaimed("this codec does not claim to decode parts of a bitstream")
+    codec, rng = codec_class(params), np.random.default_rng(13)
+    for film, packets in encoded(codec, films):
+        bitstream = packets[0].data
+        decoded = codec.decode(bitstream)
+        partial = codec.decode_partial([Fragment(0, bitstream)])
+        where = f"decode_partial({film.name}), nothing missing"
+        _require_truth(where, partial, decoded)
+        if not partial.whole.all():
+            raise ConformanceFailure(where, f"{np.count_nonzero(~partial.whole)} pixels not whole", "all whole")
+        for trial in range(_TRIALS):
+            fragments = _with_gaps(bitstream, rng)
+            where = f"decode_partial({film.name}), {[(part.offset, part.end) for part in fragments]}, trial {trial}"
+            reply = sandbox("decode").ask(
+                codec_class, params, "decode_partial", fragments, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
+            )
+            if reply.status == "refused":
+                continue
+            if reply.status != "done":
+                raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "BitstreamError or a picture")
+            _require_truth(where, reply.value, decoded)
+
+
+def _with_gaps(bitstream: bytes, rng: np.random.Generator) -> list[Fragment]:
+    """The first part, and others at random: with gaps in between, and in half of all trials an end that is missing."""
+    bounds = [*np.linspace(0, len(bitstream), min(_PARTS, len(bitstream)) + 1, dtype=int).tolist()]
+    there = rng.random(len(bounds) - 1) >= _LOSS
+    there[0], there[-1] = True, rng.random() < 0.5
+    fragments: list[Fragment] = []
+    for (begin, end), is_there in zip(pairwise(bounds), there, strict=True):
+        if not is_there:
+            continue
+        if fragments and fragments[-1].end == begin:
+            begin = fragments.pop().offset
+        fragments.append(Fragment(begin, bitstream[begin:end]))
+    return fragments
+
+
+def _require_truth(where: str, partial: PartialImage, decoded: Image) -> None:
+    """Fail unless a partial image has the shape of the whole one, and its pixels wherever it says so."""
+    if not isinstance(partial, PartialImage):
+        raise ConformanceFailure(where, type(partial).__name__, "a PartialImage")
+    image, is_whole = partial.image, partial.whole
+    if image.dtype != np.uint8 or image.shape != decoded.shape:
+        raise ConformanceFailure(where, f"{image.dtype} of shape {image.shape}", f"uint8 of shape {decoded.shape}")
+    if is_whole.dtype != np.bool_ or is_whole.shape != decoded.shape[:2]:
+        raise ConformanceFailure(where, f"whole: {is_whole.dtype} of {is_whole.shape}", f"bool of {decoded.shape[:2]}")
+    require_same(f"{where}, where it claims to be whole", image[is_whole], decoded[is_whole])
