@@ -49,7 +49,7 @@ def carried(
     return sent, passages
 
 
-def one_fate(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
+def one_outcome(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
     """Every packet arrives at a time, or is lost, and frees the link at a time."""
     for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
         times = [passage.sent_s] if passage.arrives_s is None else [passage.sent_s, passage.arrives_s]
@@ -87,7 +87,7 @@ def in_order(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None
         latest_s = passage.arrives_s
 
 
-CHECKS: Final = (one_fate, causal, in_order)
+CHECKS: Final = (one_outcome, causal, in_order)
 
 
 def _steady(rng: np.random.Generator) -> float:

@@ -65,7 +65,7 @@ class Marks:
 
 @dataclass(frozen=True)
 class Lane:
-    """Frames of a course that share a fate: its name, how good that is, and of which frames it holds (N,)."""
+    """Frames of a course that share an outcome: its name, how good that is, and of which frames it holds (N,)."""
 
     name: str
     tone: Tone

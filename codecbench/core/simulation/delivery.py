@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.adaptation import AdaptiveEncoder, adaptive_encoder
-from codecbench.core.simulation.partial import Part, PartialDecoder, Salvage, remains_of
-from codecbench.core.simulation.receiver import Fate, fates_of
-from codecbench.core.simulation.sender import Sender
+from codecbench.core.simulation.link_queue import EventSimulator
+from codecbench.core.simulation.partial import Part, PartialDecode, PartialDecoder, received_ranges
+from codecbench.core.simulation.receiver import FrameOutcome, frame_outcomes
+from codecbench.core.simulation.sender import PacketCounts, Sender
 from codecbench.core.simulation.settings import LinkSettings
-from codecbench.core.simulation.transport import PacketCounts
-from codecbench.core.simulation.world import World
 
 Times = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ class Delivery:
     """What became of N frames. Times are in seconds from the first picture on.
 
     captured_s: (N,). handed_s: (N,) when each was there, decoded, for whoever reads it; infinite where it never was or
-    was too old. fates: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
+    was too old. outcomes: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
     again. came: (N,) whether all of a frame came, however late. packets: counts of those sent. waiting: (N,) packets
     in the link's queue when each frame came to the encoder. units: what was coded, in that order. bitstreams: of the
     frames that were coded anew, as the link asked. parts: of the frames of which a decoder makes something although
@@ -37,7 +36,7 @@ class Delivery:
 
     captured_s: Times
     handed_s: Times
-    fates: tuple[Fate, ...]
+    outcomes: tuple[FrameOutcome, ...]
     sizes_bytes: NDArray[np.int64]
     sent_bytes: NDArray[np.int64]
     came: NDArray[np.bool_]
@@ -57,7 +56,8 @@ class Delivery:
         """Of the bitstreams of those, as far as they came."""
         parts = self.parts
         return sum(
-            parts[frame].remains.size_bytes if frame in parts else int(self.sizes_bytes[frame]) for frame in self.handed
+            parts[frame].received.size_bytes if frame in parts else int(self.sizes_bytes[frame])
+            for frame in self.handed
         )
 
     def read_at(self, pace_s: float) -> dict[int, float]:
@@ -96,8 +96,8 @@ def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) 
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
     encoder = None if settings.adapt is None else adaptive_encoder(coded, settings.adapt)
     bitstreams = {} if encoder is None else encoder.bitstreams
-    salvage = PartialDecoder(coded, bitstreams).whole_share if settings.partial else None
-    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encoder, salvage)
+    partial_decode = PartialDecoder(coded, bitstreams).whole_share if settings.partial else None
+    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encoder, partial_decode)
     return replace(found, bitstreams=bitstreams)
 
 
@@ -108,28 +108,28 @@ def deliver(
     settings: LinkSettings,
     rng: np.random.Generator,
     encoder: AdaptiveEncoder | None = None,
-    salvage: Salvage | None = None,
+    partial_decode: PartialDecode | None = None,
 ) -> Delivery:
     """Send what an encoder gave over a link.
 
     units: in the order in which they came out. timestamps_s: (N,) of the frames. encoder: codes them anew, as the link
-    asks. salvage: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
+    asks. partial_decode: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
     """
     if settings.queue_policy == "auto":
         stands_alone = all(unit.starts for unit in units)
         settings = settings.model_copy(update={"queue_policy": "latest_only" if stands_alone else "fifo"})
     captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
     of_frames = captured_s.tolist()
-    world = World()
-    sender = Sender(world, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encoder)
+    simulator = EventSimulator()
+    sender = Sender(simulator, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encoder)
     for number, unit in enumerate(units):
         ready_s = of_frames[min(unit.after, len(of_frames)) - 1]
-        world.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
-    world.run()
+        simulator.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
+    simulator.run()
     complete_s = {number: shipment.complete_s for number, shipment in sender.shipments.items()}
-    parts = {} if salvage is None else _parts(sender, units, of_frames, settings, salvage)
-    partial_s = {number: parts[unit.frame].remains.known_s for number, unit in enumerate(units) if unit.frame in parts}
-    fates, handed_s = fates_of(sender.units, captured_s, complete_s, settings, partial_s)
+    parts = {} if partial_decode is None else _parts(sender, units, of_frames, settings, partial_decode)
+    partial_s = {number: parts[unit.frame].received.known_s for number, unit in enumerate(units) if unit.frame in parts}
+    outcomes, handed_s = frame_outcomes(sender.units, captured_s, complete_s, settings, partial_s)
     sizes, sent, waiting = np.zeros((3, len(captured_s)), dtype=np.int64)
     came = np.zeros(len(captured_s), dtype=bool)
     for number, unit in enumerate(units):
@@ -138,20 +138,26 @@ def deliver(
         waiting[unit.frame] = sender.waiting[number]
         came[unit.frame] = math.isfinite(complete_s.get(number, math.inf))
     coded = tuple(sender.units.values())
-    return Delivery(captured_s, handed_s, tuple(fates), sizes, sent, came, sender.counts, waiting, coded, parts=parts)
+    return Delivery(
+        captured_s, handed_s, tuple(outcomes), sizes, sent, came, sender.counts, waiting, coded, parts=parts
+    )
 
 
 def _parts(
-    sender: Sender, units: Sequence[SentPacket], captured_s: Sequence[float], settings: LinkSettings, salvage: Salvage
+    sender: Sender,
+    units: Sequence[SentPacket],
+    captured_s: Sequence[float],
+    settings: LinkSettings,
+    partial_decode: PartialDecode,
 ) -> dict[int, Part]:
     """By frame, those that are of use although they are not whole, and not too old by then."""
     found = {}
     sizes_bytes = {number: unit.size_bytes for number, unit in sender.units.items()}
-    for number, remains in remains_of(sender.shipments, sizes_bytes, settings).items():
+    for number, received in received_ranges(sender.shipments, sizes_bytes, settings).items():
         frame = units[number].frame
-        if remains.known_s - captured_s[frame] > settings.deadline_s:
+        if received.known_s - captured_s[frame] > settings.deadline_s:
             continue
-        whole_share = salvage(frame, remains.ranges)
+        whole_share = partial_decode(frame, received.ranges)
         if whole_share is not None:
-            found[frame] = Part(remains, whole_share)
+            found[frame] = Part(received, whole_share)
     return found

@@ -1,23 +1,45 @@
-"""Packets in a queue before a link: they wait, go one after the other, and are dropped by the queue's discipline."""
+"""Simulated time, and packets in a queue before a link: they wait, go in turn, and the discipline drops some."""
 
 from __future__ import annotations
 
+import heapq
 import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from typing import Final
 
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.link import Channel, Passage, Queue
-from codecbench.core.simulation.world import World
 
 TARGET_S: Final = 0.005
 INTERVAL_S: Final = 0.1
 """RFC 8289, section 4.2 and 4.3."""
 _DROPPING_AGAIN: Final = 16
 """Intervals within which a return to dropping goes on at the rate of the last time; RFC 8289, section 5.5."""
+
+
+class EventSimulator:
+    """Where things happen at times, one after the other; those of one time in the order in which they were planned."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = count()
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        """Plan something. Raises ValueError for what is past: an effect before its cause."""
+        if not time_s >= self.now_s:
+            raise ValueError(f"planned for {time_s} s at {self.now_s} s; nothing happens in the past")
+        heapq.heappush(self._events, (time_s, next(self._numbers), action))
+
+    def run(self) -> None:
+        """Let happen whatever is planned, and what is planned meanwhile."""
+        while self._events:
+            self.now_s, _, action = heapq.heappop(self._events)
+            action()
 
 
 @dataclass(slots=True, eq=False)
@@ -30,15 +52,17 @@ class Packet:
     tries: int = 0
 
 
-OnFate = Callable[[Packet, Passage | None], None]
+OnOutcome = Callable[[Packet, Passage | None], None]
 """Told once of each packet that was pushed: its passage, or None where it was dropped."""
 
 
 class LinkQueue(ABC):
     """The way into a link. on_idle is called whenever the last packet has left."""
 
-    def __init__(self, world: World, channel: Channel, on_fate: OnFate, on_idle: Callable[[], None]) -> None:
-        self._world, self._channel, self._on_fate, self._on_idle = world, channel, on_fate, on_idle
+    def __init__(
+        self, simulator: EventSimulator, channel: Channel, on_outcome: OnOutcome, on_idle: Callable[[], None]
+    ) -> None:
+        self._simulator, self._channel, self._on_outcome, self._on_idle = simulator, channel, on_outcome, on_idle
         self._free_s = 0.0
 
     @abstractmethod
@@ -73,18 +97,23 @@ class DropTailQueue(LinkQueue):
     that all about a packet is known when it comes."""
 
     def __init__(
-        self, world: World, channel: Channel, most: int | None, on_fate: OnFate, on_idle: Callable[[], None]
+        self,
+        simulator: EventSimulator,
+        channel: Channel,
+        most: int | None,
+        on_outcome: OnOutcome,
+        on_idle: Callable[[], None],
     ) -> None:
-        super().__init__(world, channel, on_fate, on_idle)
+        super().__init__(simulator, channel, on_outcome, on_idle)
         self._most = math.inf if most is None else most
         self._starts: deque[tuple[float, int]] = deque()
         self._idle_is_planned = False
 
     def push(self, packet: Packet) -> None:
-        now_s = self._world.now_s
+        now_s = self._simulator.now_s
         if self._free_s > now_s:
             if self.waiting() >= self._most:
-                self._on_fate(packet, None)
+                self._on_outcome(packet, None)
                 return
             start_s = self._free_s
             self._starts.append((start_s, packet.size_bytes))
@@ -93,11 +122,11 @@ class DropTailQueue(LinkQueue):
         passage = self._carry(packet, start_s)
         if not self._idle_is_planned:
             self._idle_is_planned = True
-            self._world.at(self._free_s, self._idle)
-        self._on_fate(packet, passage)
+            self._simulator.at(self._free_s, self._idle)
+        self._on_outcome(packet, passage)
 
     def waiting(self) -> int:
-        now_s, starts = self._world.now_s, self._starts
+        now_s, starts = self._simulator.now_s, self._starts
         while starts and starts[0][0] <= now_s:
             starts.popleft()
         return len(starts)
@@ -108,11 +137,11 @@ class DropTailQueue(LinkQueue):
 
     @property
     def is_idle(self) -> bool:
-        return self._free_s <= self._world.now_s
+        return self._free_s <= self._simulator.now_s
 
     def _idle(self) -> None:
-        if self._free_s > self._world.now_s:
-            self._world.at(self._free_s, self._idle)
+        if self._free_s > self._simulator.now_s:
+            self._simulator.at(self._free_s, self._idle)
         else:
             self._idle_is_planned = False
             self._on_idle()
@@ -122,9 +151,14 @@ class CoDelQueue(LinkQueue):
     """Drops from the head, ever more often, while packets wait for longer than a target: RFC 8289, section 5."""
 
     def __init__(
-        self, world: World, channel: Channel, most: int | None, on_fate: OnFate, on_idle: Callable[[], None]
+        self,
+        simulator: EventSimulator,
+        channel: Channel,
+        most: int | None,
+        on_outcome: OnOutcome,
+        on_idle: Callable[[], None],
     ) -> None:
-        super().__init__(world, channel, on_fate, on_idle)
+        super().__init__(simulator, channel, on_outcome, on_idle)
         self._most = math.inf if most is None else most
         self._packets: deque[tuple[Packet, float]] = deque()
         self._bytes = self._largest = 0
@@ -135,9 +169,9 @@ class CoDelQueue(LinkQueue):
 
     def push(self, packet: Packet) -> None:
         if len(self._packets) >= self._most:
-            self._on_fate(packet, None)
+            self._on_outcome(packet, None)
             return
-        self._packets.append((packet, self._world.now_s))
+        self._packets.append((packet, self._simulator.now_s))
         self._bytes += packet.size_bytes
         self._largest = max(self._largest, packet.size_bytes)
         if not self._is_sending:
@@ -160,12 +194,12 @@ class CoDelQueue(LinkQueue):
         if packet is None:
             self._on_idle()
             return
-        passage = self._carry(packet, self._world.now_s)
-        self._world.at(self._free_s, self._serve)
-        self._on_fate(packet, passage)
+        passage = self._carry(packet, self._simulator.now_s)
+        self._simulator.at(self._free_s, self._serve)
+        self._on_outcome(packet, passage)
 
     def _next(self) -> Packet | None:
-        now_s = self._world.now_s
+        now_s = self._simulator.now_s
         packet, is_old = self._head()
         if self._is_dropping:
             self._is_dropping = is_old
@@ -193,7 +227,7 @@ class CoDelQueue(LinkQueue):
             return None, False
         packet, entered_s = self._packets.popleft()
         self._bytes -= packet.size_bytes
-        now_s = self._world.now_s
+        now_s = self._simulator.now_s
         if now_s - entered_s < TARGET_S or self._bytes <= self._largest:
             self._above_until_s = None
             return packet, False
@@ -203,13 +237,15 @@ class CoDelQueue(LinkQueue):
 
     def _drop(self, packet: Packet | None) -> None:
         assert packet is not None
-        self._on_fate(packet, None)
+        self._on_outcome(packet, None)
 
     def _control_law(self, time_s: float) -> float:
         return time_s + INTERVAL_S / math.sqrt(self._drops)
 
 
-def link_queue(world: World, channel: Channel, queue: Queue, on_fate: OnFate, on_idle: Callable[[], None]) -> LinkQueue:
+def link_queue(
+    simulator: EventSimulator, channel: Channel, queue: Queue, on_outcome: OnOutcome, on_idle: Callable[[], None]
+) -> LinkQueue:
     """The queue that a link says it has."""
     kind = CoDelQueue if queue.discipline == "codel" else DropTailQueue
-    return kind(world, channel, queue.packets, on_fate, on_idle)
+    return kind(simulator, channel, queue.packets, on_outcome, on_idle)

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from codecbench.core.contracts.codec import Fragment, PartialImage
 from codecbench.core.contracts.errors import BitstreamError, PluginError
 from codecbench.core.contracts.evaluator import CodedSequence
+from codecbench.core.simulation.sender import Shipment
 from codecbench.core.simulation.settings import LinkSettings
-from codecbench.core.simulation.transport import Shipment
 
 Ranges = tuple[tuple[int, int], ...]
 """First byte and end of each part of a bitstream that came, in order, with gaps between them."""
 
 
 @dataclass(frozen=True)
-class Remains:
+class ReceivedRanges:
     """What came of a unit that never is whole. known_s: when all of that is there and the rest is known to be lost."""
 
     known_s: float
@@ -33,24 +33,24 @@ class Remains:
 class Part:
     """A picture that came in part. whole_share: of its pixels, those that are as the whole bitstream gives them."""
 
-    remains: Remains
+    received: ReceivedRanges
     whole_share: float
 
 
-Salvage = Callable[[int, Ranges], float | None]
+PartialDecode = Callable[[int, Ranges], float | None]
 """The share of a frame's pixels that are whole in what a decoder makes of parts of it; None where it makes nothing."""
 
 
-def remains_of(
+def received_ranges(
     shipments: Mapping[int, Shipment], sizes_bytes: Mapping[int, int], settings: LinkSettings
-) -> dict[int, Remains]:
+) -> dict[int, ReceivedRanges]:
     """By unit, what came of those that are not whole; of transports that send nothing again.
 
     shipments: in the order in which they were sent. A missing packet is known to be lost when one has arrived that was
     sent after it; what comes after that all the same, because packets overtake each other, is waited for. So a picture
     that comes whole is never taken for one that does not.
     """
-    found: dict[int, Remains] = {}
+    found: dict[int, ReceivedRanges] = {}
     payload, next_s = settings.payload_bytes, math.inf
     for unit in reversed(list(shipments)):
         shipment = shipments[unit]
@@ -60,7 +60,7 @@ def remains_of(
             told_s = min([next_s, *(arrives_s for number, arrives_s in came.items() if number > last)])
             numbers = sorted(number for number in came if number < shipment.needed)
             if numbers and told_s < math.inf:
-                found[unit] = Remains(max(told_s, *came.values()), _ranges(numbers, payload, sizes_bytes[unit]))
+                found[unit] = ReceivedRanges(max(told_s, *came.values()), _ranges(numbers, payload, sizes_bytes[unit]))
         next_s = min([next_s, *came.values()])
     return found
 
@@ -101,6 +101,6 @@ class PartialDecoder:
         return found
 
     def whole_share(self, frame: int, ranges: Ranges) -> float | None:
-        """See `Salvage`."""
+        """See `PartialDecode`."""
         found = self.decode(frame, ranges)
         return None if found is None else float(found.whole.mean())

@@ -23,7 +23,7 @@ class DeliveredPictures:
         self._coded, self._came, self._bitstreams = coded, delivery.came, delivery.bitstreams
         self._parts, self._partial = delivery.parts, PartialDecoder(coded, delivery.bitstreams)
         is_recoded = bool(delivery.bitstreams) and not coded.codec.stateless
-        self._decoder = decoder_of(coded.codec) if is_recoded or "concealed" in delivery.fates else None
+        self._decoder = decoder_of(coded.codec) if is_recoded or "concealed" in delivery.outcomes else None
         self._is_over = False
         self._units = iter(delivery.units)
         self._session = 0
@@ -33,7 +33,7 @@ class DeliveredPictures:
     def picture(self, frame: int) -> Image | None:
         """The picture of a frame that was handed on; None where the decoder makes none."""
         if frame in self._parts:
-            found = self._partial.decode(frame, self._parts[frame].remains.ranges)
+            found = self._partial.decode(frame, self._parts[frame].received.ranges)
             return None if found is None else found.image
         if frame in self._bitstreams and self._coded.codec.stateless:
             return self._coded.codec.decode(self._bitstreams[frame])

@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.settings import LinkSettings
 
-Fate = Literal["on time", "concealed", "partial", "late", "lost", "broken", "skipped"]
+FrameOutcome = Literal["on time", "concealed", "partial", "late", "lost", "broken", "skipped"]
 """`skipped`: not sent. `lost`: parts of it never came. `partial`: the same, handed on as far as it came. `broken`: it
 came whole, and depends on one that did not. `concealed`: the same, handed on as the decoder makes it up. `late`: too
 old to be of use, or after a newer one."""
 
 
-def fates_of(
+def frame_outcomes(
     units: Mapping[int, SentPacket],
     captured_s: NDArray[np.float64],
     complete_s: Mapping[int, float],
     settings: LinkSettings,
     partial_s: Mapping[int, float] = MappingProxyType({}),
-) -> tuple[list[Fate], NDArray[np.float64]]:
+) -> tuple[list[FrameOutcome], NDArray[np.float64]]:
     """What became of each frame, and (N,) when it was handed on; infinite where it was not.
 
     units: by number, in order. captured_s: (N,) of frames. complete_s: of the units that were sent, by number; infinite
@@ -35,9 +35,9 @@ def fates_of(
     """
     if settings.transport == "reliable":
         complete_s = _in_order(complete_s)
-    fates: list[Fate] = ["skipped"] * len(captured_s)
+    outcomes: list[FrameOutcome] = ["skipped"] * len(captured_s)
     decodable_s = np.full(len(captured_s), math.inf)
-    in_time: list[Fate] = ["on time"] * len(captured_s)
+    in_time: list[FrameOutcome] = ["on time"] * len(captured_s)
     begun_s, whole_from, session = math.inf, math.inf, 0
     for number, unit in units.items():
         if unit.session != session:  # which has a decoder of its own
@@ -57,9 +57,9 @@ def fates_of(
             decodable_s[unit.frame], in_time[unit.frame] = partial_s[number], "partial"
             continue
         if math.isinf(own_s):
-            fates[unit.frame] = "lost" if number in complete_s else "skipped"
+            outcomes[unit.frame] = "lost" if number in complete_s else "skipped"
             continue
-        fates[unit.frame] = "broken" if is_broken else "late"
+        outcomes[unit.frame] = "broken" if is_broken else "late"
         if not is_broken or settings.concealed:
             decodable_s[unit.frame] = begun_s
             in_time[unit.frame] = "concealed" if is_broken else "on time"
@@ -69,10 +69,10 @@ def fates_of(
     for frame in sorted(np.flatnonzero(np.isfinite(decoded_s)).tolist(), key=lambda frame: (decoded_s[frame], frame)):
         if frame > newest and decoded_s[frame] - captured_s[frame] <= settings.deadline_s:
             newest, handed_s[frame] = frame, decoded_s[frame]
-            fates[frame] = in_time[frame]
+            outcomes[frame] = in_time[frame]
         else:
-            fates[frame] = "late"
-    return fates, handed_s
+            outcomes[frame] = "late"
+    return outcomes, handed_s
 
 
 def _in_order(complete_s: Mapping[int, float]) -> dict[int, float]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -11,14 +13,85 @@ import numpy as np
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Link, Passage
 from codecbench.core.simulation.adaptation import FILL, AdaptiveEncoder, Throughput
-from codecbench.core.simulation.link_queue import Packet, link_queue
-from codecbench.core.simulation.settings import LinkSettings
-from codecbench.core.simulation.transport import PacketCounts, Shipment, packets_of
-from codecbench.core.simulation.waiting_room import WaitingRoom
-from codecbench.core.simulation.world import World
+from codecbench.core.simulation.link_queue import EventSimulator, Packet, link_queue
+from codecbench.core.simulation.settings import LinkSettings, QueuePolicy
 
 MOST_TRIES: Final = 1000
 """A packet that was lost so often is given up, whatever the transport promises."""
+
+
+@dataclass
+class PacketCounts:
+    """What became of packets, by number: each that was sent has arrived, was lost on the way, or was dropped by the
+    link's queue. Of those that arrived some were late."""
+
+    sent: int = 0
+    arrived: int = 0
+    late: int = 0
+    lost: int = 0
+    dropped: int = 0
+
+
+@dataclass
+class Shipment:
+    """A unit on its way. needed: how many of its packets make it whole; count: how many there are, of which the first
+    `needed` are its data. sent_bytes: with headers, redundancy and what went again. arrivals: of the packets that
+    came, when and which."""
+
+    needed: int
+    count: int
+    sent_bytes: int = 0
+    arrivals: list[tuple[float, int]] = field(default_factory=list)
+
+    @property
+    def complete_s(self) -> float:
+        """When it can be decoded; infinite where it never can."""
+        if len(self.arrivals) < self.needed:
+            return math.inf
+        return sorted(self.arrivals)[self.needed - 1][0]
+
+
+def packets_of(unit: int, size_bytes: int, settings: LinkSettings) -> tuple[list[Packet], int]:
+    """The packets of a unit and how many of them make it whole.
+
+    Redundancy is that of an ideal erasure code, of which any as many packets do as there are of data; Reed-Solomon
+    codes are of this kind.
+    """
+    payload = settings.payload_bytes
+    count = max(1, -(-size_bytes // payload))
+    sizes = [settings.mtu] * (count - 1) + [size_bytes - (count - 1) * payload + settings.header_bytes]
+    if settings.transport == "fec":
+        sizes += [sizes[0]] * math.ceil(count * settings.fec_share)
+    return [Packet(unit, size, number) for number, size in enumerate(sizes)], count
+
+
+class FrameQueue:
+    """Units, by number, that wait; which of them are given up is the policy's to say.
+
+    latest_only: a new one takes the place of whatever waits. drop_late: those older than `deadline_s` when their turn
+    comes are passed over. fifo: none.
+    """
+
+    def __init__(self, policy: QueuePolicy, captured_s: Sequence[float], deadline_s: float) -> None:
+        self._policy, self._captured_s, self._deadline_s = policy, captured_s, deadline_s
+        self._waiting: deque[int] = deque()
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._waiting)
+
+    def put(self, unit: int) -> None:
+        """One more waits."""
+        if self._policy == "latest_only":
+            self._waiting.clear()
+        self._waiting.append(unit)
+
+    def take(self, now_s: float) -> int | None:
+        """The one whose turn it is; None where nothing waits that is worth it."""
+        while self._waiting:
+            unit = self._waiting.popleft()
+            if self._policy != "drop_late" or now_s - self._captured_s[unit] <= self._deadline_s:
+                return unit
+        return None
 
 
 class Sender:
@@ -30,7 +103,7 @@ class Sender:
 
     def __init__(
         self,
-        world: World,
+        simulator: EventSimulator,
         units: Sequence[SentPacket],
         captured_s: Sequence[float],
         link: Link[Any],
@@ -45,10 +118,10 @@ class Sender:
         self.shipments: dict[int, Shipment] = {}
         self.waiting: list[int] = []
         self.counts = PacketCounts()
-        self._world, self._captured_s, self._settings = world, captured_s, settings
+        self._simulator, self._captured_s, self._settings = simulator, captured_s, settings
         self._frames = [unit.frame for unit in units]
         self._unencoded, self._encoded = (
-            WaitingRoom(settings.queue_policy, captured_s, settings.deadline_s) for _ in range(2)
+            FrameQueue(settings.queue_policy, captured_s, settings.deadline_s) for _ in range(2)
         )
         self._deadline_s, self._encode_s = settings.deadline_s, settings.encode_s
         self._is_paced, self._is_repaired = settings.is_paced, settings.is_repaired
@@ -56,7 +129,7 @@ class Sender:
         self._backlog: deque[Packet] = deque()
         self._round_trip_s = 2.0 * link.delay_s
         self._most = link.queue.packets
-        self._queue = link_queue(world, link.open(rng), link.queue, self._on_fate, self._send)
+        self._queue = link_queue(simulator, link.open(rng), link.queue, self._on_outcome, self._send)
 
     def give(self, unit: int) -> None:
         """The encoder can begin with a unit now."""
@@ -65,14 +138,14 @@ class Sender:
         self._encode()
 
     def _encode(self) -> None:
-        if self._is_encoding or (unit := self._unencoded.take(self._world.now_s)) is None:
+        if self._is_encoding or (unit := self._unencoded.take(self._simulator.now_s)) is None:
             return
         self._is_encoding = True
         if self._encoder is not None:
-            rate = self._throughput.at(self._world.now_s)
+            rate = self._throughput.at(self._simulator.now_s)
             budget_bytes = None if rate is None else FILL * rate * self._interval_s
             self.units[unit] = self._encoder.encode(self._frames[unit], budget_bytes, self._waiting_bytes())
-        self._world.at(self._world.now_s + self._encode_s, lambda: self._end_encoding(unit))
+        self._simulator.at(self._simulator.now_s + self._encode_s, lambda: self._end_encoding(unit))
 
     def _waiting_bytes(self) -> int:
         """Of all that was coded and has not left yet."""
@@ -92,7 +165,7 @@ class Sender:
             at_once = self._settings.queue_policy == "fifo"
             if not at_once and (self._backlog or not self._queue.is_idle):
                 return
-            unit = self._encoded.take(self._world.now_s)
+            unit = self._encoded.take(self._simulator.now_s)
             if unit is None:
                 return
             packets, needed = packets_of(unit, self.units[unit].size_bytes, self._settings)
@@ -110,9 +183,9 @@ class Sender:
             self._queue.push(packet)
         self.counts.sent += room
 
-    def _on_fate(self, packet: Packet, passage: Passage | None) -> None:
+    def _on_outcome(self, packet: Packet, passage: Passage | None) -> None:
         if passage is not None and self._encoder is not None:
-            self._throughput.add(packet.size_bytes, self._world.now_s, passage.sent_s)
+            self._throughput.add(packet.size_bytes, self._simulator.now_s, passage.sent_s)
         if passage is not None and passage.arrives_s is not None:
             self.counts.arrived += 1
             self.shipments[packet.unit].arrivals.append((passage.arrives_s, packet.number))
@@ -123,12 +196,12 @@ class Sender:
         else:
             self.counts.lost += 1
         if self._is_repaired:
-            left_s = self._world.now_s if passage is None else passage.sent_s
-            self._world.at(left_s + self._round_trip_s, lambda: self._send_again(packet))
+            left_s = self._simulator.now_s if passage is None else passage.sent_s
+            self._simulator.at(left_s + self._round_trip_s, lambda: self._send_again(packet))
 
     def _send_again(self, packet: Packet) -> None:
         """The sender hears that a packet is missing. `arq` gives it up when its picture is too old to be of use."""
-        age_s = self._world.now_s - self._captured_s[packet.unit]
+        age_s = self._simulator.now_s - self._captured_s[packet.unit]
         is_in_vain = self._settings.transport == "arq" and age_s > self._deadline_s
         if packet.tries < MOST_TRIES and not is_in_vain:
             self._backlog.appendleft(packet)

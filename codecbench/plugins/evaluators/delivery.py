@@ -23,11 +23,11 @@ from codecbench.core.contracts.evaluator import (
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.view import Course, Drawing, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
-from codecbench.core.simulation.receiver import Fate
+from codecbench.core.simulation.receiver import FrameOutcome
 from codecbench.core.simulation.settings import LinkSettings
-from codecbench.plugins.evaluators.fates import lanes_of_fates
+from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
 
-_UNTIMELY: Final[dict[Fate, tuple[str, str]]] = {
+_UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
     "late": ("share of the pictures that came too late, or after a newer one", "too late"),
     "lost": ("share of the pictures of which packets were lost or found no room", "lost on the way"),
     "broken": ("share of the pictures that came, and depend on one that did not", "broken by an earlier loss"),
@@ -36,7 +36,7 @@ _UNTIMELY: Final[dict[Fate, tuple[str, str]]] = {
 
 
 _TIMELINE: Final = "timeline.csv"
-"""For each frame, when it was taken, when it was there and its fate: seconds, infinite where it never was in time."""
+"""For each frame, when it was taken, when it was there, and its outcome; in seconds, infinite if never in time."""
 _NOTE: Final = (
     "The age of the newest picture falls when one comes, and rises until the next; beside it the delay of each."
 )
@@ -89,8 +89,8 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             label="as sent of those in part",
         ),
         *(
-            Metric(f"{fate}_share", "1", "lower", summary, label=label, need="cause")
-            for fate, (summary, label) in _UNTIMELY.items()
+            Metric(f"{outcome}_share", "1", "lower", summary, label=label, need="cause")
+            for outcome, (summary, label) in _UNTIMELY.items()
         ),
         _count("stalls_half_s", "times without a new picture of more than half a second", "stalls over 0.5 s"),
         _count("stalls_1_s", "times without a new picture of more than a second", "stalls over 1 s"),
@@ -129,11 +129,11 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         gets_features(coded.codec, self.params.architecture)
         found = delivery_of(coded, self.params, context)
         yield from _of_frames(found)
-        for fate in _UNTIMELY:
-            yield Measurement(f"{fate}_share", found.fates.count(fate) / len(found.fates))
+        for outcome in _UNTIMELY:
+            yield Measurement(f"{outcome}_share", found.outcomes.count(outcome) / len(found.outcomes))
         yield Measurement("delivered_share", float(found.came.mean()))
         handed = found.handed
-        concealed = found.fates.count("concealed")
+        concealed = found.outcomes.count("concealed")
         yield (
             Measurement("concealed_share", concealed / len(handed))
             if handed
@@ -145,18 +145,18 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         yield Measurement("stalls_half_s", float(np.count_nonzero(gaps_s > 0.5)))
         yield Measurement("stalls_1_s", float(np.count_nonzero(gaps_s > 1.0)))
         yield Measurement("longest_stall_s", float(gaps_s.max()))
-        yield from _rates(found, len(found.fates) / coded.sequence.frame_rate_hz)
+        yield from _rates(found, len(found.outcomes) / coded.sequence.frame_rate_hz)
         for name in ("sent", "arrived", "late", "lost", "dropped"):
             yield Measurement(f"packets_{name}", float(getattr(found.packets, name)))
-        rows = zip(found.captured_s, found.handed_s, found.fates, strict=True)
-        lines = [f"{taken_s:.6f},{handed_s:.6f},{fate}\n" for taken_s, handed_s, fate in rows]
+        rows = zip(found.captured_s, found.handed_s, found.outcomes, strict=True)
+        lines = [f"{taken_s:.6f},{handed_s:.6f},{outcome}\n" for taken_s, handed_s, outcome in rows]
         (context.artifacts / _TIMELINE).write_text("".join(lines))
 
     def drawing(self, outcome: Outcome) -> Drawing:
-        captured_s, handed_s, fates = _read_timeline(outcome.artifacts / _TIMELINE)
+        captured_s, handed_s, outcomes = _read_timeline(outcome.artifacts / _TIMELINE)
         came = np.isfinite(handed_s)
-        shares = [(fate, outcome.value(f"{fate}_share")) for fate in _UNTIMELY]
-        words = [f"{100 * share:.0f} % {fate}" for fate, share in shares if share >= 0.005]
+        shares = [(cause, outcome.value(f"{cause}_share")) for cause in _UNTIMELY]
+        words = [f"{100 * share:.0f} % {cause}" for cause, share in shares if share >= 0.005]
         lines = (
             Line("age of the newest picture", "after", _saw(captured_s[came], handed_s[came], captured_s[-1])),
             Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[came]),
@@ -165,13 +165,13 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         known = np.searchsorted(handed_s[came], captured_s, side="right")
         ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[came]])[known]
         frames = np.arange(len(captured_s))
-        course = Course(frames, None, ages_s, "s", lanes_of_fates(fates), "age of the newest picture")
+        course = Course(frames, None, ages_s, "s", lanes_of_outcomes(outcomes), "age of the newest picture")
         drawn = tuple(line for line in lines if len(line.points))
         return Drawing(drawn, caption, axes=("time [s]", "age [s]"), course=course)
 
 
 def _read_timeline(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """When each frame was taken and there, and its fate; none of them in a file from before fates were kept."""
+    """When each frame was taken and there, and its outcome; none of them in a file from before outcomes were kept."""
     rows = [line.split(",") for line in path.read_text().splitlines()]
     captured_s, handed_s = (np.array([float(row[column]) for row in rows]) for column in (0, 1))
     return captured_s, handed_s, [row[2] for row in rows if len(row) > 2]
@@ -187,13 +187,13 @@ def _saw(taken_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: flo
 
 
 def _of_frames(found: Delivery) -> Iterator[Measurement]:
-    for frame, (fate, age_s, waiting) in enumerate(
-        zip(found.fates, found.ages_s().tolist(), found.waiting.tolist(), strict=True)
+    for frame, (outcome, age_s, waiting) in enumerate(
+        zip(found.outcomes, found.ages_s().tolist(), found.waiting.tolist(), strict=True)
     ):
         is_on_time = math.isfinite(found.handed_s[frame])
         delay_ms = 1e3 * float(found.handed_s[frame] - found.captured_s[frame]) if is_on_time else math.nan
         yield Measurement("on_time", float(is_on_time), frame)
-        yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the picture was {fate}")
+        yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the picture was {outcome}")
         yield Measurement("age_ms", 1e3 * age_s, frame)
         yield Measurement("queue_packets", float(waiting), frame)
 

@@ -63,7 +63,7 @@ def test_pictures_take_what_the_link_gives(tmp_path: Path) -> None:
     """100,000 bytes a second are 10,000 a picture, of which nine tenths are filled. The first is the coarsest."""
     found = delivered(tmp_path, Constant.create(rate_kbps=800))
     assert found.sizes_bytes.tolist() == [1000] + [9000] * (COUNT - 1)
-    assert set(found.fates) == {"on time"}
+    assert set(found.outcomes) == {"on time"}
 
 
 def test_no_picture_leaves_the_range(tmp_path: Path) -> None:
@@ -78,7 +78,9 @@ def test_a_link_that_slows_down_gets_coarser_pictures(tmp_path: Path) -> None:
     path.write_text("".join(f"{time_ms}\n" for time_ms in times_ms))
     found = delivered(tmp_path, TraceLink.create(file=path, offset_ms=0))
     early = found.sizes_bytes[2:18]
-    late = [size for size, fate in zip(found.sizes_bytes[32:], found.fates[32:], strict=True) if fate == "on time"]
+    late = [
+        size for size, outcome in zip(found.sizes_bytes[32:], found.outcomes[32:], strict=True) if outcome == "on time"
+    ]
     assert 10_000 <= early.min() <= early.max() <= 15_000
     assert late
     assert max(late) <= 3000

@@ -124,7 +124,7 @@ def test_a_stream_takes_what_the_link_gives_from_the_second_second_on(tmp_path: 
     found = delivered(tmp_path, blank(40), Constant.create(rate_kbps=800))
     assert found.sizes_bytes.tolist() == [3000] + [1000] * 9 + [21_000] + [7000] * 29
     assert [unit.session for unit in found.units] == [0] * 10 + [1] * 30
-    assert set(found.fates) == {"on time"}
+    assert set(found.outcomes) == {"on time"}
 
 
 def test_the_reader_gets_what_the_sessions_sent(tmp_path: Path) -> None:
@@ -140,13 +140,13 @@ def test_where_the_rate_halves_pictures_stay_on_time_with_adaptation_and_not_wit
     of 40,500 bytes in nine pictures there is room for three kilobytes each and nine for the start."""
     link, deadline_ms = Halving.create(rate_kbps=800, queue_packets=9999), 600
     adapted = delivered(tmp_path, blank(100), link, deadline_ms=deadline_ms)
-    assert set(adapted.fates) == {"on time"}
+    assert set(adapted.outcomes) == {"on time"}
     assert adapted.sizes_bytes[30:50].tolist() == [7000] * 20
     assert adapted.sizes_bytes[50:60].tolist() == [3000] + [1000] * 9
     assert adapted.sizes_bytes[60:].tolist() == [9000] + [3000] * 39
     fixed = delivered(tmp_path, blank(100, 7), link, None, deadline_ms=deadline_ms)
-    assert set(fixed.fates[:50]) == {"on time"}
-    assert set(fixed.fates[60:]) == {"late"}
+    assert set(fixed.outcomes[:50]) == {"on time"}
+    assert set(fixed.outcomes[60:]) == {"late"}
 
 
 def test_a_session_whose_start_is_lost_is_broken_until_the_next(tmp_path: Path) -> None:
@@ -154,14 +154,14 @@ def test_a_session_whose_start_is_lost_is_broken_until_the_next(tmp_path: Path) 
     stream = blank(40)
     for concealed in (False, True):
         found = delivered(tmp_path, stream, Losing(10), mtu=60_000, header_bytes=40, concealed=concealed)
-        assert list(found.fates) == ["on time"] * 10 + ["lost"] + ["broken"] * 29
+        assert list(found.outcomes) == ["on time"] * 10 + ["lost"] + ["broken"] * 29
         assert DeliveredPictures(stream, found).picture(9) is not None
 
 
 def test_a_loss_in_a_session_is_concealed_by_its_own_decoder(tmp_path: Path) -> None:
     stream = blank(30)
     found = delivered(tmp_path, stream, Losing(5), mtu=60_000, header_bytes=40, concealed=True)
-    assert list(found.fates) == ["on time"] * 5 + ["lost"] + ["concealed"] * 4 + ["on time"] * 20
+    assert list(found.outcomes) == ["on time"] * 5 + ["lost"] + ["concealed"] * 4 + ["on time"] * 20
     pictures = DeliveredPictures(stream, found)
     shown = [pictures.picture(frame).max() for frame in found.handed]  # type: ignore[union-attr]
     assert shown == [1] * 5 + [255] * 4 + [50] * 20
@@ -172,8 +172,8 @@ def test_a_picture_that_never_comes_to_the_encoder_breaks_nothing(tmp_path: Path
     stream = blank(40)
     link = Constant.create(rate_kbps=8000)
     found = delivered(tmp_path, stream, link, queue_policy="latest_only", encode_ms=150)
-    assert set(found.fates) == {"on time", "skipped"}
-    assert 0.25 < found.fates.count("skipped") / 40 < 0.4
+    assert set(found.outcomes) == {"on time", "skipped"}
+    assert 0.25 < found.outcomes.count("skipped") / 40 < 0.4
     pictures = DeliveredPictures(stream, found)
     assert all(pictures.picture(frame) is not None for frame in found.handed)
 
@@ -218,7 +218,7 @@ def test_whatever_is_sent_has_one_fate_and_a_picture_where_it_is_handed_on(
     found = delivered(folder, stream, link, **more)
     packets = found.packets
     assert packets.sent == packets.arrived + packets.lost + packets.dropped
-    assert len(found.fates) == count
+    assert len(found.outcomes) == count
     frames = [unit.frame for unit in found.units]
     assert frames == sorted(found.bitstreams)
     begun = [unit.frame for unit in found.units if unit.starts]
@@ -227,10 +227,10 @@ def test_whatever_is_sent_has_one_fate_and_a_picture_where_it_is_handed_on(
     for frame in found.handed:
         picture = pictures.picture(frame)
         assert picture is not None
-        assert (picture.max() == 255) == (found.fates[frame] == "concealed")
+        assert (picture.max() == 255) == (found.outcomes[frame] == "concealed")
         assert picture.max() in (255, found.bitstreams[frame][0])
     again = delivered(folder, stream, link, **more)
-    assert (again.fates, again.packets, again.bitstreams) == (found.fates, packets, found.bitstreams)
+    assert (again.outcomes, again.packets, again.bitstreams) == (found.outcomes, packets, found.bitstreams)
 
 
 def moving(count: int) -> list[Image]:
@@ -247,7 +247,7 @@ def require_adapts(folder: Path, codec: Any, parameter: str, ends: tuple[float, 
     stream, link = coded(codec, images), Halving.create(rate_kbps=rate_kbps, queue_packets=9999)
     link.at_s = 2.5
     found = delivered(folder, stream, link, (parameter, ends), deadline_ms=700)
-    assert found.fates.count("on time") >= 58
+    assert found.outcomes.count("on time") >= 58
     sessions = {unit.session for unit in found.units}
     assert 2 <= len(sessions) <= 6
     pictures = DeliveredPictures(stream, found)
@@ -259,7 +259,7 @@ def require_adapts(folder: Path, codec: Any, parameter: str, ends: tuple[float, 
         LinkSettings(link="given", mtu=1000, header_bytes=0, queue_policy="fifo", deadline_ms=700),
         np.random.default_rng(0),
     )  # fmt: skip
-    assert fixed.fates.count("on time") < 30
+    assert fixed.outcomes.count("on time") < 30
 
 
 def test_a_stream_of_ours_adapts(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_tcp_through_a_token_bucket(load: float, spaces: Spaces) -> None:
     link = Constant.create(rate_kbps=RATE_KBPS)
     mtu = {"mtu": SEGMENT_BYTES + SEGMENT_HEADERS, "header_bytes": SEGMENT_HEADERS}
     found = simulated(sent_s, PICTURE_BYTES, link, transport="reliable", **mtu)
-    assert set(found.fates) == {"on time"}
+    assert set(found.outcomes) == {"on time"}
     assert np.isfinite(came_s).all()
     assert rate(came_s) == pytest.approx(rate(found.handed_s), rel=0.03)
     assert np.median(np.abs(came_s - found.handed_s)) < 0.010  # the receiving process is not awake at once each time

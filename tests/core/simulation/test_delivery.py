@@ -47,7 +47,7 @@ def latencies_s(found: Delivery) -> np.ndarray:
 
 def test_over_an_ideal_link_every_picture_is_there_at_once() -> None:
     found = sent(Ideal.create(), [100, 5000, 1])
-    assert found.fates == ("on time",) * 3
+    assert found.outcomes == ("on time",) * 3
     assert found.handed_s.tolist() == found.captured_s.tolist()
     assert found.ages_s().tolist() == [0.0, 0.0, 0.0]
     assert (found.packets.sent, found.sent_bytes.tolist()) == (7, [100, 5000, 1])
@@ -109,7 +109,7 @@ def test_a_picture_of_many_packets_is_lost_more_often(packets: int) -> None:
     found = sent(Constant.create(rate_kbps=1e6, loss=loss), [1000 * packets] * count)
     expected = 1.0 - (1.0 - loss) ** packets
     error = math.sqrt(expected * (1.0 - expected) / count)
-    assert Counter(found.fates)["lost"] / count == pytest.approx(expected, abs=4.0 * error)
+    assert Counter(found.outcomes)["lost"] / count == pytest.approx(expected, abs=4.0 * error)
 
 
 def test_redundancy_saves_what_a_binomial_says() -> None:
@@ -118,7 +118,7 @@ def test_redundancy_saves_what_a_binomial_says() -> None:
     assert found.packets.sent == 13 * count
     expected = float(binom.sf(9, 13, 1.0 - loss))
     error = math.sqrt(expected * (1.0 - expected) / count)
-    assert Counter(found.fates)["on time"] / count == pytest.approx(expected, abs=4.0 * error)
+    assert Counter(found.outcomes)["on time"] / count == pytest.approx(expected, abs=4.0 * error)
 
 
 def test_repair_goes_on_until_the_deadline() -> None:
@@ -126,7 +126,7 @@ def test_repair_goes_on_until_the_deadline() -> None:
     count, loss = 20_000, 0.3
     link = Constant.create(rate_kbps=1e6, delay_ms=20, loss=loss)
     found = sent(link, [1000] * count, transport="arq", deadline_ms=101)
-    share = Counter(found.fates)["lost"] / count
+    share = Counter(found.outcomes)["lost"] / count
     assert share == pytest.approx(loss**3, abs=4.0 * math.sqrt(loss**3 / count))
     assert found.packets.sent / count == pytest.approx(1.0 + loss + loss**2, rel=0.01)
     assert set(np.round(latencies_s(found), 3)) == {0.02, 0.06, 0.1}
@@ -136,10 +136,10 @@ def test_a_reliable_transport_loses_nothing_and_makes_the_rest_wait() -> None:
     link = Constant.create(rate_kbps=1e6, delay_ms=20, loss=0.3)
     reliable = sent(link, [1000] * 3000, rate_hz=100, transport="reliable", queue_policy="fifo")
     arq = sent(link, [1000] * 3000, rate_hz=100, transport="arq", queue_policy="fifo")
-    assert set(reliable.fates) == {"on time"}
+    assert set(reliable.outcomes) == {"on time"}
     assert (np.diff(reliable.handed_s) >= 0).all()
     assert np.median(latencies_s(reliable)) > 0.04 > np.median(latencies_s(arq))
-    assert set(arq.fates) == {"on time", "late"}  # those that a newer one has overtaken
+    assert set(arq.outcomes) == {"on time", "late"}  # those that a newer one has overtaken
 
 
 @pytest.mark.parametrize("name", ["lte_still", "lte_moving"])
@@ -155,7 +155,7 @@ def test_what_comes_through_a_trace_is_what_it_gives(name: str) -> None:
 def test_only_the_newest_picture_waits() -> None:
     """Each takes 275 ms on the way, and one comes every 100 ms."""
     found = sent(Constant.create(rate_kbps=32), [1100] * 8, mtu=1100)
-    assert [frame for frame, fate in enumerate(found.fates) if fate == "on time"] == [0, 2, 5, 7]
+    assert [frame for frame, outcome in enumerate(found.outcomes) if outcome == "on time"] == [0, 2, 5, 7]
     assert found.handed_s[found.handed] == pytest.approx([0.275, 0.55, 0.825, 1.1])
     assert found.ages_s() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.4, 0.5])
     assert found.gaps_s() == pytest.approx([0.275, 0.275, 0.275, 0.275, 0.0])
@@ -169,13 +169,13 @@ def test_a_queue_of_all_pictures_grows_old() -> None:
 def test_late_pictures_are_passed_over() -> None:
     """275 ms on the way; of what waits, nothing older than 100 ms is begun with."""
     found = sent(Constant.create(rate_kbps=32), [1100] * 8, mtu=1100, queue_policy="drop_late", deadline_ms=100)
-    assert [frame for frame, fate in enumerate(found.fates) if fate != "skipped"] == [0, 2, 5]
-    assert Counter(found.fates) == {"late": 3, "skipped": 5}
+    assert [frame for frame, outcome in enumerate(found.outcomes) if outcome != "skipped"] == [0, 2, 5]
+    assert Counter(found.outcomes) == {"late": 3, "skipped": 5}
 
 
 def test_an_encoder_that_is_too_slow_leaves_pictures_out() -> None:
     found = sent(Ideal.create(), [10] * 9, encode_ms=44, device_factor=5)
-    assert [frame for frame, fate in enumerate(found.fates) if fate == "on time"] == [0, 2, 4, 6, 8]
+    assert [frame for frame, outcome in enumerate(found.outcomes) if outcome == "on time"] == [0, 2, 4, 6, 8]
     assert found.handed_s[[0, 2, 4]] == pytest.approx([0.22, 0.44, 0.66])
 
 
@@ -183,10 +183,10 @@ def test_what_finds_no_room_is_dropped() -> None:
     """One is being sent and three wait; the fifth packet of a picture has no place."""
     link = Constant.create(rate_kbps=8, queue_packets=3)
     at_once = sent(link, [5000, 3000], rate_hz=0.01, queue_policy="fifo")
-    assert at_once.fates == ("lost", "on time")
+    assert at_once.outcomes == ("lost", "on time")
     assert (at_once.packets.dropped, at_once.packets.arrived) == (1, 7)
     paced = sent(link, [5000, 3000], rate_hz=0.01)
-    assert paced.fates == ("on time", "on time")
+    assert paced.outcomes == ("on time", "on time")
     assert paced.packets.dropped == 0
 
 
@@ -199,14 +199,14 @@ def test_a_stream_is_broken_until_it_starts_again() -> None:
     found = deliver(
         units, np.arange(6) / 10, Losing(1), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
     )
-    assert found.fates == ("on time", "lost", "broken", "broken", "on time", "on time")
+    assert found.outcomes == ("on time", "lost", "broken", "broken", "on time", "on time")
 
 
 def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
     units = stream(False, True, False, False, False, True)
     settings = LinkSettings(link="given", concealed=True, **HEADERS)
     found = deliver(units, np.arange(6) / 10, Losing(2), settings, np.random.default_rng(0))
-    assert found.fates == ("broken", "on time", "lost", "concealed", "concealed", "on time")
+    assert found.outcomes == ("broken", "on time", "lost", "concealed", "concealed", "on time")
     assert found.handed == [1, 3, 4, 5]
     assert found.came.tolist() == [True, True, False, True, True, True]
 
@@ -221,8 +221,8 @@ def test_pictures_that_depend_on_each_other_all_wait_and_others_give_way(starts:
         )
         for name in ("auto", policy)
     ]  # fmt: skip
-    assert found[0].fates == found[1].fates
-    assert ("skipped" in found[0].fates) == (policy == "latest_only")
+    assert found[0].outcomes == found[1].outcomes
+    assert ("skipped" in found[0].outcomes) == (policy == "latest_only")
 
 
 def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
@@ -230,7 +230,7 @@ def test_a_stream_that_begins_in_its_middle_waits_for_a_start() -> None:
     found = deliver(
         units, np.arange(4) / 10, Ideal.create(), LinkSettings(link="given", **HEADERS), np.random.default_rng(0)
     )
-    assert found.fates == ("broken", "broken", "on time", "on time")
+    assert found.outcomes == ("broken", "broken", "on time", "on time")
 
 
 def refreshed(count: int, every: int) -> list[SentPacket]:
@@ -257,7 +257,7 @@ def test_a_refreshed_stream_is_whole_again_when_the_refresh_has_gone_round(
             expected[first_picture:whole] = ["concealed"] * (whole - first_picture)
         for frame in lost:
             expected[frame] = "lost"
-        assert list(found.fates) == expected
+        assert list(found.outcomes) == expected
 
 
 def test_pictures_of_a_stream_wait_for_what_they_depend_on() -> None:
@@ -267,7 +267,7 @@ def test_pictures_of_a_stream_wait_for_what_they_depend_on() -> None:
     slow = type("Slow", (Losing,), {"delay_s": 0.1})(1)
     found = deliver(units, np.arange(3) / 10, slow, settings, np.random.default_rng(0))
     assert found.handed_s == pytest.approx([0.0, 0.3, 0.3])
-    assert set(found.fates) == {"on time"}
+    assert set(found.outcomes) == {"on time"}
 
 
 def test_pictures_sent_in_another_order_are_shown_in_theirs() -> None:
@@ -284,7 +284,9 @@ def partly(
     """Pictures of three packets, some of which are lost."""
     given = LinkSettings(link="given", partial=True, **{**HEADERS, **params})
     units = stills(sizes or [2500] * 4)
-    return deliver(units, np.arange(len(units)) / 10, Losing(*lost), given, np.random.default_rng(0), salvage=keep)
+    return deliver(
+        units, np.arange(len(units)) / 10, Losing(*lost), given, np.random.default_rng(0), partial_decode=keep
+    )
 
 
 def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
@@ -296,7 +298,7 @@ def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
         return 0.5
 
     found = partly(1, 5, 11, keep=keep)
-    assert found.fates == ("partial", "partial", "on time", "lost")
+    assert found.outcomes == ("partial", "partial", "on time", "lost")
     assert found.handed_s[:3] == pytest.approx([0.0, 0.2, 0.2])
     assert asked == {0: ((0, 1000), (2000, 2500)), 1: ((0, 2000),)}
     assert found.handed_bytes == 1500 + 2000 + 2500
@@ -304,20 +306,20 @@ def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
 
 def test_what_a_decoder_makes_nothing_of_is_lost() -> None:
     found = partly(1, 3, keep=lambda frame, ranges: 0.5 if ranges[0][0] == 0 else None)
-    assert found.fates == ("partial", "lost", "on time", "on time")
-    assert partly(0, 1, 2).fates[0] == "lost"
+    assert found.outcomes == ("partial", "lost", "on time", "on time")
+    assert partly(0, 1, 2).outcomes[0] == "lost"
 
 
 def test_parts_that_are_too_old_are_lost() -> None:
-    assert partly(2, deadline_ms=80).fates == ("lost", "on time", "on time", "on time")
-    assert partly(2, deadline_ms=150).fates[0] == "partial"
+    assert partly(2, deadline_ms=80).outcomes == ("lost", "on time", "on time", "on time")
+    assert partly(2, deadline_ms=150).outcomes[0] == "partial"
 
 
 def test_redundancy_that_does_not_suffice_leaves_its_data() -> None:
     """Three of data and one more, of which two come."""
     found = partly(1, 3, transport="fec", fec_share=0.3)
-    assert found.fates[0] == "partial"
-    assert found.parts[0].remains.ranges == ((0, 1000), (2000, 2500))
+    assert found.outcomes[0] == "partial"
+    assert found.parts[0].received.ranges == ((0, 1000), (2000, 2500))
 
 
 def test_what_comes_whole_is_never_taken_for_a_part() -> None:
@@ -326,13 +328,13 @@ def test_what_comes_whole_is_never_taken_for_a_part() -> None:
     without, having = (
         deliver(
             stills([3500] * 300), np.arange(300) / 30, link, LinkSettings(link="given", partial=partial),
-            np.random.default_rng(4), salvage=(lambda frame, ranges: 0.5) if partial else None,
+            np.random.default_rng(4), partial_decode=(lambda frame, ranges: 0.5) if partial else None,
         )
         for partial in (False, True)
     )  # fmt: skip
     assert (without.came == having.came).all()
-    assert {having.fates[frame] for frame in np.flatnonzero(having.came)} <= {"on time", "late"}
-    assert Counter(having.fates)["partial"] > 50
+    assert {having.outcomes[frame] for frame in np.flatnonzero(having.came)} <= {"on time", "late"}
+    assert Counter(having.outcomes)["partial"] > 50
 
 
 LINKS = st.sampled_from(
@@ -387,35 +389,39 @@ def test_everything_has_one_fate(
         decode_ms=decode_ms, concealed=concealed, partial=partial,
     )  # fmt: skip
 
-    def salvage(frame: int, ranges: Ranges) -> float | None:
+    def partial_decode(frame: int, ranges: Ranges) -> float | None:
         assert all(0 <= begin < end <= drawn[frame][0] for begin, end in ranges)
         assert all(before[1] < after[0] for before, after in pairwise(ranges))
         assert ranges != ((0, drawn[frame][0]),)
         return 0.5 if ranges[0][0] == 0 else None
 
-    found = deliver(units, stamps_s, link, given, np.random.default_rng(seed), salvage=salvage if partial else None)
+    found = deliver(
+        units, stamps_s, link, given, np.random.default_rng(seed), partial_decode=partial_decode if partial else None
+    )
     packets, most = found.packets, link.queue.packets
     assert packets.sent == packets.arrived + packets.lost + packets.dropped
     assert 0 <= packets.late <= packets.arrived
     assert min(found.waiting) >= 0
     assert most is None or max(found.waiting) <= most
-    assert len(found.fates) == len(units) == len(found.waiting)
+    assert len(found.outcomes) == len(units) == len(found.waiting)
     taken_s = (found.handed_s - found.captured_s)[found.handed]
     assert (taken_s >= link.delay_s + 1e-3 * (encode_ms + decode_ms) - 1e-9).all()
     assert (taken_s <= given.deadline_s).all()
     assert (np.diff(found.handed_s[found.handed]) >= 0).all()
     assert [
-        frame for frame, fate in enumerate(found.fates) if fate in ("on time", "concealed", "partial")
+        frame for frame, outcome in enumerate(found.outcomes) if outcome in ("on time", "concealed", "partial")
     ] == found.handed
-    assert set(found.parts) >= {frame for frame, fate in enumerate(found.fates) if fate == "partial"}
+    assert set(found.parts) >= {frame for frame, outcome in enumerate(found.outcomes) if outcome == "partial"}
     assert not any(found.came[frame] for frame in found.parts)
-    assert concealed or "concealed" not in found.fates
+    assert concealed or "concealed" not in found.outcomes
     if policy == "fifo":
-        assert "skipped" not in found.fates
+        assert "skipped" not in found.outcomes
     if transport in ("arq", "reliable") and deadline_ms is None:
-        assert "lost" not in found.fates
-    again = deliver(units, stamps_s, link, given, np.random.default_rng(seed), salvage=salvage if partial else None)
-    assert (again.fates, again.packets) == (found.fates, packets)
+        assert "lost" not in found.outcomes
+    again = deliver(
+        units, stamps_s, link, given, np.random.default_rng(seed), partial_decode=partial_decode if partial else None
+    )
+    assert (again.outcomes, again.packets) == (found.outcomes, packets)
     assert again.handed_s.tobytes() == found.handed_s.tobytes()
 
 

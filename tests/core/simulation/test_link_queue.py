@@ -8,23 +8,22 @@ import numpy as np
 import pytest
 
 from codecbench import Channel, Passage, PluginError, Queue
-from codecbench.core.simulation.link_queue import INTERVAL_S, Packet, link_queue
-from codecbench.core.simulation.world import World
+from codecbench.core.simulation.link_queue import INTERVAL_S, EventSimulator, Packet, link_queue
 from codecbench.plugins.links.constant import Constant
 
 
 def dropped_at(discipline: str, gap_s: float, count: int, service_s: float = 0.01) -> tuple[list[float], int]:
     """When a queue drops packets that come every `gap_s`, and how many went."""
-    world, drops, went = World(), [], []
+    simulator, drops, went = EventSimulator(), [], []
 
-    def on_fate(packet: Packet, passage: Passage | None) -> None:
-        (drops if passage is None else went).append(world.now_s)
+    def on_outcome(packet: Packet, passage: Passage | None) -> None:
+        (drops if passage is None else went).append(simulator.now_s)
 
     channel = Constant.create(rate_kbps=8.0 / service_s).open(np.random.default_rng(0))  # of 1,000 bytes
-    queue = link_queue(world, channel, Queue(1000, discipline), on_fate, lambda: None)  # type: ignore[arg-type]
+    queue = link_queue(simulator, channel, Queue(1000, discipline), on_outcome, lambda: None)  # type: ignore[arg-type]
     for number in range(count):
-        world.at(number * gap_s, lambda: queue.push(Packet(0, 1000)))
-    world.run()
+        simulator.at(number * gap_s, lambda: queue.push(Packet(0, 1000)))
+    simulator.run()
     assert queue.is_idle
     assert queue.waiting() == 0
     return drops, len(went)
@@ -64,8 +63,8 @@ def test_a_link_that_answers_the_impossible_is_a_fault(discipline: str, passage:
         def carry(self, size_bytes: int, start_s: float) -> Passage:
             return passage
 
-    world = World()
-    queue = link_queue(world, Wrong(), Queue(4, discipline), lambda *_: None, lambda: None)  # type: ignore[arg-type]
+    simulator = EventSimulator()
+    queue = link_queue(simulator, Wrong(), Queue(4, discipline), lambda *_: None, lambda: None)  # type: ignore[arg-type]
     with pytest.raises(PluginError, match="Wrong: a packet whose turn is at"):
         queue.push(Packet(0, 10))
 
@@ -76,16 +75,16 @@ def test_a_queue_without_room_is_none() -> None:
 
 
 def test_nothing_is_planned_for_the_past() -> None:
-    world = World()
-    world.at(1.0, lambda: world.at(0.5, lambda: None))
+    simulator = EventSimulator()
+    simulator.at(1.0, lambda: simulator.at(0.5, lambda: None))
     with pytest.raises(ValueError, match="nothing happens in the past"):
-        world.run()
+        simulator.run()
 
 
 def test_what_is_due_at_one_time_happens_in_the_order_of_planning() -> None:
-    world, seen = World(), []
+    simulator, seen = EventSimulator(), []
     for name in "abc":
-        world.at(1.0, lambda name=name: seen.append(name))  # type: ignore[misc]
-    world.at(0.5, lambda: seen.append("first"))
-    world.run()
+        simulator.at(1.0, lambda name=name: seen.append(name))  # type: ignore[misc]
+    simulator.at(0.5, lambda: seen.append("first"))
+    simulator.run()
     assert seen == ["first", "a", "b", "c"]

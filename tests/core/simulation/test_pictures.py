@@ -87,9 +87,11 @@ def test_a_picture_that_came_in_part_is_what_the_codec_makes_of_it() -> None:
     stream: Any = SimpleNamespace(packets=units, codec=codec, frame=frames.__getitem__)
     link = Losing(1)
     settings = LinkSettings(link="given", partial=True, mtu=-(-max(map(len, bitstreams)) // 3) + 40)
-    salvage = PartialDecoder(stream, {}).whole_share
-    delivery = deliver(units, np.arange(3) / 10, link, settings, np.random.default_rng(0), salvage=salvage)
-    assert delivery.fates == ("partial", "on time", "on time")
+    partial_decode = PartialDecoder(stream, {}).whole_share
+    delivery = deliver(
+        units, np.arange(3) / 10, link, settings, np.random.default_rng(0), partial_decode=partial_decode
+    )
+    assert delivery.outcomes == ("partial", "on time", "on time")
     pictures = DeliveredPictures(stream, delivery)
     first = pictures.picture(0)
     assert first is not None

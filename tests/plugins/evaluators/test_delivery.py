@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from codecbench.core.contracts.evaluator import Measurement, Outcome, SentPacket
 from codecbench.core.engine.identity import without_defaults
 from codecbench.plugins.codecs.jpeg import Jpeg
+from codecbench.plugins.codecs.raw import Raw
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.ideal import Ideal
@@ -33,7 +34,7 @@ def coded(sizes: list[int], rate_hz: float = 10.0) -> Any:
     """A coded sequence of which only sizes are known: nothing else may be asked of it."""
     packets = tuple(SentPacket(frame, size, True, frame + 1) for frame, size in enumerate(sizes))
     sequence = SimpleNamespace(timestamps_s=1.3e9 + np.arange(len(sizes)) / rate_hz, frame_rate_hz=rate_hz)
-    return SimpleNamespace(packets=packets, sequence=sequence, codec=None)
+    return SimpleNamespace(packets=packets, sequence=sequence, codec=Raw.create())
 
 
 def measured(folder: Path, sizes: list[int], repeat: int = 0, **params: Any) -> list[Measurement]:

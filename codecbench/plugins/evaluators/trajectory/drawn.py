@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Outcome
 from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Tone
-from codecbench.plugins.evaluators.fates import lanes_of_fates
+from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
 from codecbench.plugins.evaluators.trajectory import files
 from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
@@ -81,7 +81,7 @@ def _course(
         else:
             stamps_s = live.taken_s
         errors_m = _distances(live.positions, stamps_s, truth)
-        lanes = (*lanes_of_fates(live.fates), *_tracking(live.frames, states))
+        lanes = (*lanes_of_outcomes(live.outcomes), *_tracking(live.frames, states))
         return Course(live.frames, (live.positions - centre) @ axes.T, errors_m, "m", lanes, "live position error")
     at = nearest_stamps(stamps_s, optimised[:, 0], _SAME_S)
     places = np.full((len(rows), 3), np.nan)

@@ -94,16 +94,16 @@ def write_live(
             times = (float(delivery.handed_s[frame]), read_at.get(frame, math.inf))
             told = [f"{time_s:.6f}" if math.isfinite(time_s) else "" for time_s in times]
             where = ["" if math.isnan(value) else f"{value:.9g}" for value in position]
-            writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.fates[frame], *told, *where])
+            writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.outcomes[frame], *told, *where])
 
 
 @dataclass(frozen=True)
 class Live:
-    """What `write_live` wrote. frames, taken_s, fates: (M,). positions: (M, 3), NaN where nobody knew."""
+    """What `write_live` wrote. frames, taken_s, outcomes: (M,). positions: (M, 3), NaN where nobody knew."""
 
     frames: NDArray[np.int64]
     taken_s: NDArray[np.float64]
-    fates: list[str]
+    outcomes: list[str]
     positions: NDArray[np.float64]
 
 

@@ -133,13 +133,17 @@ def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was
         found = deliver(units, np.arange(count) / 30, link, settings, np.random.default_rng(0))
         received = [LOST if packet.frame in lost else packet for packet in packets]
         states = {picture.frame: picture.state for picture in decoded_of(codec, received)}
-        assert [fate == "on time" for fate in found.fates] == [states.get(i) == "whole" for i in range(count)], lost
-        assert [fate == "concealed" for fate in found.fates] == [states.get(i) == "concealed" for i in range(count)]
+        assert [outcome == "on time" for outcome in found.outcomes] == [
+            states.get(i) == "whole" for i in range(count)
+        ], lost
+        assert [outcome == "concealed" for outcome in found.outcomes] == [
+            states.get(i) == "concealed" for i in range(count)
+        ]
         shown = DeliveredPictures(coded, found)
         for frame in found.handed:
             equal = np.array_equal(shown.picture(frame), sent[frame])
-            assert equal or found.fates[frame] == "concealed"
-        assert found.fates[-1] == "on time"
+            assert equal or found.outcomes[frame] == "concealed"
+        assert found.outcomes[-1] == "on time"
 
 
 @EVERY_CODEC
