@@ -96,6 +96,8 @@ class VideoDecoder(StreamDecoder):
             pictures = self._in_order(decoded)
         except decoding_error() as error:
             decoded, pictures = [], []
+            if not self._context.is_open:  # what the header says of the stream was refused, and FFmpeg tries once
+                self._context = None
             if self._is_intact:
                 self._give_up(frame)
                 raise BitstreamError(f"the packet of frame {frame} cannot be decoded: {error}") from error
