@@ -19,28 +19,35 @@ if TYPE_CHECKING:
 @click.argument("matrices", nargs=-1, metavar="[MATRIX]...", type=click.Path(path_type=Path))
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one for each core.")
 @click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="KERNELS",
+    help="Copy the compiled kernels into this folder; where CODECBENCH_KERNELS names it, runs take them from there.",
+)
+@click.option(
     "--record", "packages", multiple=True, metavar="PACKAGE", help="Write the kernels.json of PACKAGE; repeatable."
 )
-def warm_up(matrices: tuple[Path, ...], workers: int | None, packages: tuple[str, ...]) -> None:
+def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, packages: tuple[str, ...]) -> None:
     """Compile ahead the kernels that runs of each MATRIX will call, or all that installed plugins list.
 
-    For container images and continuous integration; a run does the same at its beginning. With --record,
-    do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
+    For container images, continuous integration and other machines; a run does the same at its beginning. With
+    --record, do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
     from codecbench.core.engine.registry import installed
     from codecbench.core.engine.running.warm_up import all_kernels, kernels_to_compile
 
+    out = out and out.absolute()
     if packages:
         _record(matrices, packages)
     elif not matrices:
-        _compile(all_kernels(installed()), workers)
+        _compile(all_kernels(installed(), out), workers)
     else:
         from codecbench.core.engine.planning.matrix import read_matrix
         from codecbench.core.engine.planning.plan import make_sampled_plan
 
         plans = [make_sampled_plan(read_matrix(matrix)) for matrix in matrices]
         cells = [cell for plan in plans for cell in plan.cells if cell.unsupported is None]
-        _compile(kernels_to_compile(cells, installed()), workers)
+        _compile(kernels_to_compile(cells, installed(), out), workers)
 
 
 def _compile(wanted: WarmUp, workers: int | None) -> None:

@@ -13,6 +13,7 @@ import hashlib
 import os
 import pickle
 import platform
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -26,7 +27,7 @@ import numba.core.types
 from numba.core import caching, compiler, serialize, sigutils
 
 from codecbench.core.kernels.source import SourceError
-from codecbench.core.kernels.trust import FILE_MODE, FOLDER_MODE, kernel_folder, read_trusted
+from codecbench.core.kernels.trust import FILE_MODE, FOLDER_MODE, given_folders, kernel_folder, read_trusted
 
 # numba is typed in part and differently in each version; what it does is checked by the tests of this module.
 _settings: Any = numba.config
@@ -71,26 +72,27 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
         if self._fingerprint is None or folder is None:
             return None
         arguments, result = _arguments(signature)
-        versions = (numba.__version__, llvmlite.__version__, platform.python_version(), platform.machine())
+        versions = (numba.__version__, llvmlite.__version__, sys.version_info[:2], platform.machine())
         settings = (_settings.OPT, _settings.BOUNDSCHECK, _settings.LOOP_VECTORIZE)
         named = tuple(_named_tuples(arguments))  # numba writes a named tuple with the bare name of its class
         key = (self._fingerprint, arguments, result, codegen.magic_tuple(), versions, settings, *named)
         name = "".join(letter for letter in self.kernel.replace(":", ".") if letter.isalnum() or letter in "._-")
         return folder / f"{name}.{self.build}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}.bin"
 
+    def places(self, signature: Any, codegen: Any) -> list[Path]:
+        """Files in which the machine code of a signature may be: its own, then those that came from elsewhere."""
+        file = self.file(signature, codegen)
+        return [file, *(folder / file.name for folder in given_folders())] if file is not None else []
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled signature, or None where it is not there, damaged or not to be trusted."""
         target_context.refresh()
-        file = self.file(sig, target_context.codegen())
-        if file is None:
-            return None
-        content = read_trusted(file)
-        if content is None:
-            return None
-        digest, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-        if hashlib.sha256(payload).digest() != digest:
-            return None
-        return _result._rebuild(target_context, *pickle.loads(payload))
+        for file in self.places(sig, target_context.codegen()):
+            content = read_trusted(file) or b""
+            digest, payload = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+            if hashlib.sha256(payload).digest() == digest:
+                return _result._rebuild(target_context, *pickle.loads(payload))
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled signature, unless its code holds addresses of this very process."""
@@ -101,7 +103,7 @@ class KernelCache(caching._Cache):  # type: ignore[misc,unused-ignore]
             return
         payload = _serialize.dumps(data._reduce())
         with suppress(OSError):
-            _write_whole(file, hashlib.sha256(payload).digest() + payload)
+            write_whole(file, hashlib.sha256(payload).digest() + payload)
 
     def enable(self) -> None:
         """Nothing to do: the cache is always on."""
@@ -187,7 +189,8 @@ def _locked(file: Path | None) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def _write_whole(file: Path, content: bytes) -> None:
+def write_whole(file: Path, content: bytes) -> None:
+    """Write a file of machine code, complete or not at all, that nobody else may write."""
     _make_folder(file.parent)
     handle, unfinished = tempfile.mkstemp(dir=file.parent)
     try:

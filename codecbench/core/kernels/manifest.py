@@ -21,7 +21,8 @@ from typing import Any
 from numba.core import event
 
 from codecbench.core.kernels.argument_types import ArgumentTypeError, text_from_types, types_from_text
-from codecbench.core.kernels.cache import Build, KernelCache
+from codecbench.core.kernels.cache import Build, KernelCache, write_whole
+from codecbench.core.kernels.trust import read_trusted
 
 MANIFEST = "kernels.json"
 
@@ -46,15 +47,27 @@ class Entry:
     stage: int = 0
 
     def is_kept(self) -> bool:
-        """Whether its machine code is in the cache. Raises ManifestError where there is no such signature."""
+        """Whether its machine code is on disk, or never is. Raises ManifestError where there is no such signature."""
+        places = self.places()
+        return not places or any(file.exists() for file in places)
+
+    def places(self) -> list[Path]:
+        """Files in which its machine code may be, as `KernelCache.places` has them. Raises as `is_kept` does."""
         dispatcher, arguments = self._resolved()
-        file = dispatcher._cache.file(arguments, dispatcher.targetctx.codegen())
-        return file is None or file.exists()
+        places: list[Path] = dispatcher._cache.places(arguments, dispatcher.targetctx.codegen())
+        return places
 
     def compile(self) -> None:
         """Compile it and whatever it calls, unless that is in the cache. Raises ManifestError as `is_kept` does."""
         dispatcher, arguments = self._resolved()
         dispatcher.compile(arguments)
+
+    def copy_to(self, folder: Path) -> None:
+        """Copy its machine code into a folder. Raises ManifestError as `is_kept` does, and where there is no code."""
+        content = next((content for file in self.places() if (content := read_trusted(file))), None)
+        if content is None:
+            raise ManifestError(f"kernel {self.kernel} ({self.build}) is not kept on disk, and cannot be copied")
+        write_whole(folder / self.places()[0].name, content)
 
     def _resolved(self) -> tuple[Any, tuple[Any, ...]]:
         module, _, name = self.kernel.partition(":")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import logging
 import os
 import pwd
@@ -39,6 +41,33 @@ def kernel_folder() -> Path | None:
             return folder
         refuse(folder, reason)
     return None
+
+
+def given_folders() -> list[Path]:
+    """Where kernels lie that were compiled elsewhere: the folder in CODECBENCH_KERNELS, then `codecbench_kernels`.
+
+    That package is all that the distribution `codecbench-kernels` has. Nothing is written into these folders, and one
+    that others own or may write is refused, with a line in the log.
+    """
+    named = os.environ.get("CODECBENCH_KERNELS")
+    folders = [Path(named).expanduser()] if named else []
+    return [folder for folder in (*folders, *_installed_folders()) if _is_trusted(folder)]
+
+
+@functools.cache
+def _installed_folders() -> tuple[Path, ...]:
+    spec = importlib.util.find_spec("codecbench_kernels")
+    return tuple(map(Path, (spec and spec.submodule_search_locations) or ()))
+
+
+def _is_trusted(folder: Path) -> bool:
+    try:
+        reason = objection(folder.stat())
+    except OSError as error:
+        reason = f"it cannot be looked at ({error.strerror})"
+    if reason is not None:
+        refuse(folder, reason)
+    return reason is None
 
 
 def read_trusted(file: Path) -> bytes | None:

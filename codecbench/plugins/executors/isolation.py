@@ -89,8 +89,8 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: 
         _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
     _state.begun = files.begun
-    if "CODECBENCH_CACHE" in os.environ:
-        os.environ["CODECBENCH_CACHE"] = os.path.abspath(os.path.expanduser(os.environ["CODECBENCH_CACHE"]))
+    for name in {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys():
+        os.environ[name] = os.path.abspath(os.path.expanduser(os.environ[name]))
     os.chdir(files.scratch)
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)

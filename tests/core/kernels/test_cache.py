@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import fcntl
 import os
+import platform
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from llvmlite import binding
+
+from codecbench.core.kernels.compiled import LEVELS, level_of
 
 KERNELS = """
 from codecbench.core.kernels.compiled import compiled
@@ -100,6 +104,35 @@ def test_a_lock_left_by_a_process_that_died_holds_nobody_up(tmp_path: Path) -> N
     kept.unlink()
     kept.with_suffix(".lock").write_text("")
     assert output(start(tmp_path, PLUS)) == "3 1"
+
+
+def test_a_processor_has_the_newest_level_whose_features_it_has() -> None:
+    older = dict.fromkeys(LEVELS["x86-64-v2"], True)
+    newer = {**older, **dict.fromkeys(LEVELS["x86-64-v3"], True)}
+    assert level_of(newer) == "x86-64-v3"
+    assert level_of({**newer, "fma": False}) == "x86-64-v2"
+    assert level_of({**newer, "popcnt": False}) is None
+
+
+TARGET = """
+from numba.core.registry import cpu_target
+import locked
+print(*cpu_target.target_context.codegen().magic_tuple()[1:])
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="other architectures have no such levels")
+@pytest.mark.parametrize("chosen", ["", "x86-64"])
+def test_kernels_are_compiled_for_a_level_or_for_what_the_user_says(
+    chosen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
+    monkeypatch.delenv("NUMBA_CPU_FEATURES", raising=False)
+    if chosen:
+        monkeypatch.setenv("NUMBA_CPU_NAME", chosen)
+        monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    expected = chosen or level_of(binding.get_host_cpu_features())
+    assert output(start(tmp_path, TARGET)) == expected
 
 
 def test_a_kernel_that_calls_itself_does_not_wait_for_itself(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from codecbench.core.kernels import trust
 from codecbench.core.kernels.compiled import compiled
-from codecbench.core.kernels.trust import kernel_folder, objection, read_trusted
+from codecbench.core.kernels.trust import given_folders, kernel_folder, objection, read_trusted
 
 
 @compiled
@@ -78,6 +78,26 @@ def test_where_no_folder_is_trusted_kernels_are_compiled_in_memory(folder: Path,
     assert kernel_folder() is None
     assert tripled(14) == 42
     assert [*folder.iterdir(), *own.iterdir()] == []
+
+
+def test_a_given_folder_is_read_after_the_cache_and_checked_like_it(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = (numba.int16,)
+    tripled.compile(arguments)
+    kept = tripled._cache.file(arguments, tripled.targetctx.codegen())
+    given = tmp_path / "given"
+    given.mkdir(mode=0o755)
+    monkeypatch.setenv("CODECBENCH_KERNELS", str(given))
+    moved = kept.rename(given / kept.name)
+    assert tripled._cache.load_overload(arguments, tripled.targetctx) is not None
+    content = moved.read_bytes()
+    moved.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert tripled._cache.load_overload(arguments, tripled.targetctx) is None, "a flipped bit"
+    moved.write_bytes(content)
+    given.chmod(0o777)
+    assert given_folders() == []
+    assert tripled._cache.load_overload(arguments, tripled.targetctx) is None
 
 
 class Escape:

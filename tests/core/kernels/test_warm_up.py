@@ -84,8 +84,8 @@ class Place:
         """Kernels and builds in the cache."""
         return sorted(path.name.rpartition("-")[0] for path in (self.cache / "kernels").glob("*.bin"))
 
-    def call(self, *words: str) -> str:
-        environment = {**os.environ, "PYTHONPATH": str(self.site), "CODECBENCH_CACHE": str(self.cache)}
+    def call(self, *words: str, **variables: str) -> str:
+        environment = {**os.environ, "PYTHONPATH": str(self.site), "CODECBENCH_CACHE": str(self.cache), **variables}
         command = [sys.executable, "-m", "codecbench", *words]
         done = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, done.stdout + done.stderr
@@ -126,6 +126,22 @@ def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     assert "1 kernels to compile, 0 failed" in out, "what is there is not compiled again"
     assert "halving.kernels.halve.counting" in place.kept
     assert "0 kernels to compile, 0 failed" in place.call("warm-up", "counting.yaml")
+
+
+@pytest.mark.thorough
+def test_a_folder_of_compiled_kernels_serves_an_empty_cache(place: Place) -> None:
+    assert "1 kernels to compile, 0 failed" in place.call("warm-up", "fast.yaml", "--out", "carried")
+    (file,) = (place.folder / "carried").iterdir()
+    assert file.name.startswith("halving.kernels.halve.fast-"), "what it calls is in it"
+    empty = {"CODECBENCH_CACHE": str(place.folder / "empty")}
+    carried = {**empty, "CODECBENCH_KERNELS": "carried"}
+    assert "0 kernels to compile" in place.call("warm-up", "fast.yaml", **carried)
+    assert "cells: 1 ok" in place.call("run", "fast.yaml", **carried)
+    assert not (place.folder / "empty" / "kernels").exists()
+    file.chmod(0o664)
+    refused = place.call("run", "fast.yaml", "--out", "refused", **carried)
+    assert "cells: 1 ok" in refused
+    assert list((place.folder / "empty" / "kernels").glob("halving.kernels.halve.fast-*.bin")), "compiled again"
 
 
 @pytest.mark.slow

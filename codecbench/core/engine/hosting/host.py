@@ -172,9 +172,9 @@ class PluginHost:
 
 
 def cache_variable() -> dict[str, str]:
-    """The environment variable of where compiled kernels are kept, so that it means the same in another folder."""
-    named = os.environ.get("CODECBENCH_CACHE")
-    return {} if named is None else {"CODECBENCH_CACHE": os.path.abspath(os.path.expanduser(named))}
+    """The environment variables of where compiled kernels are, so that they mean the same in another folder."""
+    names = {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys()
+    return {name: os.path.abspath(os.path.expanduser(os.environ[name])) for name in names}
 
 
 def _death(process: subprocess.Popen[bytes]) -> str:

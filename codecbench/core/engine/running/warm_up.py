@@ -9,6 +9,7 @@ import functools
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import psutil
@@ -34,7 +35,7 @@ class WarmUp:
     """Kernels that are not in the cache: those that coding calls, which come first, and those of evaluators.
 
     Those that only longer work comes to are compiled once all others are, beside the first cells. companies: the
-    distributions that are imported to compile them.
+    distributions that are imported to compile them. out: a folder that gets a copy of what is compiled.
     """
 
     def __init__(
@@ -42,11 +43,12 @@ class WarmUp:
         coding: Iterable[Entry] = (),
         evaluating: Iterable[Entry] = (),
         companies: Mapping[Entry, tuple[str, ...]] | None = None,
+        out: Path | None = None,
     ) -> None:
         wanted = {True: list(coding), False: list(evaluating)}
         self._coding, self._evaluating = ([entry for entry in wanted[c] if entry.stage == 0] for c in (True, False))
         self._later = [entry for entries in wanted.values() for entry in entries if entry.stage > 0]
-        self._companies = companies or {}
+        self._companies, self._out = companies or {}, out
         self._under_way: dict[str, Entry] = {}
         self._executor: Executor[Any] | None = None
         self.total = len(self._coding) + len(self._evaluating) + len(self._later)
@@ -92,13 +94,20 @@ class WarmUp:
             id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
             self._under_way[id_] = entry
             company = self._companies.get(entry, ())
-            self._executor.submit(Task(id_, compile_entry, entry, company=company, confined=confines(company)))
+            work = entry, self._out
+            self._executor.submit(Task(id_, compile_entry, work, company=company, confined=confines(company)))
 
 
-def compile_entry(entry: Entry) -> None:
-    """Compile a kernel into the cache. A worker in which the compiler has left much asks for another in its place."""
+def compile_entry(work: tuple[Entry, Path | None]) -> None:
+    """Compile a kernel into the cache, and copy it into a folder where there is one.
+
+    A worker in which the compiler has left much asks for another in its place.
+    """
+    entry, out = work
     before = _bytes_at_first()
     entry.compile()
+    if out is not None:
+        entry.copy_to(out)
     retirement.asked = psutil.Process().memory_info().rss - before > _MOST_LEFT_BYTES
 
 
@@ -108,8 +117,8 @@ def _bytes_at_first() -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
-    """What the cells will call and the cache does not have."""
+def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | None = None) -> WarmUp:
+    """What the cells will call and the cache does not have; with `out` all that they will call."""
     by_setting = {(cell.sequence.dataset, cell.codec, cell.evaluator): cell for cell in cells}
     coding: dict[_Call, None] = {}
     counted: dict[_Call, None] = {}
@@ -127,25 +136,31 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry) -> WarmUp:
             evaluating |= calls(plugin)
         if descriptions[cell.evaluator]["counts"]:
             counted |= calls(cell.codec)
-    first = missing(registry, coding, "fast")
-    counting = missing(registry, counted, "counting")
-    evaluated = missing(registry, evaluating, "fast")
+    kept = out is not None
+    first = missing(registry, coding, "fast", kept=kept)
+    counting = missing(registry, counted, "counting", kept=kept)
+    evaluated = missing(registry, evaluating, "fast", kept=kept)
     later = [entry for entry in evaluated if entry not in first]
-    return WarmUp([*first], [*counting, *later], companies={**evaluated, **counting, **first})
+    return WarmUp([*first], [*counting, *later], companies={**evaluated, **counting, **first}, out=out)
 
 
-def all_kernels(registry: Registry) -> WarmUp:
-    """What any installed plugin may call and the cache does not have."""
+def all_kernels(registry: Registry, out: Path | None = None) -> WarmUp:
+    """What any installed plugin may call and the cache does not have; with `out` all that they may call."""
     names: dict[_Call, None] = {}
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
         asked = plugin.kind, plugin.spec.name
         names |= {(*asked, kernels): None for kernels in _description(registry, *asked)["kernels"]}
-    found = missing(registry, names, "fast", "counting")
-    return WarmUp([*found], companies=found)
+    entries = missing(registry, names, "fast", "counting", kept=out is not None)
+    return WarmUp([*entries], companies=entries, out=out)
 
 
-def missing(registry: Registry, calls: Collection[_Call], *builds: str) -> dict[Entry, tuple[str, ...]]:
-    """The listed kernels of packages and modules, in these builds, that the cache does not have, with their company."""
+def missing(
+    registry: Registry, calls: Collection[_Call], *builds: str, kept: bool = False
+) -> dict[Entry, tuple[str, ...]]:
+    """The listed kernels of packages and modules, in these builds, that the cache does not have, with their company.
+
+    kept: also those that it has.
+    """
     if not calls:
         return {}
     from codecbench.core.kernels.manifest import Entry  # loads numba, which a plan without kernels has no need of
@@ -157,7 +172,7 @@ def missing(registry: Registry, calls: Collection[_Call], *builds: str) -> dict[
     for asked, names in by_plugin.items():
         company = registry.find(*asked).company
         try:
-            answer = registry.ask(entries_missing, names, builds, of=[asked])
+            answer = registry.ask(entries_missing, names, builds, kept, of=[asked])
         except CodecbenchError as error:
             log.warning("%s", error)
             continue
@@ -178,15 +193,18 @@ def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, 
     return {"kernels": [str(kernels) for kernels in getattr(plugin, "kernels", ())], "counts": counts}
 
 
-def entries_missing(_: Registry, names: list[str], builds: list[str]) -> dict[str, Any]:
-    """As JSON types: `entries` of manifests for these packages that the cache does not have, and `problems`."""
+def entries_missing(_: Registry, names: list[str], builds: list[str], kept: bool) -> dict[str, Any]:
+    """As JSON types: `entries` of manifests for these packages that the cache does not have, and `problems`.
+
+    kept: also entries that the cache has.
+    """
     from codecbench.core.kernels.manifest import ManifestError, listed
 
     entries: dict[Entry, None] = {}
     problems: list[str] = []
     for name in names:
         try:
-            entries |= dict.fromkeys(e for e in listed(name) if e.build in builds and not e.is_kept())
+            entries |= dict.fromkeys(e for e in listed(name) if e.build in builds and (not e.is_kept() or kept))
         except ManifestError as error:
             problems.append(str(error))
     return {"entries": [asdict(entry) for entry in entries], "problems": problems}
