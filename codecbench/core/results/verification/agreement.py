@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from codecbench.core.engine.planning.model import Cell
 from codecbench.core.engine.storage.record import Record
@@ -16,8 +16,11 @@ Verdict = Literal["to the bit", "within tolerance", "differs", "not recomputed"]
 VERDICTS: Final[tuple[Verdict, ...]] = ("to the bit", "within tolerance", "differs", "not recomputed")
 
 TOLERANCE: Final = 1e-6
-"""Relative difference of two values up to which they agree: more than sums of floats in another order make, less than
-any table shows."""
+"""Relative difference of two values up to which they agree where libraries have other versions: more than sums of
+floats in another order make, less than any table shows."""
+
+_WITHOUT_NUMBERS: Final = {"distributed", "pandas", "pebble", "pyarrow", "pydantic"}
+"""Distributions that carry results and compute none."""
 
 Values = dict[tuple[str, str, int | None, int], float]
 """Values by metric, stage, frame, and how many of the same came before."""
@@ -25,7 +28,7 @@ Values = dict[tuple[str, str, int | None, int], float]
 
 @dataclass(frozen=True)
 class Agreement:
-    """What became of a cell. values: how many were compared. note: the worst of them, or why there are none."""
+    """What became of a cell. values: how many were compared. note: which differs first, or why there are none."""
 
     cell: Cell
     verdict: Verdict
@@ -55,22 +58,51 @@ def values_of(store: Store, record: Record, metrics: Collection[str] | None) -> 
     return values
 
 
-def compared(cell: Cell, there: Values, here: Values, tolerance: float) -> Agreement:
-    """What the values of a cell have in common with those that were computed here."""
+def other_version(there: dict[str, Any], here: dict[str, Any]) -> str:
+    """What has another version in two environments and may change a result, the first of it; empty if nothing has.
+
+    A library that one side lacks is none that the cell used. A description that comes from elsewhere may have anything
+    in any place.
+    """
+    versions = [
+        {**_part(side, "machine", "architecture"), **_part(side, "system", "libc"), **_part(side, "libraries"),
+         **_part(side, "distributions")}
+        for side in (there, here)
+    ]  # fmt: skip
+    for name in sorted(versions[0].keys() & versions[1].keys() - _WITHOUT_NUMBERS):
+        if versions[0][name] != versions[1][name]:
+            return f"{name} is {versions[0][name]} there, {versions[1][name]} here"
+    return "" if "numpy" in versions[0].keys() & versions[1].keys() else "versions are not known"
+
+
+def _part(environment: dict[str, Any], part: str, *names: str) -> dict[str, Any]:
+    values = environment.get(part)
+    values = values if isinstance(values, dict) else {}
+    return {name: value for name, value in values.items() if not names or name in names}
+
+
+def compared(cell: Cell, there: Values, here: Values, tolerance: float, other: str = "") -> Agreement:
+    """What the values of a cell have in common with those that were computed here.
+
+    other: what has another version here. Where all versions are equal nothing but equal values agree.
+    """
     if there.keys() != here.keys():
         key = min(there.keys() ^ here.keys(), key=str)
         side = "not measured here" if key in there else "measured here alone"
         return Agreement(cell, "differs", len(there), f"{_named(key)}: {side}")
     apart = {key: _distance(value, here[key]) for key, value in there.items()}
-    worst = max(apart, key=apart.__getitem__, default=None)
-    if worst is None:
+    if not apart:
         return Agreement(cell, "not recomputed", 0, "it measured nothing that comes out the same twice")
-    if apart[worst] == 0.0:
+    unequal = [key for key, distance in apart.items() if distance > 0.0]
+    if not unequal:
         return Agreement(cell, "to the bit", len(there))
-    verdict: Verdict = "within tolerance" if apart[worst] <= tolerance else "differs"
-    unequal = sum(distance > 0.0 for distance in apart.values())
-    note = f"{_named(worst)}: {there[worst]!r} there, {here[worst]!r} here; {unequal} of {len(there)} values differ"
-    return Agreement(cell, verdict, len(there), note)
+    beyond = [key for key in unequal if not other or apart[key] > tolerance]
+    first = (beyond or unequal)[0]
+    verdict: Verdict = "differs" if beyond else "within tolerance"
+    note = (
+        f"{_named(first)}: {there[first]!r} there, {here[first]!r} here; {len(unequal)} of {len(there)} values differ"
+    )
+    return Agreement(cell, verdict, len(there), f"{note}; {other or 'all versions are equal'}")
 
 
 def _distance(first: float, second: float) -> float:

@@ -6,7 +6,7 @@ import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.engine.bundling.unpacking import unpack_bundle
@@ -14,9 +14,17 @@ from codecbench.core.engine.planning.model import Cell
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.run import Listener, run_plan
 from codecbench.core.engine.storage.plan_file import PlanFile
+from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.results.relocation import SAME_PLACE
-from codecbench.core.results.verification.agreement import TOLERANCE, VERDICTS, Agreement, compared, values_of
+from codecbench.core.results.verification.agreement import (
+    TOLERANCE,
+    VERDICTS,
+    Agreement,
+    compared,
+    other_version,
+    values_of,
+)  # fmt: skip
 from codecbench.core.results.verification.replanning import Replanned, replanned
 from codecbench.core.results.verification.sample import repeatable_metrics, sampled, verifiable_cells
 
@@ -61,7 +69,8 @@ def verify_run(
 ) -> Verification:
     """Compute some cells of a bundle, or of a run folder, again and compare them with what it says.
 
-    cells, seed: how many, and which by chance. tolerance: relative difference that still agrees. out: a fresh run
+    cells, seed: how many, and which by chance. tolerance: relative difference that still agrees where libraries
+    have other versions; where they are equal, values must be. out: a fresh run
     folder to keep what was computed; without it that is removed. sequences_from: where sequences are that the plan
     names by path, a folder or `same` for where it says. Raises StoreError for a bundle that is refused, for what is no
     run, and for a folder `out` that is there already, and ParamsError for numbers out of their range.
@@ -107,4 +116,10 @@ def _agreement(there: Store, here: Store, made: Replanned, cell: Cell, tolerance
     record = here.read_record(cell.id)
     if record.status != "ok":
         return Agreement(cell, "not recomputed", note=f"{record.status} here: {record.reason}")
-    return compared(cell, known, values_of(here, record, metrics), tolerance)
+    other = other_version(_environment(there, there.read_record(cell.id)), _environment(here, record))
+    return compared(cell, known, values_of(here, record, metrics), tolerance, other)
+
+
+def _environment(store: Store, record: Record) -> dict[str, Any]:
+    """Where a record was computed; empty where nothing is known of it, which agrees with nowhere."""
+    return store.environments.read().get(record.environment or "", {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from kept_runs import write_kept_run
 
 from codecbench.core.engine.planning.model import Cell
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.results.verification.agreement import Values, compared, values_of
+from codecbench.core.results.verification.agreement import Values, compared, other_version, values_of
 
 KEY = ("error", "", 0, 0)
 
@@ -38,16 +39,40 @@ def test_the_values_of_a_record(cell: Cell, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_value(cell: Cell, there: float, here: float, verdict: str) -> None:
-    found = compared(cell, {KEY: there}, {KEY: here}, 1e-6)
+    found = compared(cell, {KEY: there}, {KEY: here}, 1e-6, "numpy is older")
     assert (found.verdict, found.values) == (verdict, 1)
     assert (found.note == "") == (verdict == "to the bit")
+    strict = compared(cell, {KEY: there}, {KEY: here}, 1e-6)
+    assert strict.verdict == (verdict if verdict == "to the bit" else "differs")
 
 
-def test_the_worst_value_is_named(cell: Cell) -> None:
+def test_the_first_value_that_does_not_agree_is_named(cell: Cell) -> None:
     there: Values = {("error", "", frame, 0): 1.0 for frame in range(4)}
-    here = {**there, ("error", "", 1, 0): 1.1, ("error", "", 2, 0): 1.5}
-    found = compared(cell, there, here, 1e-6)
-    assert found.note == "error of frame 2: 1.0 there, 1.5 here; 2 of 4 values differ"
+    here = {**there, ("error", "", 0, 0): 1.0 + 1e-9, ("error", "", 1, 0): 1.1, ("error", "", 2, 0): 1.5}
+    found = compared(cell, there, here, 1e-6, "numpy is 1.0 there, 2.0 here")
+    assert found.note == "error of frame 1: 1.0 there, 1.1 here; 3 of 4 values differ; numpy is 1.0 there, 2.0 here"
+    strict = compared(cell, there, here, 1e-6)
+    assert strict.note.startswith(f"error of frame 0: 1.0 there, {1.0 + 1e-9!r} here; 3 of 4")
+
+
+def test_versions_that_may_change_a_result_are_compared() -> None:
+    here = {
+        "machine": {"architecture": "x86_64", "cpu": "one"},
+        "system": {"libc": "glibc 2.36", "release": "6.1"},
+        "distributions": {"numpy": "2.0", "scipy": "1.15", "pandas": "2.2", "glymur": "0.14"},
+        "libraries": {"opencv JPEG": "3.1"},
+    }
+    there = json.loads(json.dumps(here))
+    there["machine"]["cpu"] = "another"
+    there["distributions"] |= {"pandas": "2.3", "imagecodecs": "2026.3"}
+    assert other_version(there, here) == ""
+    there["distributions"]["scipy"] = "1.14"
+    assert other_version(there, here) == "scipy is 1.14 there, 1.15 here"
+    assert (
+        other_version({**here, "system": {"libc": "glibc 2.41"}}, here) == "libc is glibc 2.41 there, glibc 2.36 here"
+    )
+    assert other_version({**here, "machine": {"architecture": "aarch64"}}, here).startswith("architecture is aarch64")
+    assert other_version({"distributions": 7}, here) == "versions are not known"
 
 
 def test_values_that_only_one_side_has(cell: Cell) -> None:

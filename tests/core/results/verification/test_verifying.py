@@ -13,6 +13,7 @@ import pytest
 from codecbench import Measurement, StoreError, bundle, run, verify_run
 from codecbench.core.engine.identity import canonical_json, content_digest, digest
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
+from codecbench.core.results.verification import verifying
 from codecbench.core.results.verification.verifying import Verification
 
 pytestmark = pytest.mark.thorough
@@ -75,7 +76,7 @@ def test_other_frames_of_the_same_name_are_not_compared(place: Path, tmp_path: P
     assert "has other frames here" in next(a.note for a in found.cells if a.verdict == "not recomputed")
 
 
-def test_a_value_that_somebody_changed_is_found(place: Path, tmp_path: Path) -> None:
+def test_a_value_that_somebody_changed_is_found(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was measured of `png` on the rendered frames is a little larger, and every checksum fits."""
     folder = Path(shutil.copytree(place / "run", tmp_path / "changed"))
     (folder / "records" / "index.jsonl").unlink()
@@ -99,6 +100,9 @@ def test_a_value_that_somebody_changed_is_found(place: Path, tmp_path: Path) -> 
     assert found.counts == {"to the bit": 2, "differs": 1, "not recomputed": 3}
     assert not found.holds
     assert verdicts(found)["synthetic", "png"] == "differs"
+    again = verify_run(path, cells=100, workers=1, tolerance=1e-4)
+    assert again.counts == found.counts, "versions are equal"
+    monkeypatch.setattr(verifying, "other_version", lambda *_: "numpy is older there")
     loose = verify_run(path, cells=100, workers=1, tolerance=1e-4)
     assert loose.counts == {"to the bit": 2, "within tolerance": 1, "not recomputed": 3}
     assert loose.holds
