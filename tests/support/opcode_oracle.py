@@ -69,16 +69,14 @@ class Oracle:
         self._code: dict[CodeType, tuple[dict[int, dis.Instruction], set[int]]] = {}
         self._functions: dict[FunctionType, FunctionType] = {}
         self._inside_index = False
+        self._loop: dis.Instruction | None = None
+        self._previous = ""
 
     def run(self, kernel: Kernel, *arguments: Any) -> Any:
         wrapped = [self._wrap(argument) for argument in arguments]
         function = self._interpreted(kernel.python)
-        before = sys.gettrace()
-        sys.settrace(self._trace)
-        try:
+        with self._watched():
             result = function(*wrapped)
-        finally:
-            sys.settrace(before)
         return self._unwrap(result)
 
     @property
@@ -155,28 +153,49 @@ class Oracle:
         for name in ("index_ops",) if self._inside_index and counters else counters:
             self.counts[name] += times
 
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Calls `_at` before every instruction of these functions."""
+        if sys.version_info < (3, 12):
+            before = sys.gettrace()
+            sys.settrace(self._trace)
+            try:
+                yield
+            finally:
+                sys.settrace(before)
+            return
+        watching = sys.monitoring  # from Python 3.12 on tracing misses what a function does when it first runs
+        tool, event = watching.DEBUGGER_ID, watching.events.INSTRUCTION
+        watching.use_tool_id(tool, "oracle")
+        watching.register_callback(tool, event, self._at)
+        for code in self._code:
+            watching.set_local_events(tool, code, event)
+        try:
+            yield
+        finally:
+            for code in self._code:
+                watching.set_local_events(tool, code, watching.events.NO_EVENTS)
+            watching.register_callback(tool, event, None)
+            watching.free_tool_id(tool)
+
     def _trace(self, frame: FrameType, event: str, argument: Any) -> Any:
         if frame.f_code not in self._code:
             return None
         frame.f_trace_opcodes, frame.f_trace_lines = True, False
-        instructions, indexing = self._code[frame.f_code]
-        previous: list[str] = [""]
-        loop: list[dis.Instruction] = []
+        if event == "opcode":
+            self._at(frame.f_code, frame.f_lasti)
+        return self._trace
 
-        def watch(frame: FrameType, event: str, argument: Any) -> Any:
-            if event == "opcode":
-                step = instructions[frame.f_lasti]
-                if loop and frame.f_lasti != loop.pop().argval:  # it did not jump out: a turn begins
-                    self.counts["index_ops"] += 2
-                if step.opname == "FOR_ITER":
-                    loop.append(step)
-                self._inside_index = frame.f_lasti in indexing
-                self._step(step, previous[0])
-                if step.opname not in PASSING:
-                    previous[0] = step.opname
-            return watch
-
-        return watch
+    def _at(self, code: CodeType, offset: int) -> None:
+        instructions, indexing = self._code[code]
+        step = instructions[offset]
+        if self._loop is not None and self._loop.offset < offset < self._loop.argval:  # a turn of its body begins
+            self.counts["index_ops"] += 2
+        self._loop = step if step.opname == "FOR_ITER" else None
+        self._inside_index = offset in indexing
+        self._step(step, self._previous)
+        if step.opname not in PASSING:
+            self._previous = step.opname
 
     def _step(self, step: dis.Instruction, previous: str) -> None:
         name = step.opname

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
 import re
 from dataclasses import dataclass
@@ -46,11 +47,17 @@ class Plugin:
         """Why this plugin cannot be used here and the command that installs it, or None. Imports nothing of its own."""
         if self.hosted:
             return self.absent
+        what = f"{self.kind} {self.spec.name} needs"
         absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
-        if not absent:
+        if absent:
+            command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
+            return f"{what} {', '.join(absent)}, which is not installed; run: {command}"
+        refused = _refused_versions(self.distribution.partition(" ")[0], self.spec.requires)
+        if not refused:
             return None
-        command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
-        return f"{self.kind} {self.spec.name} needs {', '.join(absent)}, which is not installed; run: {command}"
+        return (
+            f"{what} {' and '.join(refused)}; run: pip install --upgrade '{self.spec.extra or refused[0].split()[0]}'"
+        )
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,19 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
+
+
+def _refused_versions(distribution: str, libraries: tuple[str, ...]) -> list[str]:
+    """Each of these libraries whose installed version is not one that the distribution's metadata asks for."""
+    from packaging.requirements import Requirement
+
+    refused = []
+    for requirement in map(Requirement, importlib.metadata.requires(distribution) or () if libraries else ()):
+        if requirement.name.replace("-", "_") in libraries:
+            version = importlib.metadata.version(requirement.name)
+            if not requirement.specifier.contains(version, prereleases=True):
+                refused.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
+    return refused
 
 
 def spoken(kind: Kind) -> str:

@@ -11,6 +11,7 @@ import re
 import struct
 import zlib
 from abc import abstractmethod
+from inspect import signature
 from types import ModuleType
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -28,6 +29,29 @@ _CRC = struct.Struct("<I")
 _CONTENT = _HEADER.size + _CRC.size
 _SIZ = struct.Struct(">HHHH8IH")
 P = TypeVar("P", bound=Params)
+
+
+def _version(version: str, function: str, library: str) -> str:
+    """`version` if `function` is of this library, such as `libavif 1.4.0`; else `version+` and the library that it is.
+
+    Only for codecs whose rate or pixels change with the library, so that one run never mixes their results.
+    """
+    try:
+        installed: str = getattr(_load_imagecodecs((function,)), f"{function}_version")()
+    except Unsupported:
+        return version
+    return version if installed == library else f"{version}+{installed.replace(' ', '-')}"
+
+
+def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
+    try:
+        import imagecodecs
+    except ImportError as error:
+        raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
+    for function in functions:
+        if not getattr(imagecodecs, function.upper()).available:
+            raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
+    return imagecodecs  # type: ignore[no-any-return]
 
 
 class _Enveloped(Codec[P]):
@@ -103,17 +127,6 @@ class _Enveloped(Codec[P]):
         return (height, width) if channels == 1 else (height, width, 3)
 
 
-def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
-    try:
-        import imagecodecs
-    except ImportError as error:
-        raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
-    for function in functions:
-        if not getattr(imagecodecs, function.upper()).available:
-            raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
-    return imagecodecs  # type: ignore[no-any-return]
-
-
 class JpegXlParams(Params):
     """libjxl's distance and effort."""
 
@@ -125,6 +138,7 @@ class JpegXl(_Enveloped[JpegXlParams]):
     """JPEG XL (ISO/IEC 18181) by libjxl."""
 
     name = "jpegxl"
+    version = _version("1", "jpegxl", "libjxl 0.11.2")
     params_type = JpegXlParams
     examples = ({}, {"distance": 0})
     magic, function, decoding = b"ICxl", "jpegxl", {"numthreads": 1}
@@ -155,7 +169,8 @@ class JpegLs(_Enveloped[JpegLsParams]):
         return self.params.near == 0
 
     def _arguments(self) -> dict[str, Any]:
-        return {"level": self.params.near}
+        offered = signature(self._library.jpegls_encode).parameters
+        return {"level": self.params.near} | ({"spiff": True} if "spiff" in offered else {})  # older releases always do
 
 
 class Htj2kParams(Params):
@@ -227,6 +242,7 @@ class Avif(_Enveloped[AvifParams]):
     """AVIF (AV1 still pictures) by libavif. Gray is coded as colour: the binding codes gray only lossless."""
 
     name = "avif"
+    version = _version("1", "avif", "libavif 1.4.0")
     params_type = AvifParams
     examples = ({}, {"subsampling": "444", "quality": 90})
     magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
@@ -239,4 +255,5 @@ class Avif(_Enveloped[AvifParams]):
 
     def _arguments(self) -> dict[str, Any]:
         params = self.params
-        return {"level": params.quality, "speed": params.speed, "pixelformat": params.subsampling, "numthreads": 1}
+        chroma = self._library.AVIF.PIXEL_FORMAT[f"YUV{params.subsampling}"]  # releases spell its text differently
+        return {"level": params.quality, "speed": params.speed, "pixelformat": chroma, "numthreads": 1}

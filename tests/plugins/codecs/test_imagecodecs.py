@@ -113,3 +113,18 @@ def test_the_library_that_codes_is_recorded_with_its_version(codec_class: Any) -
     assert libraries.pop("imagecodecs") == importlib.metadata.version("imagecodecs")
     assert set(libraries) in ({"libjxl"}, {"charls"}, {"openjph", "openjpeg"}, {"libwebp"}, {"libavif"})
     assert all(re.match(r"\d+\.\d+\.\d+", version) for version in libraries.values())
+
+
+@pytest.mark.parametrize(("codec_class", "library"), [(JpegXl, "libjxl 0.11.2"), (Avif, "libavif 1.4.0")])
+def test_another_library_whose_pixels_differ_is_another_version(codec_class: Any, library: str) -> None:
+    name, version = library.split()
+    installed = codec_class.create().libraries()[name]
+    assert codec_class.version == ("1" if installed == version else f"1+{name}-{installed}")
+
+
+@pytest.mark.parametrize("subsampling", ["444", "422", "420"])
+def test_avif_samples_chroma_as_it_was_told(subsampling: str) -> None:
+    """By the two bits in which the property `av1C` (AV1 in ISOBMFF, 2.3.3) says how chroma is sampled."""
+    content = Avif.create(subsampling=subsampling).encode(PICTURE)
+    flags = content[content.index(b"av1C") + 4 + 2]
+    assert (flags >> 3 & 1, flags >> 2 & 1) == {"444": (0, 0), "422": (1, 0), "420": (1, 1)}[subsampling]

@@ -16,7 +16,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.video.colour import image_from_frame
 from codecbench.plugins.codecs.video.encoders import Encoder
 from codecbench.plugins.codecs.video.header import Header
-from codecbench.plugins.codecs.video.library import decoding_error, open_decoder, packet_for
+from codecbench.plugins.codecs.video.library import decoding_errors, open_decoder, packet_for
 from codecbench.plugins.codecs.video.recovery import frames_to_recovery
 
 
@@ -94,7 +94,7 @@ class VideoDecoder(StreamDecoder):
                 self._context.flush_buffers()  # a lost frame number that wraps round has it take this for long shown
                 decoded = self._context.decode(packet_for(data, frame))
             pictures = self._in_order(decoded)
-        except decoding_error() as error:
+        except decoding_errors() as error:
             decoded, pictures = [], []
             if not self._context.is_open:  # what the header says of the stream was refused, and FFmpeg tries once
                 self._context = None
@@ -117,7 +117,7 @@ class VideoDecoder(StreamDecoder):
     def _drained(self) -> list[Any]:
         try:
             return [] if self._context is None else list(self._context.decode(None))
-        except decoding_error():
+        except decoding_errors():
             return []
 
     def _in_order(self, frames: list[Any]) -> list[Picture]:

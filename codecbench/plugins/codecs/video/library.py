@@ -110,10 +110,9 @@ def video_frame(width: int, height: int, pixel_format: str) -> VideoFrame:
     return frame
 
 
-def decoding_error() -> type[Exception]:
-    """What FFmpeg's decoders raise."""
-    error: type[Exception] = load_av().FFmpegError
-    return error
+def decoding_errors() -> tuple[type[Exception], ...]:
+    """What FFmpeg's decoders raise: PyAV 19 a ValueError too, after bytes with which a decoder could not be opened."""
+    return load_av().FFmpegError, ValueError
 
 
 def versions() -> dict[str, str]:
