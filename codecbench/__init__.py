@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.link import Channel, Link, Passage, Queue
     from codecbench.core.contracts.metric import Metric
     from codecbench.core.contracts.params import NoParams, Params, PathParam
-    from codecbench.core.contracts.sequence import Camera, Dataset, Frame, Origin, Sequence, Trajectory
+    from codecbench.core.contracts.sequence import Camera, Dataset, Frame, FrameSequence, Origin, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
     from codecbench.core.contracts.stream import LOST, Loss, Packet, Picture, StreamDecoder, StreamEncoder
     from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
@@ -95,7 +95,7 @@ _HOMES = {
     _CONTRACTS + "link": ("Channel", "Link", "Passage", "Queue"),
     _CONTRACTS + "metric": ("Metric",),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
-    _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "Origin", "Sequence", "Trajectory"),
+    _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "FrameSequence", "Origin", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
     _CONTRACTS + "stream": ("LOST", "Loss", "Packet", "Picture", "StreamDecoder", "StreamEncoder"),
     _CONTRACTS + "view": ("Course", "Drawing", "Lane", "Line", "Marks", "View"),
@@ -120,7 +120,7 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-_RENAMED = {"Offer": "PluginSpec"}
+_RENAMED = {"Offer": "PluginSpec", "Sequence": "FrameSequence"}
 
 
 def __getattr__(name: str) -> Any:

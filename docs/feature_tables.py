@@ -22,7 +22,7 @@ from slam_runs import error_m, path_of, system_of
 from codecbench.core.contracts.codec import AnyCodec, decoder_of, encoder_of
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.engine.registry import installed
 from codecbench.core.results.markdown import table
 from codecbench.core.results.run_result import RunResult
@@ -113,7 +113,7 @@ def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
     )
 
 
-def rows(sequence: Sequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:
+def rows(sequence: FrameSequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:
     """One for each setting. The first is raw, whose paths the others' are compared with."""
     raw: list[Trajectory] = []
     for setting in settings(frames):
@@ -171,7 +171,7 @@ def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
     return sent
 
 
-def path(sequence: Sequence, sent: Sent, start: int) -> Trajectory:
+def path(sequence: FrameSequence, sent: Sent, start: int) -> Trajectory:
     """The path that SLAM finds from a frame on."""
     system = system_of(sequence, sent.features)
     for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):

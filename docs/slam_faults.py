@@ -20,7 +20,7 @@ from slam_runs import error_m, path_of, system_of
 
 from codecbench import slam
 from codecbench.core.contracts.image import Image, gray_from_image
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.results.markdown import table
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.tum import Tum
@@ -126,7 +126,7 @@ class Outcome:
 class Film:
     """A sequence in memory."""
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: FrameSequence) -> None:
         self.sequence = sequence
         self._frames: dict[int, Image] = {}
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from codecbench import slam
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 
 
-def system_of(sequence: Sequence, features: int = 1000) -> slam.System:
+def system_of(sequence: FrameSequence, features: int = 1000) -> slam.System:
     """A SLAM for the camera of a sequence."""
     camera = sequence.camera
     assert camera is not None

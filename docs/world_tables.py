@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image, gray_from_image
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
@@ -59,14 +59,14 @@ def spectrum_slope(gray: Image) -> float:
     return float(np.polyfit(np.log(np.sqrt(edges[1:] * edges[:-1])), np.log(means), 1)[0])
 
 
-def spread(sequence: Sequence, frames: int = 6) -> NDArray[np.float64]:
+def spread(sequence: FrameSequence, frames: int = 6) -> NDArray[np.float64]:
     """Statistics (3, 3) over evenly spaced frames: least, median and largest of each."""
     chosen = np.linspace(0, len(sequence) - 1, frames).astype(int)
     values = np.array([statistics(sequence.read(int(index)).image) for index in chosen])
     return np.array([values.min(axis=0), np.median(values, axis=0), values.max(axis=0)])
 
 
-def real_sequences() -> Iterator[tuple[str, Sequence]]:
+def real_sequences() -> Iterator[tuple[str, FrameSequence]]:
     folder = os.environ.get("CODECBENCH_DATA")
     if not folder:
         raise SystemExit("CODECBENCH_DATA names no folder; set it to the one that holds the real sequences")

@@ -11,7 +11,7 @@ import pytest
 from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, Plugins, context, jpeg, textured
 
 from codecbench.core.contracts.evaluator import CodedFrame, SequenceEvaluator
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.evaluators.features import Features
@@ -53,7 +53,7 @@ def test_features_of_six_frames(benchmark: Any, tmp_path: Path) -> None:
 class Filmed(MemorySequence):
     """Frames of another sequence, held in memory with what evaluators keep beside them, as in a worker."""
 
-    def __init__(self, source: Sequence) -> None:
+    def __init__(self, source: FrameSequence) -> None:
         self.kept = [source.read(index) for index in range(len(source))]
         super().__init__([frame.image for frame in self.kept], source.camera, source.ground_truth)
         self.timestamps_s, self.frame_rate_hz = source.timestamps_s, source.frame_rate_hz
@@ -65,7 +65,7 @@ class Filmed(MemorySequence):
 class Stored(CodedInMemory):
     """Every frame coded beforehand and decoded whenever it is asked for."""
 
-    def __init__(self, sequence: Sequence, quality: int) -> None:
+    def __init__(self, sequence: FrameSequence, quality: int) -> None:
         super().__init__(sequence)
         self.codec = Jpeg.create(quality=quality)
         self.bitstreams = [self.codec.encode(sequence.read(index).image) for index in range(len(sequence))]

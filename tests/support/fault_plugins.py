@@ -28,6 +28,7 @@ from codecbench import (
     DatasetError,
     Frame,
     FrameEvaluator,
+    FrameSequence,
     Image,
     Measurement,
     Metric,
@@ -35,7 +36,6 @@ from codecbench import (
     Params,
     PathParam,
     PluginSpec,
-    Sequence,
     SequenceEvaluator,
     Trace,
     hookimpl,
@@ -49,7 +49,7 @@ class StackParams(Params):
     path: PathParam
 
 
-class StackSequence(Sequence):
+class StackSequence(FrameSequence):
     """Frames in one .npy file, (N, H, W)."""
 
     def __init__(self, path: Path) -> None:
@@ -73,7 +73,7 @@ class Stack(Dataset[StackParams]):
     version = "1"
     params_type = StackParams
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         return StackSequence(self.params.path)
 
 
@@ -259,7 +259,7 @@ class Alone(CodecEvaluator[NoParams]):
     exclusive = True
     repeats = 2  # type: ignore[assignment]
 
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: Codec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         yield Measurement("begun_s", time.monotonic())
         yield Measurement("cores", len(os.sched_getaffinity(0)))
 

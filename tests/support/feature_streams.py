@@ -10,7 +10,7 @@ from memory_sequence import MemorySequence
 from codecbench import FeatureCodec
 from codecbench.core.conformance.material import pictures_with_corners
 from codecbench.core.contracts.params import P
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
@@ -19,7 +19,7 @@ from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_s
 PICTURES = pictures_with_corners(1)[0].pictures
 
 
-def coded_features(codec: FeatureCodec[P], sequence: Sequence | None = None) -> CodedFrames:
+def coded_features(codec: FeatureCodec[P], sequence: FrameSequence | None = None) -> CodedFrames:
     """A sequence as a run codes it and reads it again; by default of PICTURES."""
     sequence, stream = sequence or MemorySequence(PICTURES), BytesIO()
     write_stream(stream, encode_sequence(codec, sequence, WorkPosition()), JOB)

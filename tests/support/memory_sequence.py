@@ -13,11 +13,11 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.evaluator import CodedFrame, Context, SentPacket
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import NoParams
-from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 
-class MemorySequence(Sequence):
+class MemorySequence(FrameSequence):
     """Frames from a list of images at 10 Hz."""
 
     def __init__(
@@ -58,7 +58,7 @@ class FunctionCodec(Codec[NoParams]):
 class CodedInMemory:
     """A CodedSequence: every frame damaged by the codec when it is asked for."""
 
-    def __init__(self, sequence: Sequence, codec: FunctionCodec | None = None) -> None:
+    def __init__(self, sequence: FrameSequence, codec: FunctionCodec | None = None) -> None:
         self.sequence = sequence
         self.codec: Any = codec or FunctionCodec()
 

@@ -20,13 +20,13 @@ from codecbench import (
     DatasetError,
     Frame,
     FrameEvaluator,
+    FrameSequence,
     Image,
     Measurement,
     Metric,
     NoParams,
     Params,
     PluginSpec,
-    Sequence,
     Trace,
     Unsupported,
     hookimpl,
@@ -40,7 +40,7 @@ class RampParams(Params):
     broken: bool = False
 
 
-class RampSequence(Sequence):
+class RampSequence(FrameSequence):
     """Horizontal ramps, one gray level brighter each frame."""
 
     def __init__(self, params: RampParams) -> None:
@@ -63,7 +63,7 @@ class Ramp(Dataset[RampParams]):
     version = "1"
     params_type = RampParams
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         if self.params.broken:
             raise DatasetError("ramp.txt:3: broken on purpose")
         return RampSequence(self.params)
@@ -141,7 +141,7 @@ class Stopwatch(CodecEvaluator[RoundsParams]):
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         return {}
 
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: Codec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         yield Measurement("ticks", float(len(codec.encode(sequence.read(0).image))))
 
 

@@ -16,12 +16,12 @@ from codecbench import (
     CodedFrame,
     Context,
     FrameEvaluator,
+    FrameSequence,
     Image,
     Measurement,
     Metric,
     Params,
     PluginSpec,
-    Sequence,
     Trace,
     hookimpl,
 )
@@ -54,7 +54,7 @@ class Noop(CodecEvaluator[Number]):
     params_type = Number
     metrics = (Metric("number", "1", "neither", "its own number"),)
 
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: Codec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         yield Measurement("number", float(self.params.number))
 
 
@@ -66,7 +66,7 @@ class Burn(CodecEvaluator[Number]):
     params_type = Number
     metrics = (Metric("number", "1", "neither", "its own number"),)
 
-    def evaluate(self, codec: Codec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: Codec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         burn(0.5)
         yield Measurement("number", float(self.params.number))
 

@@ -21,13 +21,13 @@ from codecbench import (
     Dataset,
     Frame,
     FrameEvaluator,
+    FrameSequence,
     Image,
     Measurement,
     Metric,
     NoParams,
     Params,
     PluginSpec,
-    Sequence,
     SequenceEvaluator,
     Trace,
     hookimpl,
@@ -42,7 +42,7 @@ class FlatParams(Params):
     gray: int = Field(default=0, ge=0, le=255)
 
 
-class FlatSequence(Sequence):
+class FlatSequence(FrameSequence):
     """Frames of one gray."""
 
     def __init__(self, params: FlatParams) -> None:
@@ -64,7 +64,7 @@ class Flat(Dataset[FlatParams]):
     version = "1"
     params_type = FlatParams
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         return FlatSequence(self.params)
 
 
@@ -174,7 +174,7 @@ class Lag(CodecEvaluator[LagParams]):
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         return {}
 
-    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         yield Measurement("lag_ms", 1.5)
 
 

@@ -65,12 +65,17 @@ class Sandbox:
         assert self._connection is not None
         try:
             self._connection.send((function, arguments, memory_mb))
-            if not self._connection.poll(timeout_s):
-                self.stop()
-                return Reply("hung", reason=f"no answer within {timeout_s:g} s")
-            reply: Reply = self._connection.recv()
+            reply = None
+            for limit_s in (_START_TIMEOUT_S, timeout_s):  # importing the codec's module is not its decoding
+                if not self._connection.poll(limit_s):
+                    self.stop()
+                    return Reply("hung", reason=f"no answer within {limit_s:g} s")
+                reply = self._connection.recv()
+                if reply is not None:
+                    break
         except (EOFError, ConnectionError):
             return Reply("crashed", reason=_death(self.stop()))
+        assert isinstance(reply, Reply)
         return reply
 
     def stop(self) -> int | None:
@@ -124,6 +129,7 @@ def _serve(connection: Connection) -> None:
             reason = f"the codec's module does not import in another process: {type(error).__name__}: {error}"
             connection.send(Reply("raised", reason=reason))
             continue
+        connection.send(None)
         reply = _answer(*request)
         try:
             connection.send(reply)

@@ -23,7 +23,7 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Configured, P
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.core.contracts.stream import Packet
 from codecbench.core.contracts.view import Drawing, Marks, View
 
@@ -92,7 +92,7 @@ class CodedSequence(Protocol):
     """All frames of a sequence under one codec setting; frames are read and decoded as they are asked for."""
 
     @property
-    def sequence(self) -> Sequence: ...
+    def sequence(self) -> FrameSequence: ...
 
     @property
     def codec(self) -> AnyCodec[Any]: ...
@@ -267,5 +267,5 @@ class CodecEvaluator(Evaluator[P]):
     """Runs the codec itself; never sees cached bitstreams."""
 
     @abstractmethod
-    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         """Measurements of the codec at work on the sequence; `codec` is a Codec, a StreamCodec or a FeatureCodec."""

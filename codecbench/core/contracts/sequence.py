@@ -102,7 +102,7 @@ class Origin:
     params: dict[str, Any] = field(default_factory=dict)
 
 
-class Sequence(ABC):
+class FrameSequence(ABC):
     """Frames in order, read one at a time, with whatever is known about the camera and its true path.
 
     Attributes that every sequence sets: `name`, unique within a matrix; `timestamps_s` (N,) strictly
@@ -152,5 +152,5 @@ class Dataset(Configured[P]):
         return None
 
     @abstractmethod
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         """Check what is there and return the sequence. Raises DatasetError with file and line."""

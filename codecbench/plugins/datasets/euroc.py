@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera, Dataset, Origin, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, numbers_in
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
@@ -51,7 +51,7 @@ class Euroc(Dataset[EurocParams]):
         truth = root / "mav0" / "state_groundtruth_estimate0" / "data.csv"
         return params if truth.is_file() else {**params, "ground_truth": False}
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         params = self.params
         root = params.folder("mav0/")
         folder = root / "mav0" / params.camera

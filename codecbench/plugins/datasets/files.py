@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence as Ordered
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
-from codecbench.core.contracts.sequence import Camera, Frame, Origin, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.coded_before import jpeg_notes
 from codecbench.plugins.datasets.selection import Color, converted
 
@@ -110,7 +110,7 @@ class Content:
     origin: Origin = field(default_factory=Origin)
 
 
-class FileSequence(Sequence):
+class FileSequence(FrameSequence):
     """Frames read from one image file each. Opening reads the first, and checks that all are there."""
 
     def __init__(self, content: Content) -> None:
@@ -169,7 +169,7 @@ class FileSequence(Sequence):
             raise DatasetError(f"{file}: is {width}x{height}, but the calibration is for {size}; scale one of them")
 
 
-def known_facts(sequence: Sequence) -> dict[str, Any]:
+def known_facts(sequence: FrameSequence) -> dict[str, Any]:
     """Times, camera and ground truth of a sequence as JSON types, for its fingerprint."""
     truth = sequence.ground_truth
     return {
@@ -187,7 +187,7 @@ def _camera_facts(camera: Camera) -> dict[str, Any]:
     return facts if camera.model != "pinhole" else {name: facts[name] for name in facts if name != "model"}
 
 
-def _check_all_there(files: Ordered[Path]) -> None:
+def _check_all_there(files: Sequence[Path]) -> None:
     missing = [file for file in files if not file.is_file()]
     if missing:
         more = f" (and {len(missing) - 1} more of {len(files)})" if len(missing) > 1 else ""

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Dataset, Origin, Sequence
+from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import Located, OwnCamera
 
@@ -34,7 +34,7 @@ class Folder(Dataset[FolderParams]):
         there = path.is_dir() and any(file.suffix.lower() in EXTENSIONS for file in path.iterdir())
         return {"path": str(path)} if there else None
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         params = self.params
         folder = params.folder("image files")
         files = image_files(folder)

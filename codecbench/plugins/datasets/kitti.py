@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera, Dataset, Origin, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
@@ -55,7 +55,7 @@ class Kitti(Dataset[KittiParams]):
         params = {"path": str(root), "sequence": sequence, "camera": cameras[0]}
         return params if (root / "poses" / f"{sequence}.txt").is_file() else {**params, "ground_truth": False}
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         params = self.params
         root = params.folder("sequences/ and poses/")
         if (root / "dataset").is_dir():

@@ -11,20 +11,20 @@ import numpy as np
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
-from codecbench.core.contracts.sequence import Camera, Frame, Origin, Sequence
+from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin
 
 MIN_SIDE_PX = 16
 """Pixels: smaller frames show nothing, and no synthetic one is smaller."""
 
 
-class ScaledSequence(Sequence):
+class ScaledSequence(FrameSequence):
     """The frames of another sequence at `scale` times their width and height; times and ground truth are its own.
 
     A pixel of a smaller frame is the mean of the area that it covers; larger frames are interpolated, bicubic. Raises
     DatasetError for frames that would have sides below MIN_SIDE_PX, or more than MAX_PIXELS.
     """
 
-    def __init__(self, source: Sequence, scale: float) -> None:
+    def __init__(self, source: FrameSequence, scale: float) -> None:
         self.name = source.name
         self.timestamps_s = source.timestamps_s
         self.frame_rate_hz = source.frame_rate_hz

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
-from codecbench.core.contracts.sequence import Camera, Sequence
+from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
 from codecbench.plugins.datasets.scaling import ScaledSequence
 
@@ -56,7 +56,7 @@ class Selection(Params):
         steps = f", in steps of {self.stride}" if self.stride > 1 else ""
         return (f"{len(chosen):,} of {count:,} frames are used, from {chosen[0]:,} to {chosen[-1]:,}{steps}",)
 
-    def scaled(self, sequence: Sequence) -> Sequence:
+    def scaled(self, sequence: FrameSequence) -> FrameSequence:
         """The sequence with frames of the size that `scale` asks for. Raises DatasetError for one out of bounds."""
         return sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
 

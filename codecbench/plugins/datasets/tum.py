@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Dataset, Origin, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import FREIBURG
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import FoundCamera, Located, OwnCamera, found_in_file
@@ -53,7 +53,7 @@ class Tum(Dataset[TumParams]):
         truth = (path / "groundtruth.txt").is_file()
         return {"path": str(path)} | ({} if known else {"camera": "none"}) | ({} if truth else {"ground_truth": False})
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         params = self.params
         folder = params.folder("rgb.txt")
         rows = read_rows(folder / "rgb.txt", "the list of frames", 2)

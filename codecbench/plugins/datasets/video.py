@@ -14,7 +14,7 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Dataset, Frame, Origin, Sequence
+from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, digest_of, digest_of_file, known_facts
 from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted
 
@@ -50,7 +50,7 @@ class Video(Dataset[VideoParams]):
             return None
         return {"path": str(path)} if cv2.VideoCapture(str(path)).isOpened() else None
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         return self.params.scaled(VideoSequence(self.params))
 
 
@@ -70,7 +70,7 @@ class _Index:
         return all(before < now for before, now in zip(self.times_s, self.times_s[1:], strict=False))
 
 
-class VideoSequence(Sequence):
+class VideoSequence(FrameSequence):
     """Decodes forward; a frame that is far ahead or behind is sought, and the jump is checked by its time."""
 
     def __init__(self, params: VideoParams) -> None:

@@ -22,7 +22,7 @@ from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurem
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import Camera, Sequence
+from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.evaluators.true_poses import Poses, rotation_angles_deg, true_poses
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.places.keyframe_database import KeyframeDatabase
@@ -107,7 +107,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
                 reason = "no other frame shows the place of this one"
                 yield from (Measurement(m.name, math.nan, frame=index, reason=reason) for m in self.metrics)
 
-    def _places(self, sequence: Sequence, bags: _Bags) -> Places:
+    def _places(self, sequence: FrameSequence, bags: _Bags) -> Places:
         params = self.params
         poses = true_poses(sequence, params.association_s)
         stamps_s = sequence.timestamps_s

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
 Poses = NDArray[np.float64]
 
 
-def true_poses(sequence: Sequence, association_s: float) -> Poses:
+def true_poses(sequence: FrameSequence, association_s: float) -> Poses:
     """(N, 4, 4) world_from_camera of every frame, NaN where no true pose is within `association_s` of it.
 
     Raises Unsupported where the sequence has no ground truth, or none near a frame.

@@ -19,12 +19,12 @@ from codecbench.core.engine.identity import canonical_json, digest, seed_from, w
 PLUGINS = """
 from codecbench import (
     NULL_TRACE, Capabilities, Codec, Dataset, Frame, FrameEvaluator, Measurement, Metric, NoParams, Params, PluginSpec,
-    Sequence, hookimpl,
+    FrameSequence, hookimpl,
 )
 import numpy as np
 
 
-class Noise(Sequence):
+class Noise(FrameSequence):
     name, frame_rate_hz, channels, camera, ground_truth, fingerprint = "noise", 1.0, 1, None, None, "noise"
     timestamps_s = np.arange(3.0)
 

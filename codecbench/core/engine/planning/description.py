@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.foreign_text import clean_line, clean_value
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json, without_defaults
@@ -179,8 +179,8 @@ def _plain(detail: Any) -> dict[str, Any]:
 def sequence_described(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
     """What a plan keeps of a dataset's sequence, which is opened. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
-    if not isinstance(sequence, Sequence):
-        raise PluginError(f"open returned {type(sequence).__name__}; it returns a Sequence")
+    if not isinstance(sequence, FrameSequence):
+        raise PluginError(f"open returned {type(sequence).__name__}; it returns a FrameSequence")
     found = {"name": sequence.name, "fingerprint": sequence.fingerprint}
     for attribute, value in found.items():
         if not isinstance(value, str) or not value:
@@ -197,14 +197,14 @@ def sequence_described(registry: Registry, name: str, params: dict[str, Any]) ->
     }
 
 
-def _notes(sequence: Sequence) -> list[str]:
+def _notes(sequence: FrameSequence) -> list[str]:
     notes = sequence.notes
     if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
         raise PluginError(f"{type(sequence).__name__}.notes is {type(notes).__name__}; it is a tuple of strings")
     return [clean_line(note) for note in notes[:_MOST_NOTES]]
 
 
-def _check_frames(sequence: Sequence) -> None:
+def _check_frames(sequence: FrameSequence) -> None:
     """Raise PluginError for a sequence whose frames cannot be read in order."""
     title, frames = type(sequence).__name__, len(sequence)
     if frames == 0:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import check_image
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 
 MOST_BYTES = 128 << 20
 """Two workers, each with these, half as many of decoded frames, and its compiled kernels, stay below 1.5 GB."""
@@ -37,7 +37,7 @@ class FrameCache:
         self.used_bytes = 0
         self._frames: dict[str, dict[int, Frame]] = {}
 
-    def read(self, sequence: Sequence, index: int) -> Frame:
+    def read(self, sequence: FrameSequence, index: int) -> Frame:
         """Frame `index` of `sequence`, from memory where it was kept; the caller owns the pixels."""
         frames = self._frames.setdefault(sequence.fingerprint, {})
         frame = frames.get(index)
@@ -58,10 +58,10 @@ class FrameCache:
         return self.used_bytes + size_bytes <= self.limit_bytes
 
 
-class CachedSequence(Sequence):
+class CachedSequence(FrameSequence):
     """A sequence whose frames come through a cache; everything else is as the sequence says."""
 
-    def __init__(self, source: Sequence, name: str, cache: FrameCache) -> None:
+    def __init__(self, source: FrameSequence, name: str, cache: FrameCache) -> None:
         self.name = name
         self.timestamps_s = source.timestamps_s
         self.frame_rate_hz = source.frame_rate_hz

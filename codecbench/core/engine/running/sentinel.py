@@ -22,7 +22,7 @@ from codecbench.core.contracts.evaluator import (
 )
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.core.engine.registry import Registry
 
 _WATCHED: Final = ("codecbench", "numpy", "cv2", "scipy", "skimage")
@@ -71,7 +71,7 @@ class Sentinel:
                 yield evaluator.name, f"{type(error).__name__}: {error}"
 
 
-class KnownSequence(Sequence):
+class KnownSequence(FrameSequence):
     """Two gray pictures of 96x128 with edges and a ramp, the second shifted."""
 
     name, channels, frame_rate_hz, camera, ground_truth, fingerprint = "known", 1, 10.0, None, None, "known"

@@ -29,7 +29,7 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.executor import Status, retirement
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.foreign_text import clean_line, clean_text
@@ -195,7 +195,9 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
     return Record(job.id, "ok", contents={BITSTREAMS: content.getvalue()})
 
 
-def _write_coded(file: BinaryIO, codec: AnyCodec[Any], sequence: Sequence, job_id: str, position: WorkPosition) -> None:
+def _write_coded(
+    file: BinaryIO, codec: AnyCodec[Any], sequence: FrameSequence, job_id: str, position: WorkPosition
+) -> None:
     """Encode the sequence into a file of the job."""
     packets = encode_sequence(codec, sequence, position)
     if codec.stateless:

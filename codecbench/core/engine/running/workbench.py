@@ -12,7 +12,7 @@ from codecbench.core.contracts.errors import DatasetError, PluginError
 from codecbench.core.contracts.evaluator import PluginUse
 from codecbench.core.contracts.executor import PATHS_VARIABLE
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.environment import describe_environment, environment_id
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.plugin_code import code_label, code_of
@@ -36,7 +36,7 @@ class Workbench:
         self._sentinel: Sentinel | None = None
         self._cache = FrameCache()
         self._pictures = SharedPictures(0)
-        self._sequences: dict[str, Sequence] = {}
+        self._sequences: dict[str, FrameSequence] = {}
         self._code: dict[str, str] = {}
 
     def join(self, company: tuple[str, ...]) -> None:
@@ -79,7 +79,7 @@ class Workbench:
             raise PluginError(f"{message} and {setting.version} in the plan; install the same version everywhere")
         return instance
 
-    def sequence(self, entry: SequenceEntry, cache_bytes: int) -> Sequence:
+    def sequence(self, entry: SequenceEntry, cache_bytes: int) -> FrameSequence:
         """The sequence, opened once, with frames kept up to `cache_bytes`.
 
         Raises DatasetError where it is no longer the one that was planned.

@@ -16,7 +16,7 @@ import numpy as np
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
@@ -252,9 +252,9 @@ def views_values(
 
 
 @lru_cache(maxsize=1)
-def _opened(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> Sequence:
+def _opened(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> FrameSequence:
     """A sequence, whose frames are read once for all settings. params: as JSON."""
-    sequence: Sequence = registry.create("dataset", dataset, json.loads(params)).open()
+    sequence: FrameSequence = registry.create("dataset", dataset, json.loads(params)).open()
     if sequence.fingerprint != fingerprint or len(sequence) != frames:
         raise DatasetError("its frames are no longer those of the run")
     return CachedSequence(sequence, sequence.name, FrameCache())

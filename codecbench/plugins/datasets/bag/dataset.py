@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Dataset, Frame, Origin, Sequence
+from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.bag_file import Integers
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
 from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
@@ -81,11 +81,11 @@ class Bag(Dataset[BagParams]):
         """A file whose name says that it is a bag, or a folder that holds such files of ROS 2."""
         return {"path": str(path)} if is_called_a_bag(path) else None
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         return self.params.scaled(BagSequence(self.params))
 
 
-class BagSequence(Sequence):
+class BagSequence(FrameSequence):
     """Reads a message a frame. Opening reads the headers of the pictures, and the camera's and the poses' messages."""
 
     def __init__(self, params: BagParams) -> None:

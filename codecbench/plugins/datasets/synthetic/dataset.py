@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Camera, Dataset, Sequence
+from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence
 from codecbench.plugins.datasets.selection import Selection
 from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
@@ -81,7 +81,7 @@ class Synthetic(Dataset[SyntheticParams]):
     kernels = ("codecbench.plugins.datasets.synthetic",)
     params_type = SyntheticParams
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         p = self.params
         if p.world is None or p.severity is None:
             return p.scaled(SyntheticSequence(p))

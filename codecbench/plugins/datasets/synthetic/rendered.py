@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Camera, Frame, Sequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.plugins.datasets.selection import Selection, converted
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
@@ -27,7 +27,7 @@ class Path(Protocol):
         """The exact pose (4, 4) at a time in seconds: x right, y down, z forward in the camera, metres."""
 
 
-class RenderedSequence(Sequence):
+class RenderedSequence(FrameSequence):
     """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
 
     frames, rate_hz: how long the whole is and how often it is seen, before a selection. picture: what determines the

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.plugins.evaluators.trajectory.alignment import Similarity, Undefined, align, associate
 from codecbench.plugins.evaluators.true_poses import Poses, true_poses
 from codecbench.plugins.slam_backends.orb import Orb
@@ -62,7 +62,7 @@ class Survey:
         return Sighting(aligned.world_from_camera[0], location.inliers)
 
 
-def survey_of(sequence: Sequence, backend: Orb, association_s: float, limit_share: float) -> Survey:
+def survey_of(sequence: FrameSequence, backend: Orb, association_s: float, limit_share: float) -> Survey:
     """Map the raw frames. Raises Unsupported where they make no map, or one that cannot be aligned with the truth."""
     truth, camera = true_poses(sequence, association_s), sequence.camera
     if camera is None or sequence.ground_truth is None:

@@ -20,7 +20,7 @@ from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measure
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.view import View
 from codecbench.core.counting.operations import CLASSES, COUNTERS, OperationCounts
 from codecbench.core.counting.trace import CountingTrace
@@ -105,7 +105,7 @@ class Operations(CodecEvaluator[OperationsParams]):
     def counts_operations(self) -> bool:
         return "source" in self.params.families
 
-    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         if not codec.stateless:
             raise Unsupported(f"{codec.name} is opaque: it has memory, and what a frame takes depends on those before")
         families = self._available(codec)

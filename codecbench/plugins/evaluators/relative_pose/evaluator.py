@@ -15,7 +15,7 @@ from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.metric import Better, Metric
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.plugins.evaluators.relative_pose.matching import NO_KEYPOINTS, Detector, KeypointSet, Matcher
 from codecbench.plugins.evaluators.relative_pose.pairs import Pair, pair_of, scene_distance_m
 from codecbench.plugins.evaluators.relative_pose.two_view import (
@@ -118,7 +118,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         """Names what is kept beside raw frames, with all that it depends on."""
         return ("relative_pose", what, self.version, *self.params.model_dump(exclude={"architecture"}).values())
 
-    def _pairs(self, sequence: Sequence, matcher: Matcher) -> list[Pair | str]:
+    def _pairs(self, sequence: FrameSequence, matcher: Matcher) -> list[Pair | str]:
         """For each frame its pair, or why it has none: the same for all settings of a codec, so that they pair."""
         camera = sequence.camera
         assert camera is not None
@@ -134,7 +134,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
 
         return sequence.read(0).cached(self._key("pairs"), lambda _: chosen())
 
-    def _raw(self, pair: Pair, sequence: Sequence, matcher: Matcher) -> int:
+    def _raw(self, pair: Pair, sequence: FrameSequence, matcher: Matcher) -> int:
         """Correct matches of the pair's raw frames."""
 
         def features(frame: Frame) -> KeypointSet:

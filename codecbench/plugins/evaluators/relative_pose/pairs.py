@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.core.contracts.sequence import Camera, Sequence
+from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.evaluators.relative_pose.matching import Matcher
 from codecbench.plugins.evaluators.relative_pose.two_view import near_epipolar_lines
 from codecbench.plugins.evaluators.sampling import evenly_spread
@@ -38,7 +38,7 @@ class Pair:
     second_from_first: Floats
 
 
-def scene_distance_m(sequence: Sequence, poses: Poses, matcher: Matcher) -> float:
+def scene_distance_m(sequence: FrameSequence, poses: Poses, matcher: Matcher) -> float:
     """Median depth of the scene, metres: of what matches in raw frames, triangulated from true poses (N, 4, 4).
 
     Raises Unsupported where too little can be triangulated, because nothing matches or the camera only turns.

@@ -22,7 +22,7 @@ from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measure
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.timing.clock import Duration, duration, no_collection, yardstick
 from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order, times_in_order
@@ -102,7 +102,7 @@ class Timing(CodecEvaluator[TimingParams]):
         """All parameters but `repeats`: more of them recompute nothing."""
         return self.params.model_dump(mode="json", exclude={"repeats"})
 
-    def evaluate(self, codec: AnyCodec[Any], sequence: Sequence, context: Context) -> Iterator[Measurement]:
+    def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         cv2.setNumThreads(1)
         if isinstance(codec, FeatureCodec):
             yield from self._of_features(codec, sequence)
@@ -121,7 +121,7 @@ class Timing(CodecEvaluator[TimingParams]):
                 durations, images[index], index, f"{codec.name} searches for nothing with this setting"
             )
 
-    def _in_order(self, codec: AnyCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
+    def _in_order(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
         times_in_order(codec, sequence.frame_rate_hz, images[: self.params.warmup], lambda: None)
         yardsticks: list[Duration] = []
@@ -133,7 +133,7 @@ class Timing(CodecEvaluator[TimingParams]):
                 durations, images[index], index, f"{codec.name} has memory and prepares no frame alone"
             )
 
-    def _of_features(self, codec: FeatureCodec[Any], sequence: Sequence) -> Iterator[Measurement]:
+    def _of_features(self, codec: FeatureCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         """Encoding is all that the device does; what finding the features takes of it is a stage."""
         unprepared = f"{codec.name} finds features, and searches for nothing else"
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Measurement
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.plugins.evaluators.trajectory import errors
 from codecbench.plugins.evaluators.trajectory.alignment import (
@@ -33,7 +33,7 @@ class Accuracy:
     def __init__(
         self,
         run: SlamRun,
-        sequence: Sequence,
+        sequence: FrameSequence,
         stamps_s: NDArray[np.float64],
         association_s: float,
         interval_s: float,

@@ -20,7 +20,7 @@ from codecbench.core.contracts.evaluator import (
     SequenceEvaluator,
 )
 from codecbench.core.contracts.metric import Metric, Need
-from codecbench.core.contracts.sequence import Sequence, Trajectory
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.simulation.delivery import delivery_of
@@ -220,7 +220,7 @@ def _distance(outcome: Outcome, raw: Outcome) -> Measurement:
         return Measurement("ate_to_raw_m", math.nan, reason=f"the two runs share {len(pairs)} tracked frame(s)")
 
 
-def _save(run: SlamRun, accuracy: Accuracy, sequence: Sequence, context: Context) -> None:
+def _save(run: SlamRun, accuracy: Accuracy, sequence: FrameSequence, context: Context) -> None:
     """Leave the run beside the record, in metres and the true frame where there is ground truth."""
     folder = context.artifacts
     after = accuracy.after or Similarity(1.0, np.eye(3), np.zeros(3))

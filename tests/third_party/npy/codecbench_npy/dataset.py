@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from codecbench import Dataset, DatasetError, Frame, Params, PathParam, Sequence
+from codecbench import Dataset, DatasetError, Frame, FrameSequence, Params, PathParam
 
 
 class NpyParams(Params):
@@ -14,7 +14,7 @@ class NpyParams(Params):
     frame_rate_hz: float = Field(default=30.0, gt=0)
 
 
-class NpySequence(Sequence):
+class NpySequence(FrameSequence):
     camera = None
     ground_truth = None
 
@@ -46,5 +46,5 @@ class Npy(Dataset[NpyParams]):
     def recognise(cls, path: Path) -> dict[str, str] | None:
         return {"path": str(path)} if path.suffix == ".npy" and path.is_file() else None
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         return NpySequence(self.params.path, self.params.frame_rate_hz)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench import Sequence
+from codecbench import FrameSequence
 from codecbench_zoo.tame import TameDataset, TameSequence
 
 
@@ -43,7 +43,7 @@ class _Changed(TameDataset):
 
     changed: dict[str, Any] = {}
 
-    def open(self) -> Sequence:
+    def open(self) -> FrameSequence:
         sequence = TameSequence(self.name)
         vars(sequence).update(self.changed)
         return sequence

@@ -16,11 +16,11 @@ from codecbench import (
     Dataset,
     Frame,
     FrameEvaluator,
+    FrameSequence,
     Image,
     Measurement,
     Metric,
     NoParams,
-    Sequence,
     SlamBackend,
     SlamRun,
     Trace,
@@ -49,7 +49,7 @@ class TameCodec(Codec[Any]):
         return np.frombuffer(bitstream[4:], np.uint8).reshape(shape).copy()
 
 
-class TameSequence(Sequence):
+class TameSequence(FrameSequence):
     """Three gray frames of 64x48."""
 
     frame_rate_hz, channels, camera, ground_truth = 10.0, 1, None, None

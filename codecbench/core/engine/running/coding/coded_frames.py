@@ -13,7 +13,7 @@ from codecbench.core.contracts.codec import (
 from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.running.coding.decoding import SharedPictures, StreamPictures, checked_decoding
 from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
@@ -31,7 +31,7 @@ class CodedFrames:
 
     def __init__(
         self,
-        sequence: Sequence,
+        sequence: FrameSequence,
         codec: AnyCodec[Any],
         bitstreams: BitstreamFile,
         position: WorkPosition,

@@ -7,13 +7,13 @@ from typing import Any
 
 from codecbench.core.contracts.codec import AnyCodec, encoder_of
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Sequence
+from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
 
-def encode_sequence(codec: AnyCodec[Any], sequence: Sequence, position: WorkPosition) -> Iterator[CodedPacket]:
+def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> Iterator[CodedPacket]:
     """The packets of all frames in the order in which they are sent.
 
     Raises CodingError for what is not a packet, and where a frame has none or two.

@@ -9,7 +9,7 @@ from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Frame, Sequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.core.engine.running.coding.decoding import CheckedDecoder, StreamPictures
 from codecbench.core.engine.running.coding.encoding import CheckedEncoder
 from codecbench.core.engine.running.coding.position import WorkPosition
@@ -32,7 +32,7 @@ class LiveSender:
     Its frame rate is the sequence's, whatever the distance of the chosen frames.
     """
 
-    def __init__(self, codec: AnyCodec[Any], sequence: Sequence, position: WorkPosition) -> None:
+    def __init__(self, codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> None:
         self._codec, self._sequence, self._position = codec, sequence, position
         self._encoder = CheckedEncoder(codec, sequence.frame_rate_hz, position)
         self._decoder = CheckedDecoder(codec, range(len(sequence)), position)
