@@ -22,13 +22,12 @@ from project import DOCS, SUPPORT
 
 from codecbench import BitstreamError, Image, ParamsError, StoreError
 from codecbench.cli import cli
-from codecbench.core.conformance.corpus import check_corpus, read_manifest, write_corpus
+from codecbench.core.conformance.corpus import read_manifest, write_bitstreams
 from codecbench.core.conformance.material import integer_image
 from codecbench.core.conformance.sandbox import sandbox
 from codecbench.core.conformance.settings import setting_from_text, setting_label
 from codecbench.core.conformance.suite import CHECKS, checks_of
 from codecbench.core.engine.registry import installed
-from codecbench.plugins.codecs.png import Png
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.pytesting import CodecSuite
 
@@ -336,12 +335,12 @@ def test_an_encoder_that_ends_its_process_fails_its_bitstreams(tmp_path: Path) -
 
 def test_nothing_is_overwritten(corpus: Path) -> None:
     with pytest.raises(StoreError, match="not empty"):
-        write_corpus(corpus, [], "")
+        write_bitstreams(corpus, [], "")
 
 
 def test_no_manifest_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="not the manifest"):
-        list(check_corpus(tmp_path, lambda name: Png))
+        read_manifest(tmp_path)
 
 
 DIGESTS = {(1, 1, 1): "c4694f2e93d5c4e7", (17, 31, 1): "e958d0ab06469fc5", (88, 120, 3): "1bf748e1620a5d5f"}

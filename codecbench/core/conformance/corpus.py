@@ -13,9 +13,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -81,17 +80,11 @@ def pixels_sha256(pixels: Image) -> str:
     return hashlib.sha256(f"uint8 {shape}\n".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
 
 
-def write_corpus(folder: Path, settings: Sequence[tuple[CodecClass, Params]], written_by: str) -> list[Entry]:
-    """Encode the images at every setting, and write bitstreams and manifest into a new or empty folder.
-
-    An image that a setting does not support is left out. Codecs work in another process. Raises StoreError where the
-    folder holds anything, and PluginError where a codec fails; then there is no manifest.
-    """
-    return write_bitstreams(folder, [partial(coded_pictures, *setting) for setting in settings], written_by)
-
-
 def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> list[Entry]:
-    """Write what makers of bitstreams give, one after another, and the manifest; raises like `write_corpus`."""
+    """Write what makers of bitstreams give, one after another, and the manifest, into a new or empty folder.
+
+    Raises StoreError if the folder holds anything, and what makers raise; then there is no manifest.
+    """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,20 +104,20 @@ def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> 
 
 
 def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
-    """The bitstreams of the pictures at a setting. earlier: entries that the corpus has already.
+    """The bitstreams of the pictures at a setting, made in another process. earlier: entries that the corpus has.
 
-    Raises PluginError where the codec fails.
+    An image that the setting does not support is left out. Raises PluginError if the codec fails.
     """
     codec = codec_class(params)
     first = sum(entry.codec == codec.name for entry in earlier)
-    found: list[tuple[Entry, bytes]] = []
+    bitstreams: list[tuple[Entry, bytes]] = []
     for seed, size in enumerate(_SIZES):
         for channels in codec.capabilities.channels:
             shape = (*size, channels)
             reply = _ask(codec, "encode", integer_image(seed, *shape))
             if reply.status != "unsupported":
-                found.append(_coded(f"{codec.name}/{first + len(found):03}.bin", codec, seed, shape, reply))
-    return found
+                bitstreams.append(_coded(f"{codec.name}/{first + len(bitstreams):03}.bin", codec, seed, shape, reply))
+    return bitstreams
 
 
 def _ask(codec: Codec[Any], verb: Verb, argument: Any) -> Reply:
@@ -164,18 +157,11 @@ def read_manifest(folder: Path) -> list[Entry]:
         raise StoreError(f"{path} is not the manifest of a corpus: {type(error).__name__}: {error}") from error
 
 
-def check_corpus(folder: Path, load: Callable[[str], CodecClass], codecs: Sequence[str] = ()) -> Iterator[EntryResult]:
-    """Decode every bitstream (of `codecs`, where given) in another process and compare the pixels.
+def check_entry(folder: Path, entry: Entry, load: Callable[[str], CodecClass]) -> EntryResult:
+    """How one entry fares: its bitstream is decoded in another process and the pixels are compared.
 
     load: the class of a codec by name, which raises Unsupported or PluginError where there is none.
     """
-    for entry in read_manifest(folder):
-        if not codecs or entry.codec in codecs:
-            yield check_entry(folder, entry, load)
-
-
-def check_entry(folder: Path, entry: Entry, load: Callable[[str], CodecClass]) -> EntryResult:
-    """How one entry fares; see `check_corpus`."""
     try:
         codec, outdated = _codec_of(entry, load(entry.codec))
     except (Unsupported, PluginError) as error:

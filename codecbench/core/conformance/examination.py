@@ -72,8 +72,8 @@ class Examiner:
         self._turn_to(codec)
         self._hung = ""
         reply = self._ask(_subjects, codec, settings)
-        found: list[Subject] | Unexamined = reply.value
-        return found if reply.status == "done" else Unexamined("broken", f"{reply.status}: {reply.reason}")
+        subjects: list[Subject] | Unexamined = reply.value
+        return subjects if reply.status == "done" else Unexamined("broken", f"{reply.status}: {reply.reason}")
 
     def results(self, subject: Subject, check: Check) -> Iterator[CheckResult]:
         """How a check goes, for each layout. After one that hung, no more are run on this codec."""
@@ -94,8 +94,8 @@ class Examiner:
         if reply.status != "done" or isinstance(reply.value, str):
             fault = f"{subject.codec}: {reply.status}: {reply.reason}"
             raise PluginError(reply.value if reply.status == "done" else fault)
-        found: list[tuple[Entry, bytes]] = reply.value
-        return found
+        bitstreams: list[tuple[Entry, bytes]] = reply.value
+        return bitstreams
 
     def entry_result(self, folder: Path, entry: Entry) -> EntryResult:
         """See `corpus.check_entry`; codecbench's own codecs are constructed in this process."""

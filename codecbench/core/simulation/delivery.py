@@ -97,8 +97,8 @@ def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) 
     encoder = None if settings.adapt is None else adaptive_encoder(coded, settings.adapt)
     bitstreams = {} if encoder is None else encoder.bitstreams
     partial_decode = PartialDecoder(coded, bitstreams).whole_share if settings.partial else None
-    found = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encoder, partial_decode)
-    return replace(found, bitstreams=bitstreams)
+    delivery = deliver(coded.packets, coded.sequence.timestamps_s, link, settings, rng, encoder, partial_decode)
+    return replace(delivery, bitstreams=bitstreams)
 
 
 def deliver(
@@ -151,7 +151,7 @@ def _parts(
     partial_decode: PartialDecode,
 ) -> dict[int, Part]:
     """By frame, those that are of use although they are not whole, and not too old by then."""
-    found = {}
+    parts = {}
     sizes_bytes = {number: unit.size_bytes for number, unit in sender.units.items()}
     for number, received in received_ranges(sender.shipments, sizes_bytes, settings).items():
         frame = units[number].frame
@@ -159,5 +159,5 @@ def _parts(
             continue
         whole_share = partial_decode(frame, received.ranges)
         if whole_share is not None:
-            found[frame] = Part(received, whole_share)
-    return found
+            parts[frame] = Part(received, whole_share)
+    return parts

@@ -50,7 +50,7 @@ def received_ranges(
     sent after it; what comes after that all the same, because packets overtake each other, is waited for. So a picture
     that comes whole is never taken for one that does not.
     """
-    found: dict[int, ReceivedRanges] = {}
+    by_unit: dict[int, ReceivedRanges] = {}
     payload, next_s = settings.payload_bytes, math.inf
     for unit in reversed(list(shipments)):
         shipment = shipments[unit]
@@ -60,9 +60,11 @@ def received_ranges(
             told_s = min([next_s, *(arrives_s for number, arrives_s in came.items() if number > last)])
             numbers = sorted(number for number in came if number < shipment.needed)
             if numbers and told_s < math.inf:
-                found[unit] = ReceivedRanges(max(told_s, *came.values()), _ranges(numbers, payload, sizes_bytes[unit]))
+                by_unit[unit] = ReceivedRanges(
+                    max(told_s, *came.values()), _ranges(numbers, payload, sizes_bytes[unit])
+                )
         next_s = min([next_s, *came.values()])
-    return found
+    return by_unit
 
 
 def _ranges(numbers: list[int], payload: int, size_bytes: int) -> Ranges:
@@ -92,15 +94,15 @@ class PartialDecoder:
             return None
         bitstream = self._bitstreams.get(frame) or self._coded.frame(frame).bitstream
         try:
-            found = self._codec.decode_partial([Fragment(begin, bitstream[begin:end]) for begin, end in ranges])
+            partial = self._codec.decode_partial([Fragment(begin, bitstream[begin:end]) for begin, end in ranges])
         except BitstreamError:
             return None
-        if found.whole.shape != found.image.shape[:2] or found.whole.dtype != bool:
-            shapes = f"an image of shape {found.image.shape}, whole {found.whole.dtype} of {found.whole.shape}"
+        if partial.whole.shape != partial.image.shape[:2] or partial.whole.dtype != bool:
+            shapes = f"an image of shape {partial.image.shape}, whole {partial.whole.dtype} of {partial.whole.shape}"
             raise PluginError(f"{self._codec.name}.decode_partial: {shapes}; whole is bool, (H, W)")
-        return found
+        return partial
 
     def whole_share(self, frame: int, ranges: Ranges) -> float | None:
         """See `PartialDecode`."""
-        found = self.decode(frame, ranges)
-        return None if found is None else float(found.whole.mean())
+        partial = self.decode(frame, ranges)
+        return None if partial is None else float(partial.whole.mean())

@@ -33,8 +33,8 @@ class DeliveredPictures:
     def picture(self, frame: int) -> Image | None:
         """The picture of a frame that was handed on; None where the decoder makes none."""
         if frame in self._parts:
-            found = self._partial.decode(frame, self._parts[frame].received.ranges)
-            return None if found is None else found.image
+            partial = self._partial.decode(frame, self._parts[frame].received.ranges)
+            return None if partial is None else partial.image
         if frame in self._bitstreams and self._coded.codec.stateless:
             return self._coded.codec.decode(self._bitstreams[frame])
         if self._decoder is None:

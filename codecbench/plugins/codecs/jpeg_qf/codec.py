@@ -24,8 +24,7 @@ from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr
 from codecbench.plugins.codecs.dct.planes import cropped, padded, planes_from_image
 from codecbench.plugins.codecs.jfif.markers import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
 from codecbench.plugins.codecs.jpeg_qf.interchange import MAX_JPEG_QF_PIXELS, CodedPicture, read_file, write_file
-from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, write_scan
-from codecbench.plugins.codecs.jpeg_qf.scan_layout import scan_layout
+from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, scan_layout, write_scan
 from codecbench.plugins.codecs.jpeg_qf.upsampling import enlarged
 
 _SHIFT = 128.0

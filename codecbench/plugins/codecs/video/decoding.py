@@ -15,9 +15,8 @@ from codecbench.core.contracts.stream import Loss, Packet, Picture, PictureState
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.video.colour import image_from_frame
 from codecbench.plugins.codecs.video.encoders import Encoder
-from codecbench.plugins.codecs.video.header import Header
+from codecbench.plugins.codecs.video.header import Header, frames_to_recovery
 from codecbench.plugins.codecs.video.library import decoding_errors, open_decoder, packet_for
-from codecbench.plugins.codecs.video.recovery import frames_to_recovery
 
 
 class VideoDecoder(StreamDecoder):

@@ -9,10 +9,9 @@ from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, ch
 from codecbench.core.contracts.stream import Packet, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.video.colour import fill_frame, padded, planes_from_image
-from codecbench.plugins.codecs.video.header import MAX_SIDE, Header
+from codecbench.plugins.codecs.video.header import MAX_SIDE, Header, frames_to_recovery
 from codecbench.plugins.codecs.video.library import open_encoder, video_frame
 from codecbench.plugins.codecs.video.params import VideoParams
-from codecbench.plugins.codecs.video.recovery import frames_to_recovery
 
 
 class VideoEncoder(StreamEncoder):

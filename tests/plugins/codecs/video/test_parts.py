@@ -13,8 +13,7 @@ import av
 from codecbench import BitstreamError
 from codecbench.plugins.codecs.video.codecs import H264, Ffv1
 from codecbench.plugins.codecs.video.colour import fill_frame, image_from_frame, padded, planes_from_image
-from codecbench.plugins.codecs.video.header import Header
-from codecbench.plugins.codecs.video.recovery import frames_to_recovery
+from codecbench.plugins.codecs.video.header import Header, frames_to_recovery
 
 
 def test_a_header_is_eleven_bytes_and_comes_back() -> None:
