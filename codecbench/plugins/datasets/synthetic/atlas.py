@@ -20,7 +20,7 @@ class Atlas:
     edges: (P, 3, 3) corner, right and down of each panel, metres, world. texels: (N,) uint32, all levels of all
     textures, row by row, red in the lowest byte. first_level: (P,) row of `levels` at which a panel's texture
     begins. level_count: (P,). levels: (L, 3) offset into `texels`, height, width; each level has half the sides
-    of the one before.
+    of the one before. carried: so many panels at the end belong to a thing that moves.
     """
 
     edges: NDArray[np.float64]
@@ -28,6 +28,7 @@ class Atlas:
     first_level: NDArray[np.int64]
     level_count: NDArray[np.int64]
     levels: NDArray[np.int64]
+    carried: int = 0
 
 
 def edges_of(panels: Sequence[Panel]) -> NDArray[np.float64]:

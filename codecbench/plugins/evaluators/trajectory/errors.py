@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
     Undefined,
     nearest_stamps,
 )
+
+SLIP_PARTS: Final = 5
+"""Parts of a way whose scales are compared: enough to see a slip in the middle, few enough to span a turn each."""
 
 
 class RelativeErrors(NamedTuple):
@@ -76,19 +80,37 @@ def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tol
 def scale_drift(pairs: Pairs) -> float:
     """|ln(s_late / s_early)|: by how much the map's scale changed between the first and the last third of the poses.
 
-    Each third's scale is the ratio of the spreads of true and estimated positions about their means, the symmetric
-    scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E. Raises Undefined for fewer than three
-    poses a third, or where one does not move.
+    Raises Undefined for fewer than three poses a third, or where one does not move.
     """
     third = len(pairs) // 3
-    if third < MIN_POSES:
-        raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {3 * MIN_POSES} are needed")
-    parts = (slice(0, third), slice(len(pairs) - third, len(pairs)))
+    early, late = _scales(pairs, (slice(0, third), slice(len(pairs) - third, len(pairs))))
+    return abs(late - early)
+
+
+def scale_slip(pairs: Pairs) -> float:
+    """ln(s_most / s_least): by how much the map's scale changes along the way, over SLIP_PARTS parts of it.
+
+    Parts are equally long, as lengths of the true path, so that a camera that stands or hurries changes nothing.
+    Raises Undefined for fewer than three poses a part, or where one does not move.
+    """
+    steps_m = np.linalg.norm(np.diff(pairs.reference.positions_world, axis=0), axis=1)
+    gone_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    ends = np.searchsorted(gone_m, gone_m[-1] * np.arange(SLIP_PARTS + 1) / SLIP_PARTS)
+    ends[-1] = len(pairs)
+    scales = _scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
+    return max(scales) - min(scales)
+
+
+def _scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
+    """ln of the scale of each part: the ratio of the spreads of true and estimated positions about their means, the
+    symmetric scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E."""
+    if min(part.stop - part.start for part in parts) < MIN_POSES:
+        raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed in each part")
     true = [_spread(pairs.reference.positions_world[part]) for part in parts]
     estimated = [_spread(pairs.estimate.positions_world[part]) for part in parts]
     if min(*true, *estimated) == 0.0:
-        raise Undefined("the camera does not move in the first or the last third")
-    return float(abs(np.log(true[1] / estimated[1]) - np.log(true[0] / estimated[0])))
+        raise Undefined("the camera does not move in a part of the way")
+    return [float(np.log(of_truth / found)) for of_truth, found in zip(true, estimated, strict=True)]
 
 
 def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> float:

@@ -12,9 +12,10 @@ class Conditions:
     speed_m_s: along the path. turn_deg_s: how fast a camera on the spot turns. radius_m: of the turns. tremor: factor
     on a hand's. exposure: share of the frame interval. readout: share of the frame interval from the first row's
     exposure to the last row's; 0 is a global shutter. electrons: in a white pixel; shot noise is their square root,
-    and reading out adds READ_NOISE_ELECTRONS. brightness: of white, 1 fills the range. swing_stops: by how much the
-    exposure swings up and down. lens_blur_px: standard deviation of the lens's blur. contrast: of all surfaces about
-    their mean colour. distinctness: share in which repeated surfaces differ, 0 is all alike.
+    and reading out adds READ_NOISE_ELECTRONS. brightness: of white, 1 fills the range. first_light: share of the light
+    that is there in the first second. swing_stops: by how much the exposure swings up and down. lens_blur_px: standard
+    deviation of the lens's blur. contrast: of all surfaces about their mean colour. distinctness: share in which
+    repeated surfaces differ, 0 is all alike.
     """
 
     speed_m_s: float = 0.7
@@ -25,13 +26,14 @@ class Conditions:
     readout: float = 0.0
     electrons: float = 8000.0
     brightness: float = 1.0
+    first_light: float = 1.0
     swing_stops: float = 0.0
     lens_blur_px: float = 0.5
     contrast: float = 1.0
     distinctness: float = 1.0
 
 
-_RATIOS = ("electrons", "brightness", "contrast")
+_RATIOS = ("electrons", "brightness", "first_light", "contrast")
 """What is felt in ratios: these move by equal factors, the others by equal steps."""
 
 

@@ -53,18 +53,23 @@ class Exposure:
         self._nearness = np.empty(shape, np.float64)
         self._panels = np.empty(shape, np.int32)
 
-    def total(self, pose: Pose, time_s: float, open_s: float, readout_s: float, samples: int) -> NDArray[np.uint64]:
+    def total(
+        self, pose: Pose, time_s: float, open_s: float, readout_s: float, samples: int, carrier: Pose | None = None
+    ) -> NDArray[np.uint64]:
         """The sum (H, W) of sub-frames, three channels of 21 bits in a word, SAMPLE_WEIGHT a sample and gray level.
 
         pose: world_from_camera (4, 4) at a time. time_s: the middle of the middle row's exposure. open_s: how long a
-        row is exposed. readout_s: from the first row's exposure to the last row's.
+        row is exposed. readout_s: from the first row's exposure to the last row's. carrier: where the atlas's carried
+        panels are at a time, (3,) metres.
         """
         total = np.zeros((self._camera.height, self._camera.width), np.uint64)
         a = self._atlas
         middles_s = time_s + ((np.arange(samples) + 0.5) / samples - 0.5) * open_s
         sub_frames = zip(middles_s.tolist(), offsets_px(samples), strict=True)
         # All sub-frames of a strip before the next: what they share of the textures is then still in the cache.
-        for strips in zip(*(self._strips(pose, s, readout_s, offset) for s, offset in sub_frames), strict=True):
+        for strips in zip(
+            *(self._strips(pose, carrier, s, readout_s, offset) for s, offset in sub_frames), strict=True
+        ):
             for k, (first, last, planes, rows) in enumerate(strips):
                 self._nearness[first:last] = 0.0
                 self._panels[first:last] = -1
@@ -74,7 +79,7 @@ class Exposure:
         return total
 
     def _strips(
-        self, pose: Pose, middle_s: float, readout_s: float, offset: Floats
+        self, pose: Pose, carrier: Pose | None, middle_s: float, readout_s: float, offset: Floats
     ) -> Iterator[tuple[int, int, Floats, NDArray[np.int64]]]:
         """First row, one past the last, plane equations and candidate rows of strips with one pose each.
 
@@ -82,7 +87,7 @@ class Exposure:
         """
         height, width = self._camera.height, self._camera.width
         if readout_s == 0.0:
-            planes = plane_equations(self._atlas.edges, pose(middle_s), self._intrinsics, offset)
+            planes = plane_equations(self._edges(carrier, middle_s), pose(middle_s), self._intrinsics, offset)
             rows = candidate_rows(planes, width, height)
             for first in range(0, height, CACHED_ROWS):
                 last = min(first + CACHED_ROWS, height)
@@ -90,7 +95,7 @@ class Exposure:
             return
         knots = np.linspace(0, height, max(2, ceil(height / _KNOT_ROWS) + 1))
         times = middle_s + (knots / height - 0.5) * readout_s
-        solved = [plane_equations(self._atlas.edges, pose(t), self._intrinsics, offset) for t in times]
+        solved = [plane_equations(self._edges(carrier, t), pose(t), self._intrinsics, offset) for t in times]
         candidates = [candidate_rows(planes, width, height) for planes in solved]
         for first in range(0, height, _STRIP_ROWS):
             last = min(first + _STRIP_ROWS, height)
@@ -101,6 +106,14 @@ class Exposure:
             rows[:, 0] = np.clip(np.minimum(candidates[k][:, 0], candidates[k + 1][:, 0]) - 1, first, last)
             rows[:, 1] = np.clip(np.maximum(candidates[k][:, 1], candidates[k + 1][:, 1]) + 1, first, last)
             yield first, last, solved[k] * (1 - share) + solved[k + 1] * share, rows
+
+    def _edges(self, carrier: Pose | None, time_s: float) -> Floats:
+        """The atlas's edges with what is carried where it is at a time."""
+        if carrier is None:
+            return self._atlas.edges
+        edges = self._atlas.edges.copy()
+        edges[len(edges) - self._atlas.carried :, 0] += carrier(time_s)
+        return edges
 
 
 def samples_for(pose: Pose, time_s: float, open_s: float, focal_px: float, view_m: float) -> int:

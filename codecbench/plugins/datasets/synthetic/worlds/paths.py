@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan, cos, hypot, pi, radians, sin, tan
+from math import atan, cos, hypot, inf, pi, radians, sin, tan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,70 @@ class Turning:
         tremor = self._tremor.at(time_s)
         position = self._radius_m * outwards + np.array([0.0, 0.0, 1.45 + 0.3 * self._radius_m * sin(3 * angle)])
         return looking_pose(position + tremor[:3], outwards - np.array([0.0, 0.0, 0.08]), tremor[3:])
+
+
+class Panning:
+    """A camera that looks to and fro, up and down, from one place, held a little before the axis it turns about."""
+
+    _SWING, _NOD = radians(70.0), radians(10.0)
+
+    def __init__(self, conditions: Conditions, seed: int) -> None:
+        self.loop_s = 2 * pi * self._SWING / radians(conditions.turn_deg_s)
+        self._radius_m = conditions.radius_m
+        self._tremor = Tremor(seed, conditions.tremor)
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time."""
+        phase = 2 * pi * time_s / self.loop_s
+        yaw, pitch = self._SWING * sin(phase), self._NOD * sin(2 * phase) - 0.08
+        outwards = np.array([cos(yaw) * cos(pitch), sin(yaw) * cos(pitch), sin(pitch)])
+        tremor = self._tremor.at(time_s)
+        return looking_pose(np.array([0.0, 0.0, 1.45]) + self._radius_m * outwards + tremor[:3], outwards, tremor[3:])
+
+
+class Drive:
+    """A car straight down the first street; at its end it stands. It never sees its beginning again.
+
+    end_s: when it comes to the end. A van ahead of it, where the place has one, keeps its distance.
+    """
+
+    _START_M, _LENGTH_M, _VAN_M = 4.0, 200.0, 12.0
+
+    def __init__(self, conditions: Conditions, seed: int) -> None:
+        self._speed_m_s = conditions.speed_m_s
+        self._tremor = Tremor(seed, conditions.tremor)
+        self.loop_s = inf
+        self.end_s = self._LENGTH_M / conditions.speed_m_s
+
+    def _along_m(self, time_s: float) -> float:
+        return self._START_M + self._speed_m_s * min(time_s, self.end_s)
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time."""
+        tremor = self._tremor.at(time_s)
+        position = np.array([self._along_m(time_s), 0.0, 1.65]) + tremor[:3]
+        return looking_pose(position, np.array([1.0, 0.0, -0.02]), tremor[3:])
+
+    def van_m(self, time_s: float) -> Floats:
+        """Where the van is at a time, (3,)."""
+        return np.array([self._along_m(time_s) + self._VAN_M, 0.0, 0.0])
+
+
+class Slider:
+    """A camera on a rail along a wall of the corridor: it starts slowly, stands at the end and comes back."""
+
+    _START_M, _LENGTH_M = (2.0, 0.8, 1.5), 3.0
+
+    def __init__(self, conditions: Conditions, seed: int) -> None:
+        self.loop_s = 0.75 * 3.0**0.5 * pi * self._LENGTH_M / conditions.speed_m_s
+        self._tremor = Tremor(seed, conditions.tremor)
+
+    def world_from_camera(self, time_s: float) -> Floats:
+        """The exact pose (4, 4) at a time. The fourth power of a sine begins with no speed and no acceleration."""
+        gone = self._LENGTH_M * sin(pi * time_s / self.loop_s) ** 4
+        tremor = self._tremor.at(time_s)
+        position = np.array(self._START_M) + np.array([gone, 0.0, 0.0]) + tremor[:3]
+        return looking_pose(position, np.array([0.0, -1.0, 0.1]), tremor[3:])
 
 
 class Flight:

@@ -15,7 +15,7 @@ from codecbench.plugins.datasets.synthetic.textures import rounded
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
 from codecbench.plugins.datasets.synthetic.worlds.field import farmland
 from codecbench.plugins.datasets.synthetic.worlds.presets import Place
-from codecbench.plugins.datasets.synthetic.worlds.street import town
+from codecbench.plugins.datasets.synthetic.worlds.street import town, van
 
 
 @lru_cache(maxsize=2)
@@ -24,7 +24,8 @@ def atlas_of(place: Place, contrast: float, distinctness: float) -> Atlas:
     if place == "room" and contrast == 1.0:
         return room_atlas()
     panels = _panels(place, distinctness)
-    return make_atlas(panels if contrast == 1.0 else faded(panels, contrast))
+    carried = len(van()) if place == "street_and_van" else 0
+    return replace(make_atlas(panels if contrast == 1.0 else faded(panels, contrast)), carried=carried)
 
 
 @cache
@@ -33,6 +34,8 @@ def _panels(place: Place, distinctness: float) -> list[Panel]:
         return furnished_room()
     if place == "corridor":
         return corridor(distinctness)
+    if place == "street_and_van":
+        return town() + van()
     return town() if place == "street" else farmland()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi
 from typing import Literal, get_args
@@ -9,7 +10,7 @@ from typing import Literal, get_args
 from codecbench.plugins.datasets.synthetic.path import HandheldPath
 from codecbench.plugins.datasets.synthetic.rendered import Path
 from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between
-from codecbench.plugins.datasets.synthetic.worlds.paths import Flight, Route, RouteWalk, Turning
+from codecbench.plugins.datasets.synthetic.worlds.paths import Drive, Flight, Panning, Route, RouteWalk, Slider, Turning
 
 WorldName = Literal[
     "room",
@@ -19,27 +20,47 @@ WorldName = Literal[
     "exposure",
     "rolling_shutter",
     "rotation",
+    "panning_room",
     "corridor_loop",
     "repetitive_corridor",
+    "slow_start",
     "street",
+    "straight_road",
+    "road_behind_van",
     "field",
 ]
-Place = Literal["room", "corridor", "street", "field"]
+Place = Literal["room", "corridor", "street", "street_and_van", "field"]
 WORLD_NAMES: tuple[WorldName, ...] = get_args(WorldName)
+
+
+def _by_hand(conditions: Conditions, seed: int) -> Path:
+    return HandheldPath(seed, conditions.speed_m_s / 0.7, conditions.tremor)
+
+
+def _round_the_corridor(conditions: Conditions, seed: int) -> Path:
+    route = Route(CORRIDOR_CORNERS_M, conditions.radius_m)
+    return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
+
+
+def _round_the_blocks(conditions: Conditions, seed: int) -> Path:
+    route = Route(STREET_CORNERS_M, conditions.radius_m)
+    cut_m = (8 - 2 * pi) * conditions.radius_m
+    return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
 
 
 @dataclass(frozen=True)
 class World:
     """A named world.
 
-    about: one line. view_m: typical distance of what is seen. focal: focal length as a share of the image's width.
-    calm, hard: conditions at severity 0 and 1.
+    about: one line. calm, hard: conditions at severity 0 and 1. way: the camera's path under conditions and a seed.
+    focal: focal length as a share of the image's width. view_m: typical distance of what is seen.
     """
 
     about: str
     place: Place
     calm: Conditions
     hard: Conditions
+    way: Callable[[Conditions, int], Path] = _by_hand
     width: int = 640
     height: int = 480
     rate_hz: float = 30.0
@@ -52,22 +73,12 @@ class World:
 
     def path(self, conditions: Conditions, seed: int) -> Path:
         """The camera's path under these conditions."""
-        if self.place == "corridor":
-            route = Route(CORRIDOR_CORNERS_M, conditions.radius_m)
-            return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
-        if self.place == "street":
-            route = Route(STREET_CORNERS_M, conditions.radius_m)
-            cut_m = (8 - 2 * pi) * conditions.radius_m
-            return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
-        if self.place == "field":
-            return Flight(conditions, seed)
-        if conditions.turn_deg_s:
-            return Turning(conditions, seed)
-        return HandheldPath(seed, conditions.speed_m_s / 0.7, conditions.tremor)
+        return self.way(conditions, seed)
 
     def frames(self, severity: float, rate_hz: float) -> int:
-        """Frames of one loop and the beginning of the next, a seventh of it."""
-        return round(self.path(self.at(severity), 0).loop_s * rate_hz * 8 / 7)
+        """Frames of one loop and the beginning of the next, a seventh of it; of the whole way where none closes."""
+        path = self.path(self.at(severity), 0)
+        return round((path.end_s if isinstance(path, Drive) else path.loop_s * 8 / 7) * rate_hz)
 
 
 CORRIDOR_CORNERS_M = ((0.0, 0.0), (9.0, 0.0), (9.0, 6.5), (0.0, 6.5))
@@ -77,6 +88,18 @@ STREET_LOOP_M = 280.0
 
 _ROOM = Conditions(speed_m_s=0.6)
 _CORRIDOR = Conditions(speed_m_s=0.8, radius_m=1.0, tremor=0.6)
+_ROAD = World(
+    "",
+    "street",
+    Conditions(speed_m_s=6.0, tremor=0.3, exposure=0.03),
+    Conditions(speed_m_s=14.0, tremor=0.6, exposure=0.1, electrons=3000.0),
+    Drive,
+    width=1241,
+    height=376,
+    rate_hz=10.0,
+    focal=718.0 / 1241.0,
+    view_m=9.0,
+)
 
 WORLDS: dict[WorldName, World] = {
     "room": World(
@@ -120,6 +143,15 @@ WORLDS: dict[WorldName, World] = {
         "room",
         Conditions(turn_deg_s=30.0, radius_m=0.9, speed_m_s=0.0),
         Conditions(turn_deg_s=50.0, radius_m=0.02, speed_m_s=0.0),
+        Turning,
+        view_m=2.2,
+    ),
+    "panning_room": World(
+        "the room from one place: the camera looks to and fro, with ever less of a base",
+        "room",
+        Conditions(turn_deg_s=25.0, radius_m=0.3, speed_m_s=0.0),
+        Conditions(turn_deg_s=55.0, radius_m=0.05, speed_m_s=0.0, exposure=0.4),
+        Panning,
         view_m=2.2,
     ),
     "corridor_loop": World(
@@ -127,6 +159,7 @@ WORLDS: dict[WorldName, World] = {
         "corridor",
         _CORRIDOR,
         replace(_CORRIDOR, speed_m_s=2.0, tremor=2.0, exposure=0.5, electrons=1500.0),
+        _round_the_corridor,
         rate_hz=15.0,
         focal=0.62,
         view_m=2.0,
@@ -136,26 +169,44 @@ WORLDS: dict[WorldName, World] = {
         "corridor",
         replace(_CORRIDOR, speed_m_s=1.3),
         replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.5),
+        _round_the_corridor,
         rate_hz=15.0,
         focal=0.62,
         view_m=2.0,
+    ),
+    "slow_start": World(
+        "a flat wall of the corridor in small pictures, from a rail: dark for a second, hardly any motion at first",
+        "corridor",
+        Conditions(speed_m_s=0.5, tremor=0.05, brightness=0.8, electrons=6000.0, first_light=0.1),
+        Conditions(speed_m_s=1.2, tremor=0.05, brightness=0.3, electrons=1000.0, first_light=0.003),
+        Slider,
+        width=320,
+        height=240,
     ),
     "street": World(
         "a street canyon from a car, wide pictures at 10 Hz, right-angle turns; a kilometre until it repeats",
         "street",
         Conditions(speed_m_s=5.0, radius_m=9.0, tremor=0.3, exposure=0.03),
         Conditions(speed_m_s=10.0, radius_m=6.0, tremor=0.6, exposure=0.1, electrons=3000.0),
+        _round_the_blocks,
         width=1241,
         height=376,
         rate_hz=10.0,
         focal=718.0 / 1241.0,
         view_m=9.0,
     ),
+    "straight_road": replace(
+        _ROAD, about="the first of these streets straight on, its end far ahead, from a car that never turns"
+    ),
+    "road_behind_van": replace(
+        _ROAD, about="the same behind a lettered van that keeps its distance", place="street_and_van"
+    ),
     "field": World(
         "fields, hedges and farms from thirty metres above",
         "field",
         Conditions(speed_m_s=7.0, tremor=1.0, exposure=0.05),
         Conditions(speed_m_s=22.0, tremor=6.0, exposure=0.4, electrons=1500.0),
+        Flight,
         rate_hz=15.0,
         view_m=30.0,
     ),

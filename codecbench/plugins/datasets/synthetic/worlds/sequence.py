@@ -12,6 +12,7 @@ from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.selection import Selection
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
 from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
+from codecbench.plugins.datasets.synthetic.worlds.paths import Drive
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS, Place, WorldName
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ WORLDS_VERSION = "1"
 """Raised whenever a world's pictures change."""
 
 _SWING_PERIOD_S = 2.0
+_DARK_S, _DAWN_S = 0.9, 0.2
+"""How long there is only the first light, and how long it takes to become full."""
 
 
 class WorldSequence(RenderedSequence):
@@ -56,9 +59,12 @@ class WorldSequence(RenderedSequence):
         pose = self.path.world_from_camera
         samples = samples_for(pose, time_s, open_s, camera.fx, self._world.view_m)
         exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, camera)
-        total = exposure.total(pose, time_s, open_s, conditions.readout / self._rate_hz, samples)
+        carrier = self.path.van_m if isinstance(self.path, Drive) else None
+        total = exposure.total(pose, time_s, open_s, conditions.readout / self._rate_hz, samples, carrier)
         sensor = Sensor(conditions.electrons, conditions.brightness, conditions.lens_blur_px)
         gain = 2.0 ** (conditions.swing_stops * np.sin(2 * np.pi * time_s / _SWING_PERIOD_S))
+        dusk = min(max((time_s - _DARK_S) / _DAWN_S, 0.0), 1.0)
+        gain *= conditions.first_light + (1.0 - conditions.first_light) * dusk
         key = int(np.random.default_rng([self._seed, 3, source]).integers(2**63))
         return sensor.picture(total, samples, float(gain), key)
 

@@ -49,6 +49,14 @@ def town() -> list[Panel]:
     return panels
 
 
+def van() -> list[Panel]:
+    """A lettered van about the origin that drives along x; those who follow see the letters on its doors."""
+    rng = np.random.default_rng(_ARRANGEMENT)
+    skin: Skin = lambda face, w, h: crop("text", round(1.5 * h * _DENSITY), round(1.5 * w * _DENSITY), rng)  # noqa: E731
+    body = box((0.0, 0.0, 0.4), (4.6, 1.9, 1.9), skin, leave_out=("bottom",))
+    return body + box((0.0, 0.0, 0.0), (3.8, 1.7, 0.4), everywhere(np.full((8, 8, 3), 30, np.uint8)))
+
+
 def _row(length: float, stock: _Stock, rng: Rng) -> list[Panel]:
     """House fronts along x about the origin, facing -y, and what stands before them."""
     count = round(length / _FRONT[0])
