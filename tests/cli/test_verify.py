@@ -100,7 +100,7 @@ def with_broken(folder: Path, codec_class: str, requires: tuple[str, ...] = ()) 
 def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
     done = with_broken(tmp_path, "LosesARow").call("verify", "broken", "--only", "shape", "--only", "params")
     assert done.status == 1
-    assert re.search(r"FAIL  shape .*\n +gray: decode\(.*\): got shape \(\d+, \d+\); expected shape", done.stdout)
+    assert re.search(r"FAIL  shape .*\n +gray: decoding .*: got shape \(\d+, \d+\); expected shape", done.stdout)
     assert "pass  params" in done.stdout
 
 

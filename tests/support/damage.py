@@ -8,31 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from codecbench import BitstreamError, Codec
+from codecbench.core.conformance.damage import mutations
 
 
 def damaged_copies(bitstreams: list[bytes], count: int, rng: np.random.Generator) -> Iterator[tuple[int, bytes]]:
-    """`count` times the index of a bitstream and a copy of it that is cut, flipped, overwritten or shifted."""
-    for number in range(count):
-        index = number % len(bitstreams)
-        copy = bytearray(bitstreams[index])
-        place = int(rng.integers(len(copy)))
-        kind = int(rng.integers(6))
-        if kind == 0:
-            del copy[place:]
-        elif kind == 1:
-            for _ in range(int(rng.integers(1, 4))):
-                copy[int(rng.integers(len(copy)))] ^= 1 << int(rng.integers(8))
-        elif kind == 2:
-            for _ in range(int(rng.integers(1, 8))):
-                copy[int(rng.integers(len(copy)))] = int(rng.integers(256))
-        elif kind == 3:
-            part = copy[place : place + int(rng.integers(1, 30))]
-            copy[place : place + len(part)] = rng.bytes(len(part))
-        elif kind == 4:
-            del copy[place : place + int(rng.integers(1, 40))]
-        else:
-            copy[place:place] = copy[int(rng.integers(len(copy))) :][:20]
-        yield index, bytes(copy)
+    """`count` times the index of a bitstream and a copy of it: cut, or damaged as `codecbench verify` does it."""
+    for index, bitstream in enumerate(bitstreams):
+        copies = len(range(index, count, len(bitstreams)))
+        for length in rng.integers(len(bitstream), size=copies // 6):
+            yield index, bitstream[:length]
+        for _, copy in mutations(bitstream, rng, copies - copies // 6, ""):
+            yield index, copy
 
 
 def outcomes(codec: Codec, bitstreams: list[bytes], count: int, seed: int) -> Counter[str]:

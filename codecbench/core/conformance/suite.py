@@ -29,7 +29,7 @@ CHECKS: Final = (
     Check("interleaved", "two sessions at once know nothing of each other", checks.sessions_do_not_interfere, _FILMS),
     Check("prepared", "what is found beforehand changes no byte", checks.preparing_changes_nothing, ("pictures",)),
     Check("one_in_one_out", "where low delay is claimed, nothing waits", checks.one_in_gives_one_out, ("stream",)),
-    Check("future", "packets that have left are final, of the past only", checks.what_was_sent_is_final, ("stream",)),
+    Check("future", "what has left is final, and tells of no later frame", checks.what_was_sent_is_final, ("stream",)),
     Check("lossless", "settings that claim to be lossless are", checks.lossless_means_lossless, _ALL),
     Check("range", "samples stop at black and at white", checks.samples_stop_at_black_and_white, ("pictures",)),
     Check("empty", "a set of no feature is a set", checks.empty_sets_are_sets, ("features",)),
