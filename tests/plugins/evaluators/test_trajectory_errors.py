@@ -257,6 +257,26 @@ def test_too_few_poses_are_undefined_with_their_number(count: int) -> None:
             compute(pairs)
 
 
+def test_a_straight_path_has_the_error_that_is_least_for_every_turn_about_it(rng: np.random.Generator) -> None:
+    """By hand: after the best scale along the line, what is left is along it and across it."""
+    stamps_s = np.arange(40.0)
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, 0, 3] = stamps_s
+    truth = Trajectory(stamps_s, poses)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    for noise in (0.0, 0.1):
+        offsets = noise * rng.standard_normal((40, 3))
+        found = poses.copy()
+        found[:, :3, 3] = 0.25 * (poses[:, :3, 3] + offsets) @ turn.T + [4.0, 5.0, 6.0]
+        pairs = Pairs(Trajectory(stamps_s, found), truth)
+        estimated, true = (p.positions_world - p.positions_world.mean(axis=0) for p in (pairs.estimate, truth))
+        power, product = np.mean(np.sum(estimated**2, axis=1)), np.linalg.norm(true.T @ estimated / 40)
+        least = np.sqrt(max(0.0, np.mean(np.sum(true**2, axis=1)) - product**2 / power))
+        assert errors.rms(errors.position_errors(pairs, align(pairs))) == pytest.approx(least, abs=1e-6)
+        with pytest.raises(Undefined, match="on one line"):
+            align(pairs, whole_turn=True)
+
+
 def test_a_trajectory_that_stands_still_is_undefined() -> None:
     truth = helix(50)
     still = Trajectory(truth.timestamps_s, np.tile(np.eye(4), (50, 1, 1)))

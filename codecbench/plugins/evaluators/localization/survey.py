@@ -72,7 +72,7 @@ def survey_of(sequence: FrameSequence, backend: Orb, association_s: float, limit
         raise Unsupported(f"the raw frames of {sequence.name} make no map; is there motion enough, and texture?")
     mapped = Trajectory(built.trajectory.timestamps_s, built.trajectory.world_from_camera)
     try:
-        world_from_map = align(associate(mapped, sequence.ground_truth, association_s))
+        world_from_map = align(associate(mapped, sequence.ground_truth, association_s), whole_turn=True)
     except Undefined as why:
         raise Unsupported(f"the map of {sequence.name} cannot be aligned with the truth: {why}") from why
     limit_m = limit_share * world_from_map.scale * built.localizer.scene_depth()

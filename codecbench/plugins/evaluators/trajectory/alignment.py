@@ -74,12 +74,13 @@ def associate(estimate: Trajectory, reference: Trajectory, tolerance_s: float) -
     return Pairs(_select(estimate, np.flatnonzero(found)), _select(reference, nearest[found]))
 
 
-def align(pairs: Pairs) -> Similarity:
+def align(pairs: Pairs, whole_turn: bool = False) -> Similarity:
     """The similarity that minimises the squared distances between paired positions.
 
     Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE TPAMI 13(4),
-    1991, doi:10.1109/34.88573, as evo computes it. Raises Undefined for fewer than MIN_POSES pairs and for positions
-    that lie in one point or on one line, which leave the similarity open.
+    1991, doi:10.1109/34.88573, as evo computes it. On a straight line the turn about it is open, and one of the best is
+    given: distances are the same for all. Raises Undefined for fewer than MIN_POSES pairs and for positions that are
+    all one; with whole_turn also for straight lines.
     """
     from evo.core.geometry import GeometryException, umeyama_alignment
 
@@ -90,8 +91,21 @@ def align(pairs: Pairs) -> Similarity:
             pairs.estimate.positions_world.T, pairs.reference.positions_world.T, True
         )
     except GeometryException as error:
-        raise Undefined("the tracked positions lie in one point or on one line: no similarity is best") from error
+        estimated, true = pairs.estimate.positions_world, pairs.reference.positions_world
+        if whole_turn or min(np.ptp(estimated, axis=0).max(), np.ptp(true, axis=0).max()) == 0.0:
+            raise Undefined("the tracked positions lie in one point or on one line: no similarity is best") from error
+        return _align_any_turn(estimated, true)
     return Similarity(float(scale), rotation, translation)
+
+
+def _align_any_turn(estimated: NDArray[np.float64], true: NDArray[np.float64]) -> Similarity:
+    """One of the best similarities (Umeyama, eqs. 40 to 42, which hold where several are best, too)."""
+    from_mean, to_mean = estimated.mean(axis=0), true.mean(axis=0)
+    left, strengths, right = np.linalg.svd((true - to_mean).T @ (estimated - from_mean) / len(true))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    scale = float(strengths @ signs / np.mean(np.sum((estimated - from_mean) ** 2, axis=1)))
+    rotation = (left * signs) @ right
+    return Similarity(scale, rotation, to_mean - scale * rotation @ from_mean)
 
 
 def _select(trajectory: Trajectory, positions: NDArray[np.int64]) -> Trajectory:

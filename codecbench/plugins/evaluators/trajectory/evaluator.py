@@ -44,7 +44,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     """Accuracy and behaviour of monocular SLAM. A run that loses its way is a result; docs/metrics.md says which."""
 
     name = "trajectory"
-    version = "2"
+    version = "3"
     params_type = TrajectoryParams
     metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *LIVE, *BEHAVIOUR, *COMPARED)
     views = (

@@ -61,14 +61,14 @@ def write_points(path: Path, points: NDArray[np.float64]) -> None:
 
 
 def write_states(path: Path, frames: tuple[TrackedFrame, ...]) -> None:
-    """What happened to each frame, one line a frame."""
+    """What happened to each frame, one line a frame; no times of computing, so that equal runs leave equal files."""
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["frame", "timestamp_s", "state", "inliers", "keyframe", "map_id", "elapsed_ms", "reason"])
+        writer.writerow(["frame", "timestamp_s", "state", "inliers", "keyframe", "map_id", "reason"])
         for frame in frames:
-            stamp, elapsed = f"{frame.timestamp_s:.6f}", f"{frame.elapsed_ms:.3f}"
+            stamp = f"{frame.timestamp_s:.6f}"
             tracking = (frame.inliers, int(frame.keyframe), frame.map_id)
-            writer.writerow([frame.index, stamp, frame.state, *tracking, elapsed, frame.reason])
+            writer.writerow([frame.index, stamp, frame.state, *tracking, frame.reason])
 
 
 def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
