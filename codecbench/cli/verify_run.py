@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     type=click.FloatRange(0),
     default=1e-6,
     show_default=True,
-    help="The relative difference of two values up to which they agree where libraries have other versions.",
+    help="The relative difference of two values up to which they agree where libraries have other versions, or the "
+    "processor has other vector instructions.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A fresh run folder, to keep the cells.")
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a processor.")
@@ -37,9 +38,9 @@ def verify_run(
 ) -> None:  # fmt: skip
     """Compute a sample of the cells of a BUNDLE, or of a run folder, again, and say which agree.
 
-    Compared are all values that equal code gives again; times are not, nor what depends on the machine. Where all
-    libraries have the versions that they had, values must be equal to the last bit. The exit status is 1 if a cell
-    differs, or none could be computed.
+    Compared are all values that equal code gives again; times are not, nor what depends on the machine. Where
+    libraries have the versions that they had, and the processor the vector instructions, values must be equal to the
+    last bit. The exit status is 1 if a cell differs, or none could be computed.
     """
     from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.results.verification.verifying import verify_run as verified
@@ -52,7 +53,9 @@ def verify_run(
     for agreement in found.cells:
         click.echo(clean_line(_line(agreement)))
     counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts.items()) or "no cell to compare"
-    click.echo(f"{counts}; tolerance {tolerance:g} of the value where versions differ, times are not compared")
+    click.echo(
+        f"{counts}; tolerance {tolerance:g} of the value where versions or instructions differ, times are not compared"
+    )
     if out is not None:
         click.echo(f"run folder: {out}")
     if not found.holds:

@@ -59,13 +59,14 @@ def values_of(store: Store, record: Record, metrics: Collection[str] | None) -> 
 
 
 def other_version(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """What has another version in two environments and may change a result, the first of it; empty if nothing has.
+    """What is another in two environments and may change a result, the first of it; empty if nothing is.
 
-    A library that one side lacks is none that the cell used. A description that comes from elsewhere may have anything
-    in any place.
+    Beside versions that is `simd`: OpenBLAS, OpenCV, NumPy and the C library choose their code by what the processor
+    has of AVX2 and AVX-512, and round otherwise. A library that one side lacks is none that the cell used. A
+    description that comes from elsewhere may have anything in any place.
     """
     versions = [
-        {**_part(side, "machine", "architecture"), **_part(side, "system", "libc"), **_part(side, "libraries"),
+        {**_part(side, "machine", "architecture", "simd"), **_part(side, "system", "libc"), **_part(side, "libraries"),
          **_part(side, "distributions")}
         for side in (there, here)
     ]  # fmt: skip
@@ -102,7 +103,7 @@ def compared(cell: Cell, there: Values, here: Values, tolerance: float, other: s
     note = (
         f"{_named(first)}: {there[first]!r} there, {here[first]!r} here; {len(unequal)} of {len(there)} values differ"
     )
-    return Agreement(cell, verdict, len(there), f"{note}; {other or 'all versions are equal'}")
+    return Agreement(cell, verdict, len(there), f"{note}; {other or 'versions and instructions are equal'}")
 
 
 def _distance(first: float, second: float) -> float:

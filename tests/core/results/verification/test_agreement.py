@@ -57,7 +57,7 @@ def test_the_first_value_that_does_not_agree_is_named(cell: Cell) -> None:
 
 def test_versions_that_may_change_a_result_are_compared() -> None:
     here = {
-        "machine": {"architecture": "x86_64", "cpu": "one"},
+        "machine": {"architecture": "x86_64", "cpu": "one", "simd": ["avx", "avx2"]},
         "system": {"libc": "glibc 2.36", "release": "6.1"},
         "distributions": {"numpy": "2.0", "scipy": "1.15", "pandas": "2.2", "glymur": "0.14"},
         "libraries": {"opencv JPEG": "3.1"},
@@ -72,6 +72,8 @@ def test_versions_that_may_change_a_result_are_compared() -> None:
         other_version({**here, "system": {"libc": "glibc 2.41"}}, here) == "libc is glibc 2.41 there, glibc 2.36 here"
     )
     assert other_version({**here, "machine": {"architecture": "aarch64"}}, here).startswith("architecture is aarch64")
+    newer = {"architecture": "x86_64", "simd": ["avx", "avx2", "avx512f"]}
+    assert other_version({**here, "machine": newer}, here).startswith("simd is ['avx', 'avx2', 'avx512f'] there")
     assert other_version({"distributions": 7}, here) == "versions are not known"
 
 
