@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -81,11 +82,12 @@ def _refused_versions(distribution: str, libraries: tuple[str, ...]) -> list[str
     from packaging.requirements import Requirement
 
     refused = []
-    for requirement in map(Requirement, importlib.metadata.requires(distribution) or () if libraries else ()):
-        if requirement.name.replace("-", "_") in libraries:
-            version = importlib.metadata.version(requirement.name)
-            if not requirement.specifier.contains(version, prereleases=True):
-                refused.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
+    with suppress(importlib.metadata.PackageNotFoundError):  # without metadata nothing is asked for
+        for requirement in map(Requirement, (importlib.metadata.requires(distribution) or ()) if libraries else ()):
+            if requirement.name.replace("-", "_") in libraries:
+                version = importlib.metadata.version(requirement.name)
+                if not requirement.specifier.contains(version, prereleases=True):
+                    refused.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
     return refused
 
 
