@@ -140,7 +140,8 @@ def aggregate(name: str, values: Values) -> float:
 def summarise(samples: Iterable[Measurement], metrics: Iterable[Metric]) -> dict[tuple[str, str, str], float]:
     """The declared aggregates of per-frame measurements, by (metric, stage, aggregate).
 
-    Where values are infinite, their number is added as the aggregate `infinite`.
+    Where values are infinite, their number is added as the aggregate `infinite`. Raises OverflowError for an aggregate
+    that is infinite where no value is.
     """
     declared = {metric.name: metric.aggregates for metric in metrics}
     values: dict[tuple[str, str], list[float]] = defaultdict(list)
@@ -148,9 +149,12 @@ def summarise(samples: Iterable[Measurement], metrics: Iterable[Metric]) -> dict
         values[sample.metric, sample.stage or ""].append(sample.value)
     found: dict[tuple[str, str, str], float] = {}
     for (name, stage), series in values.items():
-        array = np.array(series, dtype=np.float64)
+        array, has_infinite = np.array(series, dtype=np.float64), any(map(math.isinf, series))
         for how in declared[name]:
-            found[name, stage, how] = aggregate(how, array)
-        if any(map(math.isinf, series)):
+            with np.errstate(over="ignore"):
+                value = found[name, stage, how] = aggregate(how, array)
+            if math.isinf(value) and not has_infinite:
+                raise OverflowError(f"{name}: {how} of {len(series)} finite values is too large for a number")
+        if has_infinite:
             found[name, stage, "infinite"] = aggregate("infinite", array)
     return found

@@ -115,3 +115,10 @@ def test_frames_are_summarised_by_metric_and_stage() -> None:
         ("psnr", "", "mean"): 40.0,
         ("psnr", "", "infinite"): 1.0,
     }
+
+
+@pytest.mark.parametrize("how", ["mean", "sum", "std"])
+def test_an_aggregate_that_overflows_is_an_error_and_not_infinite(how: str) -> None:
+    samples = [Measurement("size", 1e308, 0), Measurement("size", 1e308 if how != "std" else -1e308, 1)]
+    with pytest.raises(OverflowError, match=f"size: {how} of 2 finite values"):
+        summarise(samples, [Metric("size", "B", "lower", "", (how,))])
