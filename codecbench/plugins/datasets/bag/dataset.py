@@ -15,7 +15,6 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
-from codecbench.plugins.datasets.bag.bag_file import Integers
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
 from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
 from codecbench.plugins.datasets.bag.pictures import (
@@ -27,7 +26,7 @@ from codecbench.plugins.datasets.bag.pictures import (
     said_of_compressed,
     said_of_image,
 )
-from codecbench.plugins.datasets.bag.recording import Recording, Topic, is_called_a_bag, recording
+from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, is_called_a_bag, recording
 from codecbench.plugins.datasets.bag.transforms import frame_name
 from codecbench.plugins.datasets.bag.truth import Wanted, true_path
 from codecbench.plugins.datasets.calibration import lens_of
@@ -86,7 +85,7 @@ class Bag(Dataset[BagParams]):
 
 
 class BagSequence(FrameSequence):
-    """Reads a message a frame. Opening reads the headers of the pictures, and the camera's and the poses' messages."""
+    """Reads a message a frame. Opening reads all messages of the pictures, the camera and the poses once."""
 
     def __init__(self, params: BagParams) -> None:
         self._params = params
@@ -116,7 +115,7 @@ class BagSequence(FrameSequence):
             params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
         )
         part = params.notes_of_part(len(numbers))
-        self.notes = (*self._recording.damage, described(self._recording, self._topic), *part, *of_picture, *said)
+        self.notes = (*self._recording.remarks, described(self._recording, self._topic), *part, *of_picture, *said)
         self.notes += (*found.notes, *of_truth)
         self._check(image, int(self._numbers[0]))
 
@@ -202,16 +201,14 @@ def image_topic(found: Recording, name: str | None) -> Topic:
     readable = {name: topic for name, topic in images.items() if _may_be_read(found, topic)}
     if name is None and len(readable or images) == 1:
         return next(iter((readable or images).values()))
-    damage = "".join(f"; {text}" for text in found.damage)
     if not images:
         topics = list(found.topics.values())[:_MOST_LISTED]
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
-        what = "is damaged, and no picture is left that can be read" if damage else "holds no pictures"
-        raise DatasetError(f"{found.path}: {what}; topics: {listed or 'none'}{damage}")
+        raise DatasetError(f"{found.path}: holds no pictures; topics: {listed or 'none'}")
     images = readable or images
     listed = "".join(f"\n  {described(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
     what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
-    raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}{damage}")
+    raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}")
 
 
 def _may_be_read(found: Recording, topic: Topic) -> bool:
@@ -247,12 +244,10 @@ def _camera_named(found: Recording, name: str) -> Topic:
 
 def _ordered(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
     """Times in ns, strictly increasing, the numbers of their messages, and what has to be said of both."""
-    times_ns, said = topic.places[:, 0], []
+    (times_ns, headers_ns, damage), said = found.index(topic), []
+    if damage is not None:
+        said.append(f"only {len(times_ns)} of {len(topic)} frames are read, up to the damage: {damage}")
     if time == "header":
-        headers_ns, damage = found.header_times_ns(topic)
-        if damage is not None:
-            said.append(f"only {len(headers_ns)} of {len(times_ns)} frames are read, up to the damage: {damage}")
-        times_ns = times_ns[: len(headers_ns)]
         if headers_ns.min() <= 0:
             said.append("times are those of the recording, because headers have none")
         else:

@@ -1,120 +1,282 @@
-"""A recording: one or more files, the topics in them, and any message of a topic by its number."""
+"""A recording: one or more files, the topics in them, and any message of a topic by its number.
+
+rosbags reads bags of ROS 1 and SQLite files of ROS 2, mcap reads MCAP files of any profile. Both are used below their
+`AnyReader` and decoders, which would make Python code of the definitions in a bag, and a bag may be a stranger's.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import struct
+import sys
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from heapq import merge
+from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.plugins.datasets.bag.bag_file import BagFile, Integers
-from codecbench.plugins.datasets.bag.mcap_file import McapFile
 from codecbench.plugins.datasets.bag.messages import ENCODINGS, deserialized
-from codecbench.plugins.datasets.bag.ros1_file import Ros1File
-from codecbench.plugins.datasets.bag.sqlite_file import SqliteFile
 from codecbench.plugins.datasets.folder import natural_key
 
-_KINDS: Final[dict[str, type[BagFile]]] = {".bag": Ros1File, ".mcap": McapFile, ".db3": SqliteFile}
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+Integers = NDArray[np.int64]
+Stamped = tuple[int, bytes]
+"""When a message was recorded, in ns, and its bytes."""
+
 _IN_FOLDERS: Final = (".mcap", ".db3")
 """What ROS 2 puts into the folder of a bag."""
 _NUMBER: Final = re.compile(r"(^|_)\d+$")
 _MOST_NAMES: Final = 20
 _HEAD_BYTES: Final = 12
+_MOST_BYTES: Final = 1 << 28
+"""256 MiB: what a message that is compressed by itself may expand to."""
+_ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _OPEN_AT_ONCE: Final = 4
 
 
 @dataclass(frozen=True)
 class Topic:
-    """The messages of a topic in the order in which they were recorded.
-
-    places: (N, 4) time in ns, number of the file, block and offset in it.
-    """
+    """The messages of a topic. type: such as `sensor_msgs/msg/Image`. encoding: `cdr` or `ros1`."""
 
     name: str
     type: str
     encoding: str
-    places: Integers
+    count: int
 
     def __len__(self) -> int:
-        return len(self.places)
+        return self.count
+
+
+class BagFile(ABC):
+    """A file of messages. kind: what such a file is called. remedy: a command that mends one."""
+
+    kind: ClassVar[str]
+    remedy: ClassVar[str]
+
+    @abstractmethod
+    def __init__(self, file: Path) -> None:
+        """Open a file and read what is in it; whatever the libraries raise for a damaged one is raised."""
+
+    @abstractmethod
+    def topics(self) -> Iterator[Topic]:
+        """The topics of the file, one from each publisher."""
+
+    @abstractmethod
+    def messages(self, topic: str, start_ns: int) -> Iterator[Stamped]:
+        """The messages of a topic that were recorded at `start_ns` or later, in the order of their times."""
+
+
+class _RosFile(BagFile):
+    reader: ClassVar[type[Any]]
+
+    def __init__(self, file: Path) -> None:
+        self._reader = self.reader(file)
+        self._reader.open()
+
+    def topics(self) -> Iterator[Topic]:
+        for each in self._reader.connections:
+            encoding = getattr(each.ext, "serialization_format", "ros1")
+            yield Topic(each.topic, type_from_name(each.msgtype), encoding, each.msgcount)
+
+    def messages(self, topic: str, start_ns: int) -> Iterator[Stamped]:
+        connections = [each for each in self._reader.connections if each.topic == topic]
+        if connections:
+            for _, time_ns, content in self._reader.messages(connections, start=start_ns):
+                yield time_ns, content
+
+
+class _Ros1File(_RosFile):
+    kind, remedy, reader = "ROS 1 bag", "rosbag reindex {name}", Ros1Reader
+
+
+class _SqliteFile(_RosFile):
+    kind, remedy, reader = "SQLite bag", "sqlite3 {name} .recover | sqlite3 whole.db3", Ros2Reader
+
+
+class _McapFile(BagFile):
+    kind, remedy = "MCAP file", "mcap recover {name} -o whole.mcap"
+
+    def __init__(self, file: Path) -> None:
+        self._reader = make_reader(open(file, "rb"))  # noqa: SIM115 - read as long as the sequence lives
+        summary = self._reader.get_summary()
+        if summary is None or summary.statistics is None:
+            raise ValueError("it has no index at its end")
+        counts = summary.statistics.channel_message_counts
+        self._topics = []
+        for number, channel in summary.channels.items():
+            schema = summary.schemas.get(channel.schema_id)
+            type_ = type_from_name(schema.name) if schema is not None else ""
+            self._topics.append(Topic(channel.topic, type_, channel.message_encoding, counts.get(number, 0)))
+
+    def topics(self) -> Iterator[Topic]:
+        return iter(self._topics)
+
+    def messages(self, topic: str, start_ns: int) -> Iterator[Stamped]:
+        for _, _, message in self._reader.iter_messages([topic], starting_at=start_ns):
+            yield message.log_time, message.data
+
+
+_KINDS: Final[dict[str, type[BagFile]]] = {".bag": _Ros1File, ".mcap": _McapFile, ".db3": _SqliteFile}
 
 
 class Recording:
     """A ROS 1 bag, a ROS 2 bag of one or several files, or an MCAP file.
 
-    kind: what it is called. damage: for each file that is damaged, what is wrong and how far it is read.
+    kind: what it is called. remarks: what of it is not read.
     """
 
     def __init__(self, path: Path, files: list[Path]) -> None:
         self.path = path
-        self._files = [_KINDS[file.suffix](file) for file in files]
-        self.damage = [file.damage for file in self._files if file.damage is not None]
-        self.kind = "ROS 2 bag" if path.is_dir() else self._files[0].kind
-        self.topics = {topic.name: topic for topic in self._merged()}
+        self._paths = files
+        self._process = 0
+        self._indexes: dict[str, tuple[Integers, Integers, str | None]] = {}
+        opened = self._files()
+        self.kind = "ROS 2 bag" if path.is_dir() else opened[0].kind
+        self.topics = {topic.name: topic for topic in self._merged(opened)}
+        logs = [file.with_name(f"{file.name}-wal") for file in files]
+        self.remarks = [
+            f"what is only in {log.name} is not read: "
+            f"`sqlite3 {log.name.removesuffix('-wal')} 'PRAGMA wal_checkpoint'` puts it into the bag"
+            for log in logs
+            if log.exists() and log.stat().st_size
+        ]
 
     def raw(self, topic: Topic, number: int) -> bytes:
-        """A message as it was recorded. Raises DatasetError."""
-        _, file, block, offset = (int(place) for place in topic.places[number])
-        return self._files[file].message(block, offset)
+        """A message as it was recorded. Reading one after another is quick. Raises DatasetError."""
+        self._files()
+        if self._next != (topic.name, number):
+            times_ns = self.index(topic)[0] if number else np.zeros(1, np.int64)
+            start_ns = int(times_ns[number])
+            before = number - int(np.searchsorted(times_ns, start_ns))
+            self._cursor = islice(self._stream(topic, start_ns), before, None)
+        self._next = ("", -1)
+        _, content = next(self._cursor, (0, None))
+        if content is None:
+            raise DatasetError(f"{self.where(topic, number)}: is not there any more")
+        self._next = (topic.name, number + 1)
+        return content
 
     def message(self, topic: Topic, number: int) -> Any:
         """A message, deserialised. Raises DatasetError."""
         return deserialized(self.raw(topic, number), topic.type, topic.encoding, self.where(topic, number))
 
-    def messages(self, topic: Topic) -> Iterator[Any]:
-        """All messages of a topic. Raises DatasetError."""
-        return (self.message(topic, number) for number in range(len(topic)))
+    def messages(self, topic: Topic) -> Iterator[tuple[int, Any]]:
+        """When each message of a topic was recorded, in ns, and the message, in this order. Raises DatasetError."""
+        for number, (time_ns, content) in enumerate(self._stream(topic, 0)):
+            yield time_ns, deserialized(content, topic.type, topic.encoding, self.where(topic, number))
 
     def where(self, topic: Topic, number: int) -> str:
         """What to call a message in errors."""
-        return f"{self._files[topic.places[number, 1]].file}: {topic.name}[{number}]"
+        return f"{self.path}: {topic.name}[{number}]"
 
-    def header_times_ns(self, topic: Topic) -> tuple[Integers, str | None]:
-        """The times in the headers of messages that begin with one, up to the first that is damaged, and what it is.
+    def index(self, topic: Topic) -> tuple[Integers, Integers, str | None]:
+        """When the messages of a topic were recorded, the times in their headers, and what ends both too early.
 
-        Only the headers are read. Raises DatasetError where the first is damaged.
+        All of the topic is read, once. Raises DatasetError where the first message is damaged.
         """
-        times_ns: list[int] = []
-        for number in range(len(topic)):
+        if topic.name not in self._indexes:
+            times_ns: list[int] = []
+            headers_ns: list[int] = []
+            damage = None
             try:
-                times_ns.append(self._header_time_ns(topic, number))
+                for number, (time_ns, content) in enumerate(self._stream(topic, 0)):
+                    headers_ns.append(_header_time_ns(content, topic.encoding, self.where(topic, number)))
+                    times_ns.append(time_ns)
             except DatasetError as error:
                 if not times_ns:
                     raise
-                return np.array(times_ns, np.int64), str(error)
-        return np.array(times_ns, np.int64), None
+                damage = str(error)
+            self._indexes[topic.name] = np.array(times_ns, np.int64), np.array(headers_ns, np.int64), damage
+        return self._indexes[topic.name]
 
-    def _header_time_ns(self, topic: Topic, number: int) -> int:
-        _, file, block, offset = (int(place) for place in topic.places[number])
-        head = self._files[file].message(block, offset, _HEAD_BYTES)
-        if len(head) < _HEAD_BYTES:
-            raise DatasetError(f"{self.where(topic, number)}: {len(head)} bytes are too few for a header")
-        big = topic.encoding == "cdr" and head[1] == 0
-        # CDR has its 4 bytes of encapsulation where ROS 1 has the header's sequence number.
-        seconds, nanoseconds = struct.unpack(">iI" if big else "<iI", head[4:])
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    def _files(self) -> list[BagFile]:
+        """The open files; a forked process opens its own, because a place in a shared file is shared, too."""
+        if self._process != os.getpid():
+            self._next, self._cursor = ("", -1), iter(())
+            opened = []
+            for file in self._paths:
+                with _damage_of(file):
+                    opened.append(_KINDS[file.suffix](file))
+            self._opened, self._process = opened, os.getpid()
+        return self._opened
 
-    def _merged(self) -> Iterator[Topic]:
-        """Topics from the channels of all files. Raises DatasetError where a topic has two types."""
-        parts: dict[str, list[tuple[str, str, Integers]]] = {}
-        for number, file in enumerate(self._files):
-            for channel in file.channels:
-                found = channel.places
-                places = np.insert(found, 1, number, axis=1)
-                if channel.topic and channel.encoding in ENCODINGS:
-                    parts.setdefault(channel.topic, []).append((channel.type, channel.encoding, places))
-        for name, channels in sorted(parts.items()):
-            kinds = sorted({(type_, encoding) for type_, encoding, _ in channels})
+    _opened: list[BagFile]
+    _next: tuple[str, int]
+    _cursor: Iterator[Stamped]
+
+    def _stream(self, topic: Topic, start_ns: int) -> Iterator[Stamped]:
+        parts = [
+            _told(path, file.messages(topic.name, start_ns))
+            for path, file in zip(self._paths, self._files(), strict=True)
+        ]
+        return merge(*parts, key=lambda stamped: stamped[0])
+
+    def _merged(self, files: list[BagFile]) -> Iterator[Topic]:
+        """Topics from those of all files. Raises DatasetError where a topic has two types."""
+        parts: dict[str, list[Topic]] = {}
+        for file in files:
+            for topic in file.topics():
+                if topic.encoding in ENCODINGS:
+                    parts.setdefault(topic.name, []).append(topic)
+        for name, topics in sorted(parts.items()):
+            kinds = sorted({(topic.type, topic.encoding) for topic in topics})
             if len(kinds) > 1:
                 raise DatasetError(f"{self.path}: topic {name} has messages of {kinds}; a topic of one type is read")
-            places = np.concatenate([part for _, _, part in channels])
-            yield Topic(name, *kinds[0], places[np.argsort(places[:, 0], kind="stable")])
+            yield Topic(name, *kinds[0], sum(topic.count for topic in topics))
+
+
+@contextmanager
+def _damage_of(file: Path) -> Iterator[None]:
+    """Whatever the libraries raise for a damaged file becomes a DatasetError that names a command which mends it."""
+    try:
+        yield
+    except DatasetError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        remedy = _KINDS[file.suffix].remedy.format(name=file.name)
+        raise DatasetError(
+            f"{file}: cannot be read, is damaged or was not closed ({reason}); `{remedy}` recovers what is left"
+        ) from error
+
+
+def _told(file: Path, messages: Iterator[Stamped]) -> Iterator[Stamped]:
+    with _damage_of(file):
+        for time_ns, content in messages:
+            packed = content[:4] == _ZSTD_MAGIC
+            yield time_ns, zstd.ZstdDecompressor().decompress(content, max_length=_MOST_BYTES) if packed else content
+
+
+def type_from_name(name: str) -> str:
+    """A message type as ROS 2 spells it: `sensor_msgs/Image` becomes `sensor_msgs/msg/Image`."""
+    package, _, last = name.partition("/")
+    return name if "/" in last or not last else f"{package}/msg/{last}"
+
+
+def _header_time_ns(content: bytes, encoding: str, where: str) -> int:
+    """The time in the header that a message begins with. Raises DatasetError, naming `where`."""
+    if len(content) < _HEAD_BYTES:
+        raise DatasetError(f"{where}: {len(content)} bytes are too few for a header")
+    big = encoding == "cdr" and content[1] == 0
+    # CDR has its 4 bytes of encapsulation where ROS 1 has the header's sequence number.
+    seconds, nanoseconds = struct.unpack(">iI" if big else "<iI", content[4:_HEAD_BYTES])
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def _several(files: list[Path]) -> bool:

@@ -53,7 +53,7 @@ class FrameTree:
         for topic in recording.topics.values():
             is_static = topic.name.rpartition("/")[2] == _STATIC
             if topic.type in TRANSFORMS and (is_static or topic is moving):
-                for message in recording.messages(topic):
+                for _, message in recording.messages(topic):
                     for transform in message.transforms:
                         self._add(transform, is_static)
 

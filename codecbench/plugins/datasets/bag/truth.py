@@ -80,8 +80,8 @@ def _from_transforms(recording: Recording, topic: Topic, wanted: Wanted) -> tupl
 def _from_poses(recording: Recording, topic: Topic, wanted: Wanted) -> tuple[Trajectory, list[str]]:
     edge, child = Edge("", is_static=False), frame_name(wanted.child_frame or "")
     parents: set[str] = set()
-    for number, message in enumerate(recording.messages(topic)):
-        edge.times_ns.append(stamp_ns(message.header) or int(topic.places[number, 0]))
+    for time_ns, message in recording.messages(topic):
+        edge.times_ns.append(stamp_ns(message.header) or time_ns)
         edge.numbers.extend(_pose(message, topic.type))
         parents.add(frame_name(message.header.frame_id))
         child = child or frame_name(getattr(message, "child_frame_id", ""))
