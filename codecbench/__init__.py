@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from warnings import warn
 
 if TYPE_CHECKING:
+    from codecbench.core.analysis.run_result import RunResult
+    from codecbench.core.analysis.verification import verify_run
     from codecbench.core.contracts.codec import (
         AnyCodec,
         Capabilities,
@@ -62,11 +64,7 @@ if TYPE_CHECKING:
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
     from codecbench.core.engine.planning.one_codec import codec
-    from codecbench.core.results.bundles import bundle, open_bundle
-    from codecbench.core.results.collect import open_run
-    from codecbench.core.results.run_result import RunResult
-    from codecbench.core.results.running import run
-    from codecbench.core.results.verification.verifying import verify_run
+    from codecbench.core.facade import Run, bundle, open_bundle, open_run, run
     from codecbench.trial.choosing import choose
     from codecbench.trial.trial import trial
 
@@ -101,14 +99,12 @@ _HOMES = {
     _CONTRACTS + "view": ("Course", "Drawing", "Lane", "Line", "Marks", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
-    "codecbench.core.results.bundles": ("bundle", "open_bundle"),
+    "codecbench.core.facade": ("Run", "bundle", "open_bundle", "open_run", "run"),
     "codecbench.core.engine.planning.one_codec": ("codec",),
-    "codecbench.core.results.collect": ("open_run",),
-    "codecbench.core.results.run_result": ("RunResult",),
-    "codecbench.core.results.running": ("run",),
+    "codecbench.core.analysis.run_result": ("RunResult",),
     "codecbench.trial.choosing": ("choose",),
     "codecbench.trial.trial": ("trial",),
-    "codecbench.core.results.verification.verifying": ("verify_run",),
+    "codecbench.core.analysis.verification": ("verify_run",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

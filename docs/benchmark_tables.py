@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from codecbench.core.results.markdown import cell, table
+from codecbench.core.report.tables import cell, table
 
 Benchmarks = list[dict[str, Any]]
 Heads = tuple[str, ...]

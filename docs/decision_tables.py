@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from codecbench.core.results.limits import POOLED
-from codecbench.core.results.markdown import table
-from codecbench.core.results.ranking.ranking import Ranked, Ranking, rankings
-from codecbench.core.results.run_result import RunResult
+from codecbench.core.analysis.limits import POOLED
+from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
 RATES: Final = (0.2, 0.5, 1.0)
@@ -17,7 +17,7 @@ RATES: Final = (0.2, 0.5, 1.0)
 
 def order(run: RunResult, heads: Heads) -> Iterator[str]:
     """Codecs in order of each task over all rates that they share, over all sequences together."""
-    rows, foretold = [], []
+    rows, agreements = [], []
     for ranking in rankings(run, brief=True):
         for ranked in ranking.ranked:
             places = str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
@@ -25,10 +25,10 @@ def order(run: RunResult, heads: Heads) -> Iterator[str]:
             rate = "–" if beside is None or beside.reason else f"{beside.percent:+.0f} %"
             ahead = ", ".join(ranked.ahead_of) or "–"
             rows.append([ranking.column.label, places, ranked.curve, ranked.group, rate, ahead])
-        values = ranking.foretold.values()
-        foretold.append(f"{ranking.column.label}, {sum(values) / len(values):.2f} ({min(values):.2f} at least)")
+        values = ranking.rank_correlation.values()
+        agreements.append(f"{ranking.column.label}, {sum(values) / len(values):.2f} ({min(values):.2f} at least)")
     yield table(heads, rows)
-    yield f"How well the order on a sequence is foretold by the others', as Kendall's tau: {'; '.join(foretold)}."
+    yield f"How well the order on a sequence is foretold by the others', as Kendall's tau: {'; '.join(agreements)}."
 
 
 def every_task(run: RunResult, heads: Heads) -> Iterator[str]:
@@ -54,8 +54,8 @@ def decided(run: RunResult) -> list[Ranking]:
 
 
 def row(ranking: Ranking) -> list[str]:
-    """The rate, what to take and its value, who is worse, as good, or not there, how well the order is foretold."""
-    taken = ranking.taken
+    """The rate, what to take and its value, who is worse, as good, or not there, how well the order agrees."""
+    taken = ranking.recommended
     assert ranking.rate is not None
     return [
         f"{ranking.rate:g} bit/px",
@@ -64,7 +64,9 @@ def row(ranking: Ranking) -> list[str]:
         ", ".join(taken.ahead_of) or "–",
         ", ".join(ranking.as_good) or "–",
         ", ".join(ranking.left_out) or "–",
-        f"{sum(ranking.foretold.values()) / len(ranking.foretold):.2f}" if ranking.foretold else "–",
+        f"{sum(ranking.rank_correlation.values()) / len(ranking.rank_correlation):.2f}"
+        if ranking.rank_correlation
+        else "–",
     ]
 
 

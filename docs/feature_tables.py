@@ -19,13 +19,13 @@ import numpy as np
 from run_tables import CODING, SETTING, Column, machine, rows_of
 from slam_runs import error_m, path_of, system_of
 
+from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.codec import AnyCodec, decoder_of, encoder_of
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.engine.registry import installed
-from codecbench.core.results.markdown import table
-from codecbench.core.results.run_result import RunResult
+from codecbench.core.report.tables import table
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.slam_backends.keypoints import keypoints_of

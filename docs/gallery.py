@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import codecbench
-from codecbench.core.results.markdown import escaped, foreign_table
-from codecbench.core.results.ranking.words import verdicts
-from codecbench.core.results.run_result import RunResult
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.formatting import verdicts
+from codecbench.core.report.tables import escaped, foreign_table
 
 ROOT = Path(__file__).parents[1]
 PAGE = Path(__file__).parent / "gallery.md"

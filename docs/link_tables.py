@@ -9,7 +9,7 @@ from typing import Final
 from run_tables import Heads, table
 
 from codecbench import RunResult
-from codecbench.core.results.choosing.candidates import Candidate, Demand, candidates
+from codecbench.core.analysis.choosing import Candidate, Demand, candidates
 
 ERROR_M: Final = 0.3
 """The live position error that is asked for."""

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from codecbench.core.results.markdown import table
+from codecbench.core.report.tables import table
 from codecbench.paper import facts
 from codecbench.plugins.codecs.multilevel import Multilevel, describe
 

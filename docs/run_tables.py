@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.core.results.markdown import cell, table
-from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import bd_rates
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.verdicts import bd_rates
+from codecbench.core.report.tables import cell, table
 
 Heads = tuple[str, ...]
 Row = dict[str, Any]

@@ -21,7 +21,7 @@ from slam_runs import error_m, path_of, system_of
 from codecbench import slam
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
-from codecbench.core.results.markdown import table
+from codecbench.core.report.tables import table
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.evaluators.trajectory.alignment import associate

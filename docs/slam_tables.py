@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.results.markdown import table
-from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.table import CellResult
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.table import CellResult
+from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
 

@@ -7,9 +7,9 @@ from typing import Final
 
 from run_tables import CODING, SETTING, Column, rows_of
 
-from codecbench.core.results.markdown import table
-from codecbench.core.results.ranking.ranking import Ranked, rankings
-from codecbench.core.results.run_result import RunResult
+from codecbench.core.analysis.ranking import Ranked, rankings
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
 ANCHORS: Final = ("jpeg", "h264")

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from scipy.stats import spearmanr
 
-from codecbench.core.results.markdown import table
-from codecbench.core.results.paired_difference import PairedDifference, paired_difference
-from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.verdicts import frame_matrix
+from codecbench.core.analysis.evidence import PairedDifference, paired_difference
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.verdicts import frame_matrix
+from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
 KNOWN: Final = ("quality=30", "quality=25")

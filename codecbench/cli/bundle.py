@@ -43,16 +43,15 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     """
     from codecbench.cli.rank import show_verdicts
     from codecbench.cli.show import show_reasons, show_summary
+    from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
     from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
     from codecbench.core.engine.registry import installed
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.bundles import absent_plugins
-    from codecbench.core.results.ranking.words import verdicts
-    from codecbench.core.results.report.write import write_report
+    from codecbench.core.report.formatting import verdicts
+    from codecbench.core.report.page import write_report
 
     folder = out or folder_beside(bundle)
     manifest = unpack_bundle(bundle, folder)
-    run = begun_run(folder)
+    run = open_nonempty_run(folder)
     show_verdicts(verdicts(run, brief=True))
     show_summary(run)
     show_reasons(run)

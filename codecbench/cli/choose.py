@@ -14,7 +14,7 @@ from codecbench.cli.rank import show_found
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
-    from codecbench.core.results.choosing.candidates import Demand
+    from codecbench.core.analysis.choosing import Demand
 
 
 def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
@@ -67,9 +67,9 @@ def choose(
     of all runs that there could be would succeed, at 95 %. Where neither a deadline nor an error is given, the setting
     of a RUN is named that errs least, and how sure that is; of a MATRIX one of them, and the link, are needed.
     """
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.choosing.candidates import Demand
-    from codecbench.core.results.choosing.overview import chosen
+    from codecbench.core.analysis.choosing import Demand
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.report.choosing import chosen
     from codecbench.trial.choosing import MINUTES, is_matrix
 
     if is_matrix(source):
@@ -85,7 +85,7 @@ def choose(
         raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
     if device_factor is not None and deadline is None and error is None:
         raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
-    result = begun_run(source)
+    result = open_nonempty_run(source)
     show_found(result, chosen(result, Demand(link or "", deadline, error, share, device_factor)), format_)
 
 
@@ -95,10 +95,10 @@ def _run_and_choose(
     """Run what it takes to choose, told on standard error, choose, and end with the status that the run has earned."""
     from codecbench.cli.display import Display
     from codecbench.cli.run import end, show_cells
+    from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.registry import installed
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.choosing.words import choices
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.report.choosing import choices
+    from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 
     made = link_matrix(matrix, demand, installed())
@@ -108,6 +108,6 @@ def _run_and_choose(
         summary = run_matrix(made.matrix, out, workers=workers, listener=display.show, minutes=minutes)
     show_cells(summary, err=True)
     if not summary.interrupted and "ok" in summary.statuses:
-        result = begun_run(summary.folder)
+        result = open_nonempty_run(summary.folder)
         show_found(result, choices(result, made.demand), format_)
     end(summary)

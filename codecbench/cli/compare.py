@@ -13,7 +13,7 @@ from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.formats import Format
 
 if TYPE_CHECKING:
-    from codecbench.core.results.comparison.compare import Comparison
+    from codecbench.core.analysis.comparison import Comparison
 
 _HEADS = ("sequence", "codec", "setting", "evaluator", "metric", "before", "after", "change", "verdict", "note")
 _FAILING = {
@@ -64,8 +64,8 @@ def compare(
     agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
     times is “cannot tell”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
     """
-    from codecbench.core.results.comparison.compare import compare as compared
-    from codecbench.core.results.comparison.snapshot import read_snapshot, write_snapshot
+    from codecbench.core.analysis.comparison import compare as compared
+    from codecbench.core.analysis.comparison import read_snapshot, write_snapshot
 
     first = read_snapshot(before)
     if save is not None:
@@ -95,12 +95,12 @@ def _print(found: list[Comparison], format_: str, everything: bool) -> None:
     counts = Counter(comparison.verdict for comparison in found)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
     if format_ == "json":
-        from codecbench.core.results.export import json_value
+        from codecbench.core.analysis.table import json_value
 
         values = [dict(zip(_HEADS, map(json_value, _cells(row)), strict=True)) for row in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
-    from codecbench.core.results.markdown import foreign_table, table
+    from codecbench.core.report.tables import foreign_table, table
 
     if rows:
         made = foreign_table if format_ == "markdown" else table

@@ -25,7 +25,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     from codecbench.core.engine.running.code_changes import code_notices
     from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
-    from codecbench.core.results.running import planned
+    from codecbench.core.rounds.running import planned
 
     made, folder, growth = planned(read_matrix(matrix), out)
     store = Store(folder)

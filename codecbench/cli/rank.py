@@ -14,8 +14,8 @@ from codecbench.cli.formats import Format
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
-    from codecbench.core.results.ranking.words import Verdict
-    from codecbench.core.results.run_result import RunResult
+    from codecbench.core.analysis.run_result import RunResult
+    from codecbench.core.report.formatting import Verdict
 
 
 @click.command()
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 )
 def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
     """Say which codecs of the RUN folder are ahead, which cannot be told apart, and down to which rate each holds."""
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.ranking.words import verdicts, verdicts_at
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.report.formatting import verdicts, verdicts_at
 
-    result = begun_run(run)
+    result = open_nonempty_run(run)
     found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
     show_found(result, found, format_)
 
@@ -51,23 +51,23 @@ def power(run: Path, power: float, format_: str) -> None:
     share POWER of cases. For each setting that can fail: from which success rate on so many runs would show that it
     holds.
     """
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.ranking.power_words import power_verdicts
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.report.formatting import power_verdicts
 
-    result = begun_run(run)
+    result = open_nonempty_run(run)
     show_found(result, power_verdicts(result, power), format_)
 
 
 def show_found(result: RunResult, found: list[Verdict], format_: str) -> None:
     """The verdicts on a run in one of the formats; for people, with what is noted of its settings below."""
-    from codecbench.core.results.notes import setting_notes
+    from codecbench.core.report.tables import setting_notes
 
     if format_ == "json":
         about = [None if verdict.about is None else verdict.about.name for verdict in found]
         rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
         click.echo(json.dumps(rows, indent=1))
     elif format_ == "markdown":
-        from codecbench.core.results.markdown import escaped
+        from codecbench.core.report.tables import escaped
 
         click.echo(markdown(found))
         for note in setting_notes(result):
@@ -106,7 +106,7 @@ def show_verdicts(found: list[Verdict]) -> None:
 
 def markdown(found: list[Verdict]) -> str:
     """The verdicts as Markdown."""
-    from codecbench.core.results.markdown import escaped, foreign_table
+    from codecbench.core.report.tables import escaped, foreign_table
 
     parts = []
     for verdict in found:

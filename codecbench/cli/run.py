@@ -52,7 +52,7 @@ def run(
     from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.matrix import read_matrix
     from codecbench.core.engine.registry import installed
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.rounds.running import run_matrix
 
     for problem in installed().problems:
         click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
@@ -75,9 +75,9 @@ def run(
 
 def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool) -> None:
     """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser."""
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.report.write import write_report
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.report.page import write_report
+    from codecbench.core.rounds.running import run_matrix
 
     with Display(Screen(stderr=True), True) as display:
         summary = run_matrix(matrix, out, workers=workers, listener=display.show)
@@ -85,7 +85,7 @@ def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, sho
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
     if "ok" in summary.statuses:
         page = (summary.folder / "report" / "report.html").absolute()
-        write_report(begun_run(summary.folder), page, "html")
+        write_report(open_nonempty_run(summary.folder), page, "html")
         click.echo(f"the report: {page.as_uri()}")
         if show:
             click.launch(page.as_uri())
@@ -97,10 +97,10 @@ def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> No
     if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_summary
+        from codecbench.core.analysis.collect import open_run
         from codecbench.core.engine.foreign_text import clean_line
-        from codecbench.core.results.answers import answers
-        from codecbench.core.results.collect import open_run
-        from codecbench.core.results.ranking.words import verdicts
+        from codecbench.core.report.answers import answers
+        from codecbench.core.report.formatting import verdicts
 
         result = open_run(summary.folder)
         if in_sentences:

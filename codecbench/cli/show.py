@@ -14,7 +14,7 @@ from rich.text import Text
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
-    from codecbench.core.results.run_result import RunResult
+    from codecbench.core.analysis.run_result import RunResult
 
 _MOST_ROWS: Final = 400
 _LEADING: Final = ("sequence", "codec", "setting")
@@ -27,8 +27,7 @@ _FRAME: Final = 3
 
 def show_summary(result: RunResult) -> None:
     """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
-    from codecbench.core.results.export import short_table
-    from codecbench.core.results.notes import notes
+    from codecbench.core.report.tables import notes, short_table
 
     show_table(short_table(result, brief=True), result)
     for note in notes(result):

@@ -23,17 +23,17 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
     """Print or write a table of the RUN folder: on the screen its headlines, in files everything."""
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.export import chosen_columns, exported
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.report.tables import chosen_columns, exported
 
-    result = begun_run(run)
+    result = open_nonempty_run(run)
     frame = result.wide if shape == "wide" else result.tidy
     if columns is not None:
         frame = chosen_columns(frame, columns)
     if format_ == "text":
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_reasons, show_summary, show_table
-        from codecbench.core.results.choosing.overview import least_error_verdicts
+        from codecbench.core.report.choosing import least_error_verdicts
 
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")

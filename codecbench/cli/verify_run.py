@@ -10,7 +10,7 @@ import click
 from codecbench.cli.exit_status import ExitStatus
 
 if TYPE_CHECKING:
-    from codecbench.core.results.verification.agreement import Agreement
+    from codecbench.core.analysis.verification import Agreement
 
 
 @click.command("verify-run")
@@ -42,8 +42,8 @@ def verify_run(
     libraries have the versions that they had, and the processor the vector instructions, values must be equal to the
     last bit. The exit status is 1 if a cell differs, or none could be computed.
     """
+    from codecbench.core.analysis.verification import verify_run as verified
     from codecbench.core.engine.foreign_text import clean_line
-    from codecbench.core.results.verification.verifying import verify_run as verified
 
     found = verified(
         bundle, cells=cells, seed=seed, tolerance=tolerance, out=out, workers=workers, sequences_from=sequences_from,

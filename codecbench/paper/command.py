@@ -17,8 +17,8 @@ def reproduce(runs: tuple[Path, ...], out: Path) -> None:
 
     Trajectories of further runs, such as examples/paper_loops.yaml, are added.
     """
-    from codecbench.core.results.begun import begun_run
+    from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.paper.page import write_page
 
-    for path in write_page([begun_run(run) for run in runs], out):
+    for path in write_page([open_nonempty_run(run) for run in runs], out):
         click.echo(str(path))

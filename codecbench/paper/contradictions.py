@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from codecbench.core.results.markdown import escaped
-from codecbench.core.results.verdicts import bd_rates
+from codecbench.core.analysis.verdicts import bd_rates
+from codecbench.core.report.tables import escaped
 from codecbench.paper import facts
 from codecbench.paper.measured import Measured
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.results.run_result import RunResult
 
 KIB = 1024.0
 

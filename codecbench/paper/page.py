@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from codecbench.core.analysis.limits import POOLED, Limit, limits
+from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.results.figures import draw_all
-from codecbench.core.results.limits import POOLED, Limit, limits
-from codecbench.core.results.markdown import escaped, foreign_table
-from codecbench.core.results.run_result import RunResult
+from codecbench.core.report.figures import draw_all
+from codecbench.core.report.tables import escaped, foreign_table
 from codecbench.paper import facts
 from codecbench.paper.contradictions import contradictions
 from codecbench.paper.measured import Measured

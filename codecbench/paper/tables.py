@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.results.markdown import change, foreign_table
+from codecbench.core.report.tables import change, foreign_table
 from codecbench.paper import facts
 from codecbench.paper.measured import Measured
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from codecbench.core.contracts.errors import ParamsError
 
 if TYPE_CHECKING:
-    from codecbench.core.results.choosing.candidates import Candidate
+    from codecbench.core.analysis.choosing import Candidate
 
 MINUTES: Final = 10.0
 """How long repeats are added that are to tell more."""
@@ -42,17 +42,17 @@ def choose(
     timed it. Raises ParamsError where nothing is asked, CodecbenchError where nothing was measured, PluginError for a
     link that is not known, MatrixError and StoreError.
     """
+    from codecbench.core.analysis.choosing import Demand, candidates
+    from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.registry import installed
-    from codecbench.core.results.begun import begun_run
-    from codecbench.core.results.choosing.candidates import Demand, candidates
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 
     if deadline_ms is None and error_m is None:
         raise ParamsError("say what is asked: deadline_ms, error_m or both")
     demand = Demand(link, deadline_ms, error_m, share, device_factor)
     if not is_matrix(source):
-        return candidates(begun_run(Path(str(source))), demand)
+        return candidates(open_nonempty_run(Path(str(source))), demand)
     made = link_matrix(source if isinstance(source, Mapping) else Path(source), demand, installed())
     summary = run_matrix(made.matrix, out, workers=workers, minutes=minutes)
-    return candidates(begun_run(summary.folder), made.demand)
+    return candidates(open_nonempty_run(summary.folder), made.demand)

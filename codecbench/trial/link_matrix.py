@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from codecbench.core.analysis.choosing import Demand
 from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.engine.planning.aim import metrics_of
@@ -15,7 +16,6 @@ from codecbench.core.engine.planning.matrix import Matrix, matrix_from, read_mat
 from codecbench.core.engine.planning.until import repeats_of
 from codecbench.core.engine.planning.yaml_file import written
 from codecbench.core.engine.registry import Registry
-from codecbench.core.results.choosing.candidates import Demand
 from codecbench.core.simulation.settings import LinkSettings
 
 _REPEATS: Final = 20

@@ -14,7 +14,7 @@ from codecbench.trial.focal_length import fov_deg_of
 from codecbench.trial.recording import Recording, recognised
 
 if TYPE_CHECKING:
-    from codecbench.core.results.run_result import RunResult
+    from codecbench.core.facade import Run
     from codecbench.trial.trial_matrix import Aim
 
 
@@ -67,7 +67,7 @@ def trial(
     params: dict[str, Any] | None = None,
     out: str | Path | None = None,
     workers: int | None = None,
-) -> RunResult:
+) -> Run:
     """Try codecs on the recording at `path` and return the results.
 
     codecs: such as `jpeg:5..90`; aim: `tracking`, `quality` or `speed`; minutes: about how long it may take, by default
@@ -75,8 +75,8 @@ def trial(
     MatrixError and Unsupported.
     """
     from codecbench.core.engine.planning.matrix import matrix_from
-    from codecbench.core.results.collect import open_run
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.facade import open_run
+    from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.trial_matrix import trial_matrix
 
     registry = installed()

@@ -9,7 +9,7 @@ import pytest
 from measured_runs import cell_result, run_of
 
 from codecbench.cli.show import show_reasons, show_table
-from codecbench.core.results.export import short_table
+from codecbench.core.report.tables import short_table
 
 
 def test_a_table_of_many_columns_is_shown_in_parts_that_fit(capsys: pytest.CaptureFixture[str]) -> None:

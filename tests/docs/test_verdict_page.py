@@ -11,7 +11,7 @@ import pytest
 from installed_command import COMMAND
 from project import DOCS
 
-from codecbench.core.results.limits import Standing
+from codecbench.core.analysis.limits import Standing
 
 PAGE = (DOCS / "verdict.md").read_text()
 

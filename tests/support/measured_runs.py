@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from codecbench.core.analysis.run_result import RunSchema
+from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
-from codecbench.core.results.meaning import Meaning
-from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.table import CellResult
+from codecbench.core.facade import Run
 
 ANCHORS = ("plain",)
 
@@ -60,10 +60,10 @@ def cell_result(
     return CellResult(cell, status, reason, single, summarise(samples, METRICS.values()), METRICS, lambda: kept, Path())
 
 
-def run_of(*results: CellResult, anchors: tuple[str, ...] = ANCHORS) -> RunResult:
+def run_of(*results: CellResult, anchors: tuple[str, ...] = ANCHORS) -> Run:
     """A run of these cells, in which codec `raw` is the baseline."""
     sequences = tuple(dict.fromkeys(result.cell.sequence.name for result in results))
     entries = {result.cell.sequence.name: result.cell.sequence for result in results}
     settings = RunSettings(1, 1.0, 1, 0, PluginSetting("executor", "e", "1"))
     plan = Plan("p", "", settings, tuple(entries[name] for name in sequences), (), tuple(r.cell for r in results))
-    return RunResult(Path(), plan, results, {}, Meaning({}, {}, frozenset({"raw"}), anchors))
+    return Run(Path(), plan, results, {}, RunSchema({}, {}, frozenset({"raw"}), anchors))

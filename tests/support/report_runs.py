@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from measured_runs import METRICS, cell_result, run_of
 
+from codecbench.core.analysis.run_result import RunSchema
+from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
-from codecbench.core.results.meaning import Meaning
-from codecbench.core.results.report.frame_views import frame_view
-from codecbench.core.results.run_result import RunResult
-from codecbench.core.results.table import CellResult
+from codecbench.core.facade import Run
+from codecbench.core.report.pictures import frame_view
 
 QUALITIES = (1.0, 2.0, 4.0)
 REPEATS = 4
@@ -31,7 +31,7 @@ def report_run(
     paths: bool = True,
     task: bool = True,
     noted: str = "",
-) -> RunResult:
+) -> Run:
     """A run of `codecs` codecs beside raw, with as many settings each. failed: how many of the codecs' settings have
     no task. paths: whether its tracker left something to draw. task: whether there is a tracker. noted: of the first
     codec."""
@@ -48,7 +48,7 @@ def report_run(
         results = [replace(found, notes=(noted,)) if found.cell.codec.name == "plain" else found for found in results]
     run = run_of(*results)
     views = {"track": (View("map", "Paths", note="Seen from above."),)} if paths else {}
-    return replace(run, meaning=Meaning({}, views, run.meaning.baselines, run.meaning.anchors))
+    return replace(run, meaning=RunSchema({}, views, run.schema.baselines, run.schema.anchors))
 
 
 def _name(codec: int) -> str:
@@ -87,7 +87,7 @@ def _drawing(drift: float) -> Drawing:
     return Drawing(lines, f"error {drift:.3g} m", True, course=course)
 
 
-def report_frames(run: RunResult, frames: tuple[int, ...] = (75, 225)) -> dict[str, Any]:
+def report_frames(run: Run, frames: tuple[int, ...] = (75, 225)) -> dict[str, Any]:
     """Frames of every setting but raw's, as the page takes them; all settings of a sequence share the original."""
     originals, found = [], []
     for entry in run.plan.sequences:

@@ -10,7 +10,7 @@ def main() -> None:
     matrix, folder, site = map(Path, sys.argv[1:4])
     sys.path[:0] = [str(site), str(Path(__file__).parent)]
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.results.running import run_matrix
+    from codecbench.core.rounds.running import run_matrix
 
     summary = run_matrix(read_matrix(matrix), folder, workers=2)
     sys.exit(130 if summary.interrupted else 0)

@@ -16,7 +16,7 @@ from codecbench.core.engine.planning.model import Cell, Plan, SearchFinding
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.results.rounds.growth import Growth
+from codecbench.core.rounds.growth import Growth
 
 Measure = Callable[[Cell], "float | str"]
 """The value of a cell, or why it failed."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from codecbench.core.analysis.choosing import Demand
 from codecbench.core.contracts.errors import MatrixError, PluginError
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.registry import installed
-from codecbench.core.results.choosing.candidates import Demand
 from codecbench.trial.choosing import is_matrix
 from codecbench.trial.link_matrix import LinkMatrix, link_matrix
 

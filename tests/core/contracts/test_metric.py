@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from codecbench import Course, Drawing, Lane, Line, Marks, Metric, NoParams, SequenceEvaluator, View
+from codecbench.core.analysis.collect import schema_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
 from codecbench.core.engine import aggregate
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry, plan_from_json
-from codecbench.core.results.meaning import meaning_of
-from codecbench.core.results.style import curve_styles
+from codecbench.core.report.views import curve_styles
 
 
 def test_a_metric_needs_no_more_than_its_first_four_fields() -> None:
@@ -126,7 +126,7 @@ def test_meaning_travels_with_the_plan() -> None:
         "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())},
     }
     plan = plan_from_json(json.loads(json.dumps(plan_with(meant).as_json())))
-    meaning = meaning_of(plan, {}, Nothing())  # type: ignore[arg-type]
+    meaning = schema_of(plan, {}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
     assert (meaning.anchors, meaning.baselines) == (("plain",), frozenset())
@@ -138,7 +138,7 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
     del stored["declared"]
     plan = plan_from_json(stored)
     installed = SimpleNamespace(ask=lambda *_, of: "baseline")
-    meaning = meaning_of(plan, {"grain(size=2)": Grain.create()}, installed)  # type: ignore[arg-type]
+    meaning = schema_of(plan, {"grain(size=2)": Grain.create()}, installed)  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
     assert meaning.baselines == {"plain"}
@@ -147,7 +147,7 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
 def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> None:
     meant = {"codecs": {}, "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())}}
     meant["evaluators"]["grain(size=2)"]["metrics"][0] |= {"role": "mood", "aura": 1}
-    meaning = meaning_of(plan_with(meant), {"grain(size=2)": Grain.create()}, Nothing())  # type: ignore[arg-type]
+    meaning = schema_of(plan_with(meant), {"grain(size=2)": Grain.create()}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics["grain(size=2)"]["grain_db"] == Grain.metrics[0]
 
 

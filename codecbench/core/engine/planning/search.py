@@ -5,7 +5,7 @@
       search: {metric: psnr_gray_db, min: 35}          # or, for short, `at: {rate_bpp: 0.5}`
 
 Without `search` the axes of an entry are a sweep: all of their settings are in the plan. With it none is at first. The
-plan grows in rounds: when all of its cells have ended, `core.results.rounds` reads what was stored, finds out which
+plan grows in rounds: when all of its cells have ended, `core.rounds` reads what was stored, finds out which
 settings the searches try next, and makes the plan again with an `Extent` that says which cells of the settings that
 are not swept belong to it. Those are cells like any other, with the identities that they would have in a sweep. The
 extent follows from the matrix and the stored records alone, so that a run that was stopped finds its way again.

@@ -17,9 +17,9 @@ import pytest
 from distributions import install_source
 from installed_command import Done, Place
 
+from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.confinement import VARIABLE, confinement, status_inside
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.results.collect import open_run
 from codecbench.plugins.executors.confined_context import ConfinedContext
 from codecbench.plugins.executors.worker_folder import WorkerFolder
 

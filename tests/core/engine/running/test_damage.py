@@ -15,6 +15,7 @@ import pytest
 from distributions import register
 from project import SUPPORT
 
+from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.planning.matrix import read_matrix
@@ -25,7 +26,6 @@ from codecbench.core.engine.running.run import run_plan
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.record import RecordDamage, record_from_bytes
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.results.collect import open_run
 
 MATRIX = """
 version: 1

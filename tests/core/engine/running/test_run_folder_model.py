@@ -25,13 +25,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 from project import THIRD_PARTY
 
+from codecbench.core.analysis.collect import open_run
 from codecbench.core.conformance.material import integer_image
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.results.collect import open_run
 
 pytestmark = pytest.mark.thorough
 

@@ -28,6 +28,7 @@ from dask_cluster import cluster_elsewhere
 from engine_bench import Bench, bench_in, write_stack
 from project import SUPPORT
 
+from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.aggregate import summarise
@@ -35,7 +36,6 @@ from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
-from codecbench.core.results.collect import open_run
 
 pytestmark = pytest.mark.thorough
 

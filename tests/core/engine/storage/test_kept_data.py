@@ -17,14 +17,14 @@ import pandas as pd
 import pytest
 from project import GOLDEN
 
+from codecbench.core.analysis.collect import open_run
 from codecbench.core.conformance.corpus import Entry, pixels_sha256, read_manifest
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.engine.planning.model import CodingJob
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.results.collect import open_run
-from codecbench.core.results.export import exported
+from codecbench.core.report.tables import exported
 
 KEPT = GOLDEN / "kept"
 RUNS = sorted(path.name for path in KEPT.glob("run-*"))

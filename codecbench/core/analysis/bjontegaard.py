@@ -1,0 +1,181 @@
+"""Bjontegaard deltas that say when they mean nothing.
+
+Source: G. Bjontegaard, VCEG-M33, 2001 (the idea) and VCEG-AI11, 2008 (limits); interpolation by PCHIP
+(Fritsch and Carlson, doi:10.1137/0717021) or Akima (doi:10.1145/321607.321609) as in later practice.
+We deviate in one way: a pair of curves on which the number is not meaningful gets a reason, not a number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from codecbench.core.analysis.evidence import drawn_blocks
+
+Method = Literal["pchip", "akima"]
+
+_LEAST_POINTS: Final = {"pchip": 3, "akima": 4}
+"""A curve of fewer points is not the shape that the method assumes."""
+
+LEAST_OVERLAP: Final = 0.25
+"""Share of the shorter curve's quality range that both must cover; below it the ends decide everything."""
+
+
+@dataclass(frozen=True)
+class BdRate:
+    """How much more rate a test codec needs than an anchor for the same quality, on average.
+
+    percent: negative where the test codec is better; NaN where `reason` says why there is none. overlap:
+    share of the smaller quality range that both curves cover. dropped: points that the monotone hull left
+    out, (anchor, test). failures: settings that gave no quality at all, (anchor, test). interval: bootstrap
+    95 % interval or None.
+    """
+
+    percent: float
+    method: Method
+    overlap: float
+    reason: str = ""
+    dropped: tuple[int, int] = (0, 0)
+    failures: tuple[int, int] = (0, 0)
+    interval: tuple[float, float] | None = None
+
+    def __str__(self) -> str:
+        if self.reason:
+            return f"no BD-rate: {self.reason}"
+        text = f"{self.percent:+.1f} %"
+        return text if self.interval is None else f"{text} [{self.interval[0]:+.1f}, {self.interval[1]:+.1f}]"
+
+
+def bd_rate(
+    anchor_rates: ArrayLike,
+    anchor_qualities: ArrayLike,
+    test_rates: ArrayLike,
+    test_qualities: ArrayLike,
+    *,
+    method: Method = "pchip",
+    hull: bool = False,
+) -> BdRate:
+    """Average rate difference of two rate-quality curves over the qualities that both reach.
+
+    Rates are positive, in any unit; qualities are better when higher (negate or take -log of an error);
+    NaN marks a setting that failed: it is counted, and its curve ends before it. With `hull` each curve is
+    first reduced to the settings that no cheaper one matches, for noisy qualities such as trajectory
+    errors; without it a curve on which more rate buys less quality is refused.
+    """
+    curves = [_curve(anchor_rates, anchor_qualities, "anchor"), _curve(test_rates, test_qualities, "test")]
+    failures = (curves[0].failures, curves[1].failures)
+    dropped = (0, 0)
+    if hull:
+        before = [len(curve.rates) for curve in curves]
+        curves = [curve.hull() for curve in curves]
+        dropped = (before[0] - len(curves[0].rates), before[1] - len(curves[1].rates))
+    low = max(curve.qualities.min() if len(curve.rates) else np.inf for curve in curves)
+    high = min(curve.qualities.max() if len(curve.rates) else -np.inf for curve in curves)
+    with np.errstate(invalid="ignore"):  # of infinite qualities, which are at fault
+        spans = [np.ptp(curve.qualities) if len(curve.rates) else 0.0 for curve in curves]
+        overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
+    reason = next(filter(None, (curve.fault(method) for curve in curves)), "") or _poor(overlap, low, high)
+    if reason:
+        return BdRate(float("nan"), method, overlap, reason, dropped, failures)
+    from scipy.interpolate import Akima1DInterpolator, PchipInterpolator  # load for half a second
+
+    interpolator = {"pchip": PchipInterpolator, "akima": Akima1DInterpolator}[method]
+    areas = [interpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
+    anchor, test = (float(area(high) - area(low)) for area in areas)
+    percent = 100.0 * (10.0 ** ((test - anchor) / (high - low)) - 1.0)
+    return BdRate(float(percent), method, overlap, "", dropped, failures)
+
+
+def bd_rate_with_interval(
+    anchor_rates: NDArray[np.float64],
+    anchor_qualities: NDArray[np.float64],
+    test_rates: NDArray[np.float64],
+    test_qualities: NDArray[np.float64],
+    *,
+    rng: np.random.Generator,
+    method: Method = "pchip",
+    hull: bool = False,
+    resamples: int = 1000,
+    block: int = 1,
+) -> BdRate:
+    """BD-rate of mean curves with a 95 % percentile-bootstrap interval over samples.
+
+    All arrays are (settings, samples), a sample being a frame or a sequence; the same samples are drawn for
+    both codecs, because they share the pictures. Samples that resemble their neighbours, as frames do, are drawn in
+    runs of `block`. The interval is left out where more than one resample in twenty gives no number, and without
+    resamples.
+    """
+    arrays = [np.asarray(a, dtype=np.float64) for a in (anchor_rates, anchor_qualities, test_rates, test_qualities)]
+    samples = {array.shape[1] for array in arrays}
+    if len(samples) != 1:
+        raise ValueError(f"all four arrays need the same samples; got {sorted(samples)} columns")
+    whole = bd_rate(*(array.mean(axis=1) for array in arrays), method=method, hull=hull)
+    count = samples.pop()
+    if whole.reason or count < 3 or not resamples:
+        return whole
+    values = np.empty(resamples)
+    for index in range(resamples):
+        picks = drawn_blocks(rng, count, block)
+        values[index] = bd_rate(*(array[:, picks].mean(axis=1) for array in arrays), method=method, hull=hull).percent
+    if np.isnan(values).mean() > 0.05:
+        return whole
+    low, high = np.nanpercentile(values, [2.5, 97.5])
+    return BdRate(**{**vars(whole), "interval": (float(low), float(high))})
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Points in order of rate, without the failed ones."""
+
+    side: str
+    rates: NDArray[np.float64]
+    qualities: NDArray[np.float64]
+    failures: int
+
+    def hull(self) -> _Curve:
+        best = np.maximum.accumulate(np.concatenate([[-np.inf], self.qualities[:-1]]))
+        keep = (self.qualities > best) | np.isnan(self.rates)
+        return _Curve(self.side, self.rates[keep], self.qualities[keep], self.failures)
+
+    def fault(self, method: Method) -> str:
+        """Why no curve can be drawn through these points, or nothing."""
+        if np.isnan(self.rates).any():
+            return f"the {self.side} curve has a setting whose rate is not known"
+        if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
+            return f"the {self.side} curve has an infinite value (a lossless setting has no place on it)"
+        if len(self.rates) < _LEAST_POINTS[method]:
+            failed = f", {self.failures} failed" if self.failures else ""
+            usable = f"the {self.side} curve has {len(self.rates)} usable points{failed}"
+            return f"{usable}; {method} needs {_LEAST_POINTS[method]}"
+        if (self.rates <= 0).any():
+            return f"the {self.side} curve has a rate that is not positive"
+        for index in range(1, len(self.rates)):
+            if self.rates[index] <= self.rates[index - 1] or self.qualities[index] <= self.qualities[index - 1]:
+                first, second = self.qualities[index - 1], self.qualities[index]
+                return (
+                    f"the {self.side} curve is not monotone: rate {self.rates[index - 1]:g} -> {self.rates[index]:g} "
+                    f"takes quality from {first:g} to {second:g}"
+                )
+        return ""
+
+
+def _curve(rates: ArrayLike, qualities: ArrayLike, side: str) -> _Curve:
+    x, y = np.asarray(rates, dtype=np.float64), np.asarray(qualities, dtype=np.float64)
+    if x.shape != y.shape or x.ndim != 1:
+        raise ValueError(f"{side}: rates and qualities must be two lists of one length; got {x.shape}, {y.shape}")
+    failed = np.isnan(y)
+    x, y = x[~failed], y[~failed]
+    order = np.lexsort((y, x))
+    return _Curve(side, x[order], y[order], int(failed.sum()))
+
+
+def _poor(overlap: float, low: float, high: float) -> str:
+    if high <= low:
+        return f"the curves share no quality: one ends at {high:g}, the other begins at {low:g}"
+    if overlap < LEAST_OVERLAP:
+        share = f"the curves share only {100 * overlap:.0f} % of the smaller quality range"
+        return f"{share}; at least {100 * LEAST_OVERLAP:.0f} % is needed"
+    return ""

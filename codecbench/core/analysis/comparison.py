@@ -1,0 +1,314 @@
+"""Better, worse, same, or cannot tell.
+
+Values that repeat (sizes, quality, operation counts) are compared exactly. Those that do not are divided by the
+yardstick that their metric names, which takes the machine's own ups and downs out, and tested over repeats: a change
+counts where the Mann-Whitney test over repeats finds it beyond chance and the median moved by more than a
+tolerance. Source of the test: Mann and Whitney 1947, doi:10.1214/aoms/1177730491, exact distribution. Time by the
+clock on the wall also holds what other programs took, for a whole run at a time, which no test within that run can see:
+its verdict stands only where the metric that it names as its confirmation, processor time, moved the same way.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from codecbench.core.analysis.collect import open_run
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.table import CellResult, json_value
+from codecbench.core.contracts.errors import StoreError
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.foreign_text import clean_line, clean_value
+from codecbench.core.engine.identity import json_from_bytes
+from codecbench.core.engine.storage.atomic import write_file
+
+Verdict = Literal["better", "worse", "same", "changed", "cannot tell"]
+
+Key = tuple[str, str, str, str, str]
+"""Sequence, codec, setting, evaluator, metric."""
+
+SIGNIFICANCE: Final = 0.01
+"""Two-sided; five repeats against five can reach 0.008."""
+
+TIME_TOLERANCE: Final = 0.05
+"""Relative change of a median time up to which it counts as unchanged."""
+
+LEAST_CHANGE_MS: Final = 0.01
+"""Milliseconds by which a median time must move: less depends on where the memory of a process happens to lie."""
+
+LEAST_REPEATS: Final = 5
+_MILLISECONDS: Final = "ms"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One series before and after. change: relative for times, absolute otherwise. note: why, or how sure."""
+
+    key: Key
+    before: float
+    after: float
+    change: float
+    verdict: Verdict
+    note: str = ""
+
+
+def compare(
+    before: Snapshot, after: Snapshot, *, metrics: Iterable[str] = (), time_tolerance: float = TIME_TOLERANCE
+) -> list[Comparison]:
+    """Every series of either snapshot, matched by sequence, codec setting, evaluator and metric.
+
+    metrics: patterns (`NAME.*`) of `evaluator.metric` to look at; all where none is given.
+    """
+    patterns = list(metrics)
+    first, second = ({series.key: series for series in snapshot.series} for snapshot in (before, after))
+    same_machine = bool(before.machines) and set(before.machines) == set(after.machines)
+    meant = {key: _Declared.of(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])}
+    yardsticks = {(*key[:4], meaning.in_units_of) for key, meaning in meant.items() if meaning.in_units_of}
+
+    def judged(key: Key) -> Comparison:
+        old, new = first.get(key), second.get(key)
+        if old is None or new is None:
+            missing = "not in the first run" if old is None else "not in the second run"
+            return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
+        unit = (*key[:4], meant[key].in_units_of)
+        scaled = [_scaled(series, known.get(unit)) for series, known in ((old, first), (new, second))]
+        return _compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
+
+    found = []
+    for key, meaning in meant.items():
+        name = f"{key[3]}.{key[4]}"
+        if key in yardsticks or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
+            continue
+        witness = (*key[:4], meaning.confirmed_by)
+        comparison = judged(key)
+        if witness in first and witness in second:
+            comparison = _confirmed(comparison, judged(witness))
+        found.append(comparison)
+    return found
+
+
+@dataclass(frozen=True)
+class _Declared:
+    """What a series' metric declares, from whichever snapshot knows."""
+
+    confirmed_by: str
+    in_units_of: str
+
+    @classmethod
+    def of(cls, old: Series | None, new: Series | None) -> _Declared:
+        known = [series for series in (new, old) if series is not None]
+        return cls(
+            next((series.confirmed_by for series in known if series.confirmed_by), ""),
+            next((series.in_units_of for series in known if series.in_units_of), ""),
+        )
+
+
+def _confirmed(claim: Comparison, witness: Comparison) -> Comparison:
+    """A change that the metric declared as its witness does not share cannot be told from what other programs took."""
+    if claim.verdict not in ("better", "worse") or claim.verdict == witness.verdict:
+        return claim
+    note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have taken the rest"
+    return replace(claim, verdict="cannot tell", note=note)
+
+
+def _scaled(series: Series, yardstick: Series | None) -> np.ndarray:
+    """The values in units of the yardstick timed in the same repeats, where there is one and they are times."""
+    values = np.array(series.values, dtype=np.float64)
+    if series.repeatable or yardstick is None or len(yardstick.values) != len(values):
+        return values
+    factor = np.array(yardstick.values)
+    scaled: np.ndarray = values * factor if series.better == "higher" else values / factor
+    return scaled
+
+
+def _compared(
+    old: Series, new: Series, before: np.ndarray, after: np.ndarray, same_machine: bool, tolerance: float
+) -> Comparison:
+    shown = (_middle(old.values), _middle(new.values))
+    if old.fingerprint != new.fingerprint:
+        return Comparison(old.key, *shown, math.nan, "cannot tell", "the sequences have other frames")
+    if (old.status == "ok") != (new.status == "ok"):
+        verdict: Verdict = "better" if new.status == "ok" else "worse"
+        worse = new if new.status != "ok" else old
+        return Comparison(old.key, *shown, math.nan, verdict, f"{worse.status}: {worse.reason}")
+    if old.repeatable:
+        return _exact(old, new, shown)
+    return _timed(old, new.unit, before, after, shown, same_machine, tolerance)
+
+
+def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
+    pairs = list(zip(old.values, new.values, strict=False))
+    if len(old.values) == len(new.values) and all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in pairs):
+        return Comparison(old.key, *shown, 0.0, "same")
+    change = shown[1] - shown[0]
+    if math.isnan(change) or old.better == "neither":
+        return Comparison(old.key, *shown, change, "changed")
+    if change == 0.0:
+        return Comparison(old.key, *shown, change, "changed", "the median is the same, single repeats are not")
+    return Comparison(old.key, *shown, change, "better" if (change > 0) == (old.better == "higher") else "worse")
+
+
+def _timed(
+    old: Series, new_unit: str, before: np.ndarray, after: np.ndarray, shown: tuple[float, float], same_machine: bool,
+    tolerance: float,
+) -> Comparison:  # fmt: skip
+    before, after = before[~np.isnan(before)], after[~np.isnan(after)]
+    if np.array_equal(before, after):
+        return Comparison(old.key, *shown, 0.0, "same", "every time is the same, as in copies of one run")
+    few = min(len(before), len(after))
+    if few == 0 or (before <= 0).any() or (after <= 0).any():
+        return Comparison(old.key, *shown, math.nan, "cannot tell", "no times on one side")
+    change = float(np.median(after) / np.median(before) - 1.0)
+    if few < LEAST_REPEATS:
+        return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
+    from scipy.stats import mannwhitneyu  # loads for half a second, and few runs repeat their times
+
+    chance = float(mannwhitneyu(before, after, method="exact").pvalue)
+    note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
+    if not same_machine:
+        return Comparison(old.key, *shown, change, "cannot tell", f"another machine; {note}")
+    too_short = _MILLISECONDS in (old.unit, new_unit) and abs(change) * shown[0] < LEAST_CHANGE_MS
+    if abs(change) <= tolerance or too_short:
+        return Comparison(old.key, *shown, change, "same", note)
+    if chance > SIGNIFICANCE:
+        return Comparison(old.key, *shown, change, "cannot tell", note)
+    slower = (change > 0) == (old.better == "lower")
+    return Comparison(old.key, *shown, change, "worse" if slower else "better", note)
+
+
+def _middle(values: tuple[float, ...]) -> float:
+    present = [value for value in values if not math.isnan(value)]
+    return float(np.median(present)) if present else math.nan
+
+
+FORMAT: Final = 1
+
+
+@dataclass(frozen=True)
+class Series:
+    """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order.
+
+    Per-frame metrics are aggregated by the first aggregate that the metric declares. status and reason: of the
+    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values. unit,
+    confirmed_by, in_units_of: as the metric declares; empty in baseline files of earlier versions.
+    """
+
+    sequence: str
+    codec: str
+    setting: str
+    evaluator: str
+    metric: str
+    better: str
+    repeatable: bool
+    values: tuple[float, ...]
+    status: str
+    reason: str
+    fingerprint: str
+    unit: str = ""
+    confirmed_by: str = ""
+    in_units_of: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        return self.sequence, self.codec, self.setting, self.evaluator, self.metric
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All series of a run and the machines that made them."""
+
+    name: str
+    machines: tuple[str, ...]
+    series: tuple[Series, ...]
+
+
+_SERIES: Final = TypeAdapter(Series)
+_SNAPSHOT: Final = TypeAdapter(Snapshot)
+
+
+def snapshot_of(run: RunResult) -> Snapshot:
+    """The series of a run. A metric of a part (`encode.dct`) is a series of its own."""
+    cells: dict[tuple[str, str, str, str], list[CellResult]] = defaultdict(list)
+    for result in run.results:
+        cell = result.cell
+        cells[cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title].append(result)
+    series = tuple(series for members in cells.values() for series in _series(members))
+    return Snapshot(run.plan.name, tuple(sorted(map(_machine, run.environments.values()))), series)
+
+
+def _series(members: list[CellResult]) -> list[Series]:
+    members = sorted(members, key=lambda result: result.cell.repeat)
+    bad = next((result for result in members if result.status != "ok"), None)
+    cell = members[0].cell
+    values: dict[str, list[float]] = defaultdict(list)
+    metrics = {name: metric for result in members for name, metric in result.metrics.items()}
+    for result in members:
+        for (name, stage, how), value in result.summaries.items():
+            if name in metrics and how == metrics[name].aggregates[0]:
+                values[f"{name}.{stage}" if stage else name].append(value)
+        for measured in result.measurements:
+            name = f"{measured.metric}.{measured.stage}" if measured.stage else measured.metric
+            values[name].append(measured.value)
+    if not values:
+        values["status"] = []
+    found = []
+    for name, numbers in values.items():
+        metric_name, _, stage = name.partition(".")
+        metric = metrics.get(metric_name) or Metric(metric_name, "", "neither", "")
+        confirmed_by = f"{metric.confirmed_by}.{stage}" if metric.confirmed_by and stage else metric.confirmed_by
+        found.append(
+            Series(
+                cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title, name,
+                metric.better, metric.repeatable, tuple(numbers),
+                bad.status if bad else "ok", bad.reason if bad else "", cell.sequence.fingerprint,
+                metric.unit, confirmed_by, metric.in_units_of,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _machine(environment: dict[str, Any]) -> str:
+    machine = environment.get("machine", {})
+    return f"{machine.get('cpu')}, {machine.get('cores')} cores, {environment.get('volatile', {}).get('host')}"
+
+
+def write_snapshot(snapshot: Snapshot, path: Path) -> None:
+    """Keep a snapshot as JSON, one line a series, so that version control shows what changed."""
+    lines = [
+        json.dumps({**asdict(series), "values": [json_value(value) for value in series.values]})
+        for series in snapshot.series
+    ]
+    head = json.dumps({"format": FORMAT, "name": snapshot.name, "machines": snapshot.machines})
+    write_file(path, ("\n".join([head, *lines]) + "\n").encode())
+
+
+def read_snapshot(path: Path) -> Snapshot:
+    """The snapshot in a file, or of the run in a folder. Raises StoreError for anything else."""
+    if path.is_dir():
+        return snapshot_of(open_run(path))
+    try:
+        head, *lines = path.read_text().splitlines()
+        facts = clean_value(json_from_bytes(head))
+        if facts["format"] != FORMAT:
+            raise ValueError(f"it has format {facts['format']}, this version reads {FORMAT}")
+        series = tuple(_read(clean_value(json_from_bytes(line))) for line in lines)
+        return _SNAPSHOT.validate_python({"name": facts["name"], "machines": facts["machines"], "series": series})
+    except FileNotFoundError:
+        raise StoreError(f"{path} is neither a run folder nor a baseline file") from None
+    except (ValueError, KeyError, TypeError) as error:
+        reason = clean_line(str(error))
+        raise StoreError(f"{path} is not a baseline that `codecbench compare --save` wrote: {reason}") from error
+
+
+def _read(value: dict[str, Any]) -> Series:
+    numbers = tuple(float("nan") if number is None else float(number) for number in value["values"])
+    return _SERIES.validate_python({**value, "values": numbers})

@@ -1,0 +1,151 @@
+"""What a run could decide: the smallest difference that it would have shown, and how much more of it would tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.curve_values import Of
+from codecbench.core.analysis.evidence import POWER, Evidence, student_quantile
+from codecbench.core.analysis.limits import Standing, limits
+from codecbench.core.analysis.ranking import SIGNIFICANCE, Ranking, holm, rankings
+from codecbench.core.analysis.run_result import RunResult
+
+_MOST_TIMES: Final = 1000.0
+"""As much of a run as it has that is thought of to tell two codecs apart."""
+
+
+@dataclass(frozen=True)
+class PairPower:
+    """Two curves by a column on a sequence, or over all (POOLED), and what so many frames or repeats could tell.
+
+    difference: by how much the first is better, where both have rates; of a metric on a logarithmic scale, of base-10
+    logarithms. smallest: the difference that would be found, at the level of the ranking, in the share `power` of
+    cases; NaN where none could be. p_value: adjusted for all pairs of the ranking (Holm). level: below which the least
+    p-value of the ranking has to be.
+    """
+
+    column: Column
+    sequence: str
+    first: str
+    second: str
+    evidence: Evidence
+    p_value: float
+    level: float
+    units: int
+    of: tuple[Of, ...]
+    power: float
+
+    @property
+    def difference(self) -> float:
+        return self.evidence.mean
+
+    @property
+    def stands(self) -> bool:
+        """Whether the ranking puts one before the other."""
+        return self.p_value < SIGNIFICANCE
+
+    @cached_property
+    def smallest(self) -> float:
+        return smallest_difference(self.evidence, self.level, self.power)
+
+    @cached_property
+    def more_units(self) -> int | None:
+        """How many more frames or repeats would tell, if they go on as they did; None where a thousandfold would not.
+
+        0 where the verdict stands.
+        """
+        if self.stands:
+            return 0
+        wanted = abs(self.difference)
+        if wanted == 0.0 or math.isnan(self.smallest):
+            return None
+        low, high = 1.0, 1.0
+        while self._shown_by(high) > wanted:
+            low, high = high, 2.0 * high
+            if high > _MOST_TIMES:
+                return None
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._shown_by(middle) > wanted else (low, middle)
+        return max(1, math.ceil(self.units * (high - 1.0) - 1e-6))
+
+    def _shown_by(self, factor: float) -> float:
+        """The smallest difference that so many times as many frames or repeats would show."""
+        return smallest_difference(times(self.evidence, factor, "frames" in self.of), self.level, self.power)
+
+
+@dataclass(frozen=True)
+class LimitPower:
+    """A setting's runs, and what they could tell. told_from: the success rate from which on so many runs would show, in
+    the share `power` of cases, that it holds; NaN where no number of successes among them does.
+    """
+
+    columns: tuple[Column, ...]
+    sequence: str
+    curve: str
+    standing: Standing
+    power: float
+
+    @cached_property
+    def told_from(self) -> float:
+        from scipy.special import betaincinv  # as in student_quantile
+
+        runs = self.standing.runs
+        least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "holds"), None)
+        return math.nan if least is None else float(betaincinv(least, runs - least + 1, self.power))
+
+    @property
+    def more_runs(self) -> int:
+        """How many more would tell at best; 0 where the verdict stands."""
+        return self.standing.more_runs
+
+
+def smallest_difference(evidence: Evidence, level: float, power: float) -> float:
+    """The difference that is found at a two-sided level in the share `power` of cases; NaN where nothing can be.
+
+    By Student's t: the standard error times the sum of two of its quantiles.
+    """
+    if not (evidence.freedom >= 1 and evidence.variance > 0.0):
+        return math.nan
+    reach = student_quantile(1.0 - level / 2.0, evidence.freedom) + student_quantile(power, evidence.freedom)
+    return reach * math.sqrt(evidence.variance)
+
+
+def times(evidence: Evidence, factor: float, frames: bool = False) -> Evidence:
+    """What `factor` times as many repeats would say, or frames, were they like those there are.
+
+    The degrees of freedom of frames grow as blocks of neighbours do: with the square root; see `evidence_of_frames`.
+    """
+    freedom = evidence.freedom * math.sqrt(factor) if frames else (evidence.freedom + 1.0) * factor - 1.0
+    return Evidence(evidence.mean, evidence.variance / factor, freedom)
+
+
+def pair_powers(run: RunResult, power: float = POWER) -> list[PairPower]:
+    """Every pair of curves of every ranking of a run; power: between 0 and 1."""
+    return [pair for ranking in rankings(run) for pair in _of_ranking(ranking, power)]
+
+
+def _of_ranking(ranking: Ranking, power: float) -> Iterator[PairPower]:
+    adjusted = holm(np.array([evidence.p_value for *_, evidence in ranking.pairs]))
+    level = SIGNIFICANCE / max(1, len(ranking.pairs))
+    for (first, second, evidence), p_value in zip(ranking.pairs, adjusted, strict=True):
+        yield PairPower(
+            ranking.column, ranking.sequence, first, second, evidence, float(p_value), level,
+            ranking.units, ranking.of, power,
+        )  # fmt: skip
+
+
+def limit_powers(run: RunResult, columns: Sequence[Column], power: float = POWER) -> list[LimitPower]:
+    """Every setting of every curve, for columns of role `success`: runs count that succeed in all."""
+    return [
+        LimitPower(tuple(columns), sequence, curve, standing, power)
+        for (sequence, curve), limit in limits(run, columns).items()
+        for standing in limit.settings
+    ]

@@ -1,0 +1,269 @@
+"""The uniform tables of a run: tidy, one row a measurement, and wide, one row a codec setting on a sequence."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.contracts.view import Drawing
+from codecbench.core.engine.aggregate import aggregate
+from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.planning.model import Cell
+
+if TYPE_CHECKING:
+    import pyarrow
+
+TIDY_COLUMNS: Final = (
+    "sequence", "codec", "setting", "evaluator", "metric", "unit",
+    "frame", "stage", "repeat", "value", "status", "reason",
+)  # fmt: skip
+NOTES: Final = "notes"
+"""The last column of both tables, where a setting has notes: a run in which none has any keeps the columns it had."""
+
+_TEXT: Final = ("sequence", "codec", "setting", "evaluator", "metric", "unit", "stage", "status", "reason", NOTES)
+_OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
+"""What becomes of a per-repeat aggregate over frames when there are several repeats; the median otherwise."""
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """A cell beside what became of it, as tables need it.
+
+    measurements: those that belong to no frame, with those that compare with the baseline codec. summaries:
+    aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
+    declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
+    folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
+    drawing: makes the picture of what it left, where its evaluator offers one. code: of its plugins, by label.
+    worker, notes, traceback: of the record.
+    """
+
+    cell: Cell
+    status: str
+    reason: str
+    measurements: tuple[Measurement, ...]
+    summaries: dict[tuple[str, str, str], float]
+    metrics: dict[str, Metric]
+    samples: Callable[[], pyarrow.Table]
+    folder: Path
+    duration_s: float = 0.0
+    drawing: Callable[[], Drawing | None] = lambda: None
+    code: dict[str, str] = field(default_factory=dict)
+    worker: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    traceback: str = ""
+
+    def frames(self) -> pd.DataFrame:
+        """The samples of single frames: metric, frame, stage, value, reason."""
+        frames: pd.DataFrame = self.samples().to_pandas()
+        return frames
+
+    def values_of_frames(self, metric: str, stage: str = "") -> NDArray[np.float64]:
+        """(frames,) values of a metric by frame, NaN where there is none."""
+        import pyarrow.compute as pc  # as in samples: many commands read no samples
+
+        samples = self.samples()
+        of_stage = pc.equal(samples["stage"], stage) if stage else pc.is_null(samples["stage"])
+        found = samples.filter(pc.and_(pc.equal(samples["metric"], metric), of_stage))
+        values = np.full(self.cell.sequence.frames, np.nan)
+        values[found["frame"].to_numpy()] = found["value"].to_numpy()
+        return values
+
+
+def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
+    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS, and NOTES where there are any.
+
+    A cell that gave none is one row with its status and reason and no metric. Missing values are NaN with a
+    reason. Text columns are categorical, so that millions of samples fit in memory.
+    """
+    results = list(results)
+    noted = _notes(results)
+    parts = [_rows(result) for result in results]
+    if not parts:
+        return pd.DataFrame({name: pd.Series(dtype="object") for name in TIDY_COLUMNS})
+    columns: dict[str, Any] = {}
+    if noted:
+        for result, part in zip(results, parts, strict=True):
+            part[NOTES] = (np.zeros(len(part["value"]), np.int32), [noted.get(_row_of(result), "")])
+    for name in (*TIDY_COLUMNS, NOTES) if noted else TIDY_COLUMNS:
+        values = [part[name] for part in parts]
+        columns[name] = _joined_text(values) if name in _TEXT else np.concatenate(values)
+    table = pd.DataFrame(columns)
+    table["frame"] = table["frame"].astype("Int32")
+    return table
+
+
+def wide(results: Iterable[CellResult]) -> pd.DataFrame:
+    """One row for each sequence and codec setting; columns `evaluator.metric[.stage].aggregate`.
+
+    An aggregate is taken over the frames of each repeat, and over repeats the median is taken (the mean for
+    `mean` and `sum`); a metric measured once a repeat is aggregated over the repeats. `status` is `ok` where
+    every cell of the row is, else it counts those that are not; `reason` is the first of their reasons. `notes` is what
+    is to be known of the row's setting beside its numbers, a column only where there is anything.
+    """
+    rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
+    for result in results:
+        rows[_row_of(result)].append(result)
+    noted = _notes(result for members in rows.values() for result in members)
+    table = []
+    for (sequence, codec, setting), members in rows.items():
+        row: dict[str, Any] = {"sequence": sequence, "codec": codec, "setting": setting}
+        row |= _verdict(members)
+        row |= _summarised(members)
+        if noted:
+            row[NOTES] = noted.get((sequence, codec, setting), "")
+        table.append(row)
+    return pd.DataFrame(table, columns=_column_order(table))
+
+
+def _row_of(result: CellResult) -> tuple[str, str, str]:
+    """The row of the wide table that a cell belongs to."""
+    return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
+
+
+def _notes(results: Iterable[CellResult]) -> dict[tuple[str, str, str], str]:
+    """What is noted of each row of the wide table by any of its cells, each note once; only rows with notes."""
+    noted: dict[tuple[str, str, str], dict[str, None]] = defaultdict(dict)
+    for result in results:
+        if result.notes:
+            noted[_row_of(result)] |= dict.fromkeys(result.notes)
+    return {row: "; ".join(notes) for row, notes in noted.items()}
+
+
+def _rows(result: CellResult) -> dict[str, Any]:
+    """The tidy rows of one cell as columns; constant text is given once and repeated when columns are joined."""
+    samples = result.samples() if result.status == "ok" else None
+    if samples is not None and not len(samples):
+        samples = None
+    own = result.measurements
+    count = len(own) + (0 if samples is None else len(samples))
+    cell = result.cell
+    once = {
+        "sequence": cell.sequence.name,
+        "codec": cell.codec.name,
+        "setting": cell.codec.label,
+        "evaluator": cell.evaluator.title,
+        "status": result.status,
+    }
+    nothing, count = count == 0, max(count, 1)
+    columns: dict[str, Any] = {name: (np.zeros(count, np.int32), [text]) for name, text in once.items()}
+    columns["repeat"] = np.full(count, cell.repeat, np.int32)
+    if nothing:
+        blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
+        columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
+        return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
+    metric = _chained(_codes([measured.metric for measured in own]), samples, "metric")
+    codes, names = metric
+    columns["metric"] = metric
+    columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
+    columns["stage"] = _chained(_codes([measured.stage for measured in own]), samples, "stage")
+    columns["reason"] = _chained(_codes([measured.reason for measured in own]), samples, "reason")
+    columns["frame"] = np.full(len(own), np.nan)
+    columns["value"] = np.array([measured.value for measured in own], dtype=np.float64)
+    if samples is not None:
+        for name in ("frame", "value"):
+            columns[name] = np.concatenate([columns[name], samples[name].to_numpy()])
+    return columns
+
+
+def _codes(texts: list[str | None]) -> tuple[np.ndarray, list[str]]:
+    """Texts as positions in a list of distinct texts; -1 for none."""
+    names: dict[str, int] = {}
+    codes = [-1 if text is None else names.setdefault(text, len(names)) for text in texts]
+    return np.array(codes, np.int32), list(names)
+
+
+def _chained(
+    own: tuple[np.ndarray, list[str]], samples: pyarrow.Table | None, column: str
+) -> tuple[np.ndarray, list[str]]:
+    """Own texts followed by a text column of the frames' samples."""
+    if samples is None:
+        return own
+    codes, names = own
+    texts = samples[column].combine_chunks().dictionary_encode()
+    more = texts.indices.fill_null(-1).to_numpy()
+    shifted = np.where(more < 0, -1, more + len(names)).astype(np.int32)
+    return np.concatenate([codes, shifted]), names + [clean_line(text) for text in texts.dictionary.to_pylist()]
+
+
+def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
+    names: dict[str, int] = {}
+    joined = []
+    for codes, texts in parts:
+        lookup = np.array([names.setdefault(text, len(names)) for text in texts] + [-1], np.int32)
+        joined.append(lookup[codes])
+    return pd.Categorical.from_codes(np.concatenate(joined), categories=pd.Index(list(names), dtype=object))
+
+
+def _verdict(members: list[CellResult]) -> dict[str, str]:
+    bad = [member for member in members if member.status != "ok"]
+    if not bad:
+        return {"status": "ok", "reason": ""}
+    counts: dict[str, int] = {}
+    for member in bad:
+        word = f"{member.cell.evaluator.title} {member.status}"
+        counts[word] = counts.get(word, 0) + 1
+    status = ", ".join(word if count == 1 else f"{word} ({count} repeats)" for word, count in counts.items())
+    return {"status": status, "reason": bad[0].reason}
+
+
+def _summarised(members: list[CellResult]) -> dict[str, float]:
+    """The wide columns of one row."""
+    by_evaluator: dict[str, list[CellResult]] = defaultdict(list)
+    for member in members:
+        if member.status == "ok":
+            by_evaluator[member.cell.evaluator.title].append(member)
+    columns: dict[str, float] = {}
+    for evaluator, repeats in by_evaluator.items():
+        for name, value in _over_repeats(repeats):
+            columns[f"{evaluator}.{name}"] = value
+    return columns
+
+
+def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
+    metrics = {name: metric for repeat in repeats for name, metric in repeat.metrics.items()}
+    per_repeat: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    single: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for repeat in repeats:
+        for key, value in repeat.summaries.items():
+            per_repeat[key].append(value)
+        for measured in repeat.measurements:
+            single[measured.metric, measured.stage or ""].append(measured.value)
+    for (name, stage, how), values in per_repeat.items():
+        yield _column(name, stage, how), _of_repeats(_OVER_REPEATS.get(how, "median"), values)
+    for (name, stage), values in single.items():
+        for how in metrics[name].aggregates if name in metrics else ("mean",):
+            if len(values) > 1 or how in ("mean", "median"):
+                yield _column(name, stage, how), _of_repeats(how, values)
+
+
+def _of_repeats(how: str, values: list[float]) -> float:
+    """An aggregate of one value a repeat; of a single repeat, as most are, its mean or median is it."""
+    return values[0] if len(values) == 1 else aggregate(how, np.array(values))
+
+
+def _column(metric: str, stage: str, how: str) -> str:
+    return f"{metric}.{stage}.{how}" if stage else f"{metric}.{how}"
+
+
+def _column_order(rows: list[dict[str, Any]]) -> list[str]:
+    """Every column of any row, in order of first appearance, with the verdict last."""
+    seen = dict.fromkeys(("sequence", "codec", "setting", *(name for row in rows for name in row)))
+    tail = ("status", "reason", NOTES) if NOTES in seen else ("status", "reason")
+    return [*(name for name in seen if name not in tail), *tail]
+
+
+def json_value(value: object) -> object:
+    """A value that JSON can hold: infinities as text, NaN as null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return value

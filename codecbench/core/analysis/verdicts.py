@@ -1,0 +1,303 @@
+"""What a run says about each codec, sequence by sequence: rate at equal quality, and what no other setting beats.
+
+All of it goes by what evaluators declare of their metrics: role, direction, headline.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from codecbench.core.analysis.bjontegaard import BdRate, bd_rate_with_interval
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.evidence import evidence_of_frames, evidence_of_repeats, longest_block, student_quantile
+from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
+from codecbench.core.analysis.table import CellResult
+from codecbench.core.engine.aggregate import aggregate, percentile
+
+Points = Mapping[tuple[str, str], CurvePoint]
+"""The curve of each codec setting, by codec name and label."""
+SequenceCurve = tuple[str, str]
+"""A sequence and a curve on it."""
+Place = tuple[int, int]
+"""A repeat, and which of its values of a metric: 0 where it has one."""
+
+
+def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tuple[list[str], np.ndarray]:
+    """Labels and a (settings, frames) array of a per-frame metric, one row a codec setting, NaN where missing."""
+    rows = np.array([result.values_of_frames(metric, stage) for result in results])
+    return [result.cell.codec.label for result in results], rows
+
+
+def bd_rates_by_anchor(
+    run: RunResult, column: Column, *, resamples: int = 200
+) -> dict[str, dict[SequenceCurve, BdRate]]:
+    """`bd_rates` against each anchor by its curve; where the run has but one, by "" against each sequence's own."""
+    curves: dict[str, list[str]] = defaultdict(list)
+    for point in run.curves.values():
+        curves[point.curve].append(point.point)
+    several = anchors_of(curves, run.schema.anchors)
+    named = several if len(several) > 1 else ("",)
+    return {anchor: bd_rates(run, column, anchor=anchor, resamples=resamples) for anchor in named}
+
+
+def bd_rates(run: RunResult, column: Column, *, anchor: str = "", resamples: int = 200) -> dict[SequenceCurve, BdRate]:
+    """BD-rate of every curve against the anchor at equal values of a column, with an interval.
+
+    anchor: a curve; by default the first of `anchors_of` each sequence's curves.
+
+    The interval is over frames where the metric is measured a frame, drawn in blocks as neighbours are alike, else over
+    repeats; repeats are noisy, so that their curves are first reduced to monotone hulls. A metric that is better when
+    lower counts as its negative, or as minus its logarithm where its scale is logarithmic, so that halving an error
+    counts the same everywhere. Nothing where the run has no rate.
+    """
+    if run.rate is None:
+        return {}
+    results = run.of(column.evaluator.title)
+    key = (column.metric.name, column.stage, column.aggregate)
+    if any(key in result.summaries for result in results):
+        return _bd_rates_over_frames(run, run.rate, results, column, anchor, resamples)
+    measured = values_of_repeats(run, column)
+    values = {row: as_quality(np.array(list(many.values())), column) for row, many in measured.items()}
+    anchors = run.schema.anchors
+    return bd_rates_over_repeats(run.rates, values, run.curves, anchors, anchor=anchor, resamples=resamples)
+
+
+def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
+    """Values that are better when higher."""
+    if column.metric.better == "higher":
+        return values
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return -np.log10(values) if column.metric.scale == "log" else -values
+
+
+def from_quality(quality: float, column: Column) -> float:
+    """A value of a column from what `as_quality` made of it."""
+    if column.metric.better == "higher":
+        return quality
+    return float(10.0**-quality) if column.metric.scale == "log" else -quality
+
+
+def _bd_rates_over_frames(
+    run: RunResult, rate: Column, qualities: list[CellResult], column: Column, anchor: str, resamples: int
+) -> dict[SequenceCurve, BdRate]:
+    """Frames that lack the metric in every setting do not count; repeats of a setting count with their mean."""
+    coded = {_row(result): result for result in run.of(rate.evaluator.title)}
+    curves: dict[str, dict[str, dict[Key, list[CellResult]]]] = defaultdict(lambda: defaultdict(dict))
+    for result in qualities:
+        if (row := _row(result)) in coded:
+            curves[row[0]][run.curves[row[1:]].curve].setdefault(row, []).append(result)
+
+    def arrays(members: dict[Key, list[CellResult]]) -> tuple[np.ndarray, np.ndarray]:
+        rates = frame_matrix([coded[row] for row in members], rate.metric.name, rate.stage)[1]
+        values = [
+            frame_matrix(repeats, column.metric.name, column.stage)[1].mean(axis=0) for repeats in members.values()
+        ]
+        return rates, as_quality(np.array(values), column)
+
+    found = {}
+    for sequence, lines in curves.items():
+        against = _against({curve: list(rows) for curve, rows in lines.items()}, anchor, run.schema.anchors)
+        if against is None:
+            continue
+        base = arrays(lines[against])
+        for curve, members in lines.items():
+            if curve != against and len(members) > 1:
+                test = arrays(members)
+                there = ~(np.isnan(base[1]).all(axis=0) | np.isnan(test[1]).all(axis=0))
+                four = [array[:, there] for array in (*base, *test)]
+                rng, block = np.random.default_rng(0), longest_block(np.concatenate([four[1], four[3]]))
+                found[sequence, curve] = bd_rate_with_interval(*four, rng=rng, resamples=resamples, block=block)
+    return found
+
+
+def _row(result: CellResult) -> Key:
+    return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
+
+
+def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.nan) -> dict[Key, dict[Place, float]]:
+    """The values of each row by where they were measured, in order; a metric of frames counts with its summary.
+
+    A repeat that failed, whatever became of it, has the value `failed`; one that has not been run, or cannot be, is
+    left out.
+    """
+    found: dict[Key, dict[Place, float]] = defaultdict(dict)
+    for result in sorted(run.results, key=lambda result: result.cell.repeat):
+        if result.cell.evaluator.title != column.evaluator.title or result.status == "unsupported":
+            continue
+        own = values_in(result, column)
+        for place, value in enumerate(own or ([] if result.status == "ok" else [failed])):
+            found[_row(result)][result.cell.repeat, place] = value
+    return dict(found)
+
+
+def values_in(result: CellResult, column: Column) -> list[float]:
+    """The values of one repeat: of a metric of frames its summary."""
+    own = [
+        measured.value
+        for measured in result.measurements
+        if (measured.metric, measured.stage or "") == (column.metric.name, column.stage)
+    ]
+    over_frames = result.summaries.get((column.metric.name, column.stage, column.aggregate))
+    return [over_frames] if over_frames is not None and not own else own
+
+
+def bd_rates_over_repeats(
+    rates: Mapping[Key, float],
+    qualities: Mapping[Key, np.ndarray],
+    points: Points,
+    anchors: Iterable[str],
+    *,
+    anchor: str = "",
+    resamples: int = 200,
+) -> dict[SequenceCurve, BdRate]:
+    """BD-rate of every curve against the anchor at equal quality, by sequence and curve, with an interval over repeats.
+
+    qualities: one value a repeat, better when higher. The curves are monotone hulls. A setting with a NaN among its
+    repeats is a failure. Codecs that were not repeated as often as the anchor have no BD-rate.
+    """
+    curves: dict[str, dict[str, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
+    for (sequence, codec, setting), values in qualities.items():
+        rate = rates.get((sequence, codec, setting), np.nan)
+        curves[sequence][points[codec, setting].curve].append((rate, values))
+    found = {}
+    for sequence, members in curves.items():
+        against = _against(members, anchor, anchors)
+        for curve, settings in members.items():
+            repeats = {len(values) for name in (against, curve) if name for _, values in members[name]}
+            if against is None or curve == against or len(settings) < 2 or len(repeats) != 1:
+                continue
+            base, test = (_repeated(members[name]) for name in (against, curve))
+            rng = np.random.default_rng(0)
+            found[sequence, curve] = bd_rate_with_interval(*base, *test, rng=rng, hull=True, resamples=resamples)
+    return found
+
+
+def _repeated(settings: list[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """(settings, repeats) each: the rate, the same for all repeats, and the quality."""
+    qualities = np.array([values for _, values in settings])
+    return np.repeat(np.array([[rate] for rate, _ in settings]), qualities.shape[1], axis=1), qualities
+
+
+def anchors_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> tuple[str, ...]:
+    """The curves that others are compared with: the first of each codec that is an anchor, or else the first of all.
+
+    Only curves of several settings can be one.
+    """
+    several = [curve for curve, members in curves.items() if len(members) > 1]
+    firsts: dict[str, str] = {}
+    for curve in several:
+        firsts.setdefault(curve.split(" ")[0], curve)
+    return tuple(firsts[name] for name in anchors if name in firsts) or tuple(several[:1])
+
+
+def _against(curves: Mapping[str, Sequence[Any]], anchor: str, anchors: Iterable[str]) -> str | None:
+    """The curve of a sequence that others are compared with there: `anchor`, if it is named and there, or the first."""
+    if not anchor:
+        return next(iter(anchors_of(curves, anchors)), None)
+    return anchor if len(curves.get(anchor, ())) > 1 else None
+
+
+def pareto_settings(wide: pd.DataFrame, criteria: Iterable[Column]) -> tuple[list[str], np.ndarray]:
+    """The criteria that some setting of one sequence has, and which settings no other beats in all of them.
+
+    wide: rows of one sequence. What is missing never wins: a cost that is not known (operations of an opaque library)
+    counts as the worst, and a setting whose rate, quality or task is not known is not on the front and beats nobody.
+    """
+    usable = [column for column in criteria if column.name in wide.columns and wide[column.name].notna().any()]
+    if not usable:
+        return [], np.zeros(len(wide), dtype=bool)
+    ways = [cast(Literal["higher", "lower"], column.metric.better) for column in usable]
+    values = wide[[column.name for column in usable]].to_numpy(float, copy=True)
+    for at, column in enumerate(usable):
+        if column.metric.role in ("time", "operations"):
+            worst = -math.inf if column.metric.better == "higher" else math.inf
+            values[np.isnan(values[:, at]), at] = worst
+    return [column.label for column in usable], pareto_front(values, ways)
+
+
+def pareto_criteria(run: RunResult) -> list[Column]:
+    """What settings are compared in at once: the rate, and every headline of quality, task, time and operations."""
+    ranked = run.headlines("quality", "task", "time", "operations")
+    return [column for column in (run.rate, *ranked) if column is not None and column.metric.better != "neither"]
+
+
+def spread(values: np.ndarray) -> str:
+    """`12.3 [11.0, 14.2]`: median and quartiles, for people."""
+    present = values[~np.isnan(values)]
+    if not len(present):
+        return "–"
+    middle, low, high = (percentile(present, share) for share in (50, 25, 75))
+    return f"{middle:.3g}" if low == high else f"{middle:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def pareto_front(values: ArrayLike, better: Sequence[Literal["higher", "lower"]]) -> NDArray[np.bool_]:
+    """Mark the rows that no other row dominates.
+
+    values: (N, D), one row a setting, one column a criterion. A row dominates another where it is at least
+    as good in every column and better in one. Rows with a NaN (a failure) are never on the front and
+    dominate nobody. Equal rows are on the front together. Raises ValueError where `better` does not fit.
+    """
+    array = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    if array.shape[1] != len(better):
+        raise ValueError(f"{array.shape[1]} columns but {len(better)} directions")
+    unknown = set(better) - {"higher", "lower"}
+    if unknown:
+        raise ValueError(f"direction must be 'higher' or 'lower'; got {sorted(unknown)}")
+    costs = array * np.where(np.array(better) == "higher", -1.0, 1.0)
+    present = ~np.isnan(costs).any(axis=1)
+    front = np.zeros(len(costs), dtype=bool)
+    for index in np.flatnonzero(present):
+        others = costs[present]
+        dominated = (others <= costs[index]).all(axis=1) & (others < costs[index]).any(axis=1)
+        front[index] = not dominated.any()
+    return front
+
+
+CONFIDENCE = 0.95
+_FEWEST_REPEATS = 3
+"""Below it an interval says nothing."""
+
+Interval = tuple[float, float]
+
+
+def intervals(run: RunResult, column: Column) -> dict[Key, Interval]:
+    """The 95 % interval of a column's value in each row that has one.
+
+    Of three repeats or more: by Student's t where the value is their mean, else by the bootstrap of their median. Of a
+    single repeat: of the mean over its frames, neighbours of which are alike, see `evidence`. Infinite ones have none.
+    """
+    rows: dict[Key, list[CellResult]] = defaultdict(list)
+    for result in run.of(column.evaluator.title):
+        rows[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(result)
+    found = {row: _interval(results, column) for row, results in rows.items()}
+    return {row: interval for row, interval in found.items() if interval is not None}
+
+
+def _interval(results: list[CellResult], column: Column) -> Interval | None:
+    values = np.array([value for result in results for value in values_in(result, column)])
+    finite = values[np.isfinite(values)]
+    if len(finite) >= _FEWEST_REPEATS and len(finite) == len(values):
+        if column.aggregate == "mean":
+            return _of_mean(finite, over_frames=False)
+        return aggregate("ci95_low", finite), aggregate("ci95_high", finite)
+    of_frames = (column.metric.name, column.stage, "mean")
+    if len(results) == 1 and column.aggregate == "mean" and of_frames in results[0].summaries:
+        series = results[0].values_of_frames(column.metric.name, column.stage)
+        series = series[~np.isnan(series)]
+        return _of_mean(series, over_frames=True) if np.isfinite(series).all() and len(series) else None
+    return None
+
+
+def _of_mean(values: NDArray[np.float64], *, over_frames: bool) -> Interval | None:
+    evidence = evidence_of_frames(values) if over_frames else evidence_of_repeats(values)
+    if not (evidence.freedom >= 1 and math.isfinite(evidence.variance)):
+        return None
+    half = student_quantile(0.5 + CONFIDENCE / 2, evidence.freedom) * math.sqrt(evidence.variance)
+    return evidence.mean - half, evidence.mean + half

@@ -1,0 +1,179 @@
+"""A run as its user holds it: its data, and what can be drawn, written and asked of them."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Collection, Iterable, Mapping
+from html import escape
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codecbench.core.analysis.collect import open_run as open_data
+from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.contracts.errors import DatasetError, ParamsError
+from codecbench.core.contracts.evaluator import CodedSequence
+from codecbench.core.engine.bundling.packing import write_bundle
+from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+from codecbench.core.engine.planning.matrix import matrix_from, read_matrix
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.coding.coded_frames import CodedFrames
+from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.run import Listener
+from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+from codecbench.core.engine.storage.plan_file import PlanFile
+from codecbench.core.engine.storage.store import Store
+from codecbench.core.report.answers import Answers, answers
+from codecbench.core.report.page import write_report
+from codecbench.core.report.tables import notes, short_table
+from codecbench.core.rounds.running import run_matrix
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Run(RunResult):
+    """A run as its user holds it: `RunResult` with what can be drawn, written and asked of it."""
+
+    def _repr_html_(self) -> str:
+        """The headlines as a table and what is noted beside them, for notebooks."""
+        table = short_table(self).to_html(
+            index=False, na_rep="–", float_format=lambda value: f"{value:.4g}".replace("inf", "∞")
+        )
+        return "\n".join([str(table), *(f"<p>{escape(note)}</p>" for note in notes(self))])
+
+    def plot(self, what: str = "", sequence: str | None = None) -> Figure:
+        """A figure of the run: `rate-ate` is the trajectory error over the rate.
+
+        what: words of the two axes' metrics with a hyphen between; by default what codecs are judged by, over the rate.
+        sequence: its name; by default the first. Raises ParamsError, with what there is, where there is no such figure.
+        """
+        from codecbench.core.report.figures import one_figure  # matplotlib takes half a second to load
+
+        return one_figure(self, what, sequence)
+
+    def report(self, path: str | Path | None = None, *, frames: Collection[int] = ()) -> Path:
+        """Write the report as one HTML page and return its path, by default `report/report.html` in the run folder.
+
+        frames: numbers of the frames to show, from 0; by default a few. Raises ParamsError for one that is not there.
+        """
+        page = self.folder / "report" / "report.html" if path is None else Path(path)
+        write_report(self, page, frames=frames)
+        return page
+
+    def best(self, rate: float | None = None) -> Answers | Ranked:
+        """What to take. Without a rate a sentence a codec; at a rate, in the unit that people are shown, the codec.
+
+        Raises ParamsError for what is no rate, and where nothing can be ranked at it.
+        """
+        if rate is None:
+            return answers(self)
+        if isinstance(rate, bool) or not isinstance(rate, Real) or not 0.0 < rate < math.inf:
+            unit = "" if self.rate is None else f" in {self.rate.unit}"
+            raise ParamsError(
+                f"best({rate!r}): give a rate above 0{unit}, as a number, or nothing for a sentence a codec; "
+                "`wide` and `tidy` are the tables with every column"
+            )
+        ranked = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
+        if not ranked:
+            raise ParamsError("nothing can be ranked at that rate: no two codecs have settings around it")
+        return ranked[0].recommended
+
+    def frames(self, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None) -> CodedSequence:
+        """The frames of a codec setting beside what was decoded of them, from the bitstreams in the run folder.
+
+        setting: as in the tables, `quality=10`, or parameters, {"quality": 10}; it may be left out where there is one.
+        Opens the sequence. Raises ParamsError if the run has no such setting, and DatasetError if the sequence is no
+        longer that of the run.
+        """
+        return _stored_frames(self, codec, setting, sequence)
+
+    def rank(self, rate: float | None = None) -> list[Ranking]:
+        """The order of the codecs by each task on each sequence, at a rate in the unit that people are shown."""
+        return rankings(self, at=None if rate is None or self.rate is None else rate / self.rate.factor)
+
+
+def open_run(folder: str | Path, registry: Registry | None = None) -> Run:
+    """The results in a run folder, also while it is still running.
+
+    Damaged records are left out and reported to the log; the next run computes them again. Raises StoreError
+    for a folder that is not a run.
+    """
+    data = open_data(folder, registry)
+    return Run(data.folder, data.plan, data.results, data.environments, data.schema)
+
+
+def run(
+    matrix: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    recompute: Iterable[str] = (),
+    listener: Listener | None = None,
+    log_level: int = logging.INFO,
+) -> Run:
+    """Compute what is missing of a matrix and return its results.
+
+    matrix: a file, or what would stand in one as a dict, whose paths start at the working directory. out: the run
+    folder, by default `runs/NAME`. workers: processes, by default what the matrix says. recompute: names of codecs,
+    evaluators and sequences whose cells are computed again. listener: called with the progress after every job and
+    cell. Cells that fail are rows of the result, not exceptions. Raises MatrixError for a
+    wrong matrix, ParamsError for a name to recompute that it does not have, and StoreError for a folder that is in use.
+
+    Workers are processes of their own, so a script that calls this needs no `if __name__ == "__main__"`.
+    """
+    read = matrix_from(matrix) if isinstance(matrix, Mapping) else read_matrix(matrix)
+    summary = run_matrix(read, out, workers=workers, recompute=recompute, listener=listener, log_level=log_level)
+    return open_run(summary.folder)
+
+
+def bundle(run: RunResult | str | Path, path: str | Path | None = None, *, bitstreams: bool = False) -> Path:
+    """Put a run, or the run in a folder, into one file and return its path, by default `FOLDER.bundle.zip`.
+
+    bitstreams: with what the codecs wrote. Raises StoreError for a folder that is no run, has no results, is being
+    written to or is damaged.
+    """
+    folder = run.folder if isinstance(run, RunResult) else Path(run)
+    return write_bundle(folder, None if path is None else Path(path), bitstreams=bitstreams).path
+
+
+def open_bundle(path: str | Path, out: str | Path | None = None) -> Run:
+    """Unpack a bundle into the folder `out`, by default beside it, and return its results.
+
+    No code of the bundle's is run. Raises StoreError for a bundle that is refused, and where the folder is there.
+    """
+    folder = folder_beside(Path(path)) if out is None else Path(out)
+    unpack_bundle(Path(path), folder)
+    return open_run(folder)
+
+
+def _stored_frames(
+    run: RunResult, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None
+) -> CodedSequence:
+    """See `Run.frames`."""
+    jobs = [job for job in run.plan.jobs if sequence in (None, job.sequence.name)]
+    chosen = [job for job in jobs if job.codec.name == codec and _is(job.codec, setting)]
+    if len({job.codec for job in chosen}) != 1:
+        there = ", ".join(dict.fromkeys(f"{job.codec.name} {job.codec.label}".strip() for job in chosen or jobs))
+        wanted = setting if isinstance(setting, str) else ", ".join(f"{key}={value}" for key, value in setting.items())
+        raise ParamsError(f"{codec} {wanted} is not one setting of the run; say which of {there}".replace("  ", " "))
+    elsewhere = PlanFile(run.folder).origin_elsewhere()
+    if elsewhere is not None:
+        raise DatasetError(f"the run was made in {elsewhere}, so the sequences that its plan names are not opened")
+    job, registry = chosen[0], installed()
+    opened = registry.create("dataset", job.sequence.dataset.name, job.sequence.dataset.params).open()
+    if opened.fingerprint != job.sequence.fingerprint:
+        raise DatasetError(f"{job.sequence.name}: its frames are no longer those of the run")
+    coder = registry.create("codec", job.codec.name, job.codec.params)
+    bitstreams = BitstreamFile(Store(run.folder).coded_path(job.id), job.id)
+    return CodedFrames(opened, coder, bitstreams, WorkPosition())
+
+
+def _is(codec: PluginSetting, setting: str | Mapping[str, Any]) -> bool:
+    """Whether a codec's setting has this label, or these among its parameters."""
+    if isinstance(setting, str):
+        return setting in ("", codec.label)
+    return all(name in codec.params and codec.params[name] == value for name, value in setting.items())

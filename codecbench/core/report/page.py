@@ -1,0 +1,229 @@
+"""Puts the page together."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable
+from functools import partial
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import jinja2
+
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.run_result import RunResult, judged_column, successes
+from codecbench.core.analysis.table import NOTES
+from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.report.answers import answers_of_settings
+from codecbench.core.report.choosing import least_error_verdicts
+from codecbench.core.report.formatting import Verdict, verdicts
+from codecbench.core.report.page_data import page_data, verdict_tables
+from codecbench.core.report.pictures import frame_pictures
+from codecbench.core.report.tables import caveats, exported, sequence_notes, setting_notes, short_table
+from codecbench.core.report.views import STROKES
+
+SIZE_LIMIT_BYTES: Final = 6_000_000
+"""What the page should weigh: pictures of frames take what is left of it, those of settings beyond are left out."""
+
+_REST_BYTES: Final = 250_000
+"""Kept for the page's text, style and scripts."""
+_SCRIPTS: Final = ("chart.js", "page.js", "curves.js", "look.js", "tables.js")
+_TRACEBACK_LETTERS: Final = 4000
+"""Of a failure's traceback, its end."""
+
+_MOST_FAILURES: Final = 500
+"""Cells without a result of which the page tells the reason."""
+
+
+def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
+    """The page as HTML text.
+
+    frames: given how many bytes they may take, gives `frames` and `originals` as the script takes them.
+    """
+    data = page_data(run)
+    parts = files("codecbench.core.report")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    template = environment.from_string((parts / "page.html.j2").read_text(encoding="utf-8"))
+    tables, anchor = verdict_tables(run)
+    failures = _failures(run)
+    told_bytes = sum(len(text.encode()) for failure in failures for text in failure.values())
+    spent_bytes = len(_script_json(data).encode()) + len(run.plan.matrix_text.encode()) + told_bytes
+    data |= frames(SIZE_LIMIT_BYTES - _REST_BYTES - spent_bytes)
+    decided = verdicts(run)
+    judged = judged_column(run)
+    ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
+    others = [verdict for verdict in decided if verdict is not ranked]
+    succeeded = successes(run)
+    courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
+    return template.render(
+        name=run.plan.name,
+        subtitle=_subtitle(run),
+        css=_trusted((parts / "page.css").read_text(encoding="utf-8")),
+        scripts=[_trusted((parts / name).read_text(encoding="utf-8")) for name in _SCRIPTS],
+        data=_trusted(_script_json(data)),
+        can_look=bool(data["frames"] or courses),
+        has_paths=bool(courses),
+        path_strokes={name: stroke for view in courses for name, stroke in view["strokes"].items() if _is_map(view)},
+        map_views=data["map_views"],
+        bars_views=data["bars_views"],
+        strokes=STROKES,
+        example=next(
+            (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
+        ),
+        cards=_cards(run),
+        over_links=least_error_verdicts(run),
+        answers=answers_of_settings(run),
+        ranked=ranked,
+        decided=_grouped(others),
+        verdicts=tables,
+        sequence_notes=sequence_notes(run),
+        notes=[*caveats(run), *setting_notes(run)],
+        answer_caveats=_caveats(run, [judged, *(column for columns in succeeded[:1] for column in columns)]),
+        verdict_caveats=_caveats(
+            run, [*(verdict.about for verdict in others), *(column for columns in succeeded for column in columns)]
+        ),
+        anchor=anchor,
+        failures=failures,
+        failures_left_out=sum(result.status != "ok" for result in run.results) - len(failures),
+        codes=_codes(run),
+        environment=json.dumps(run.environments, indent=1, sort_keys=True),
+        companies=_companies(run),
+        matrix=run.plan.matrix_text,
+        folder=run.folder.name,
+        version=version("codecbench"),
+    )
+
+
+def _grouped(found: list[Verdict]) -> list[list[Verdict]]:
+    """Verdicts by what they are about, those of single sequences after that of all."""
+    groups: dict[str, list[Verdict]] = {}
+    for verdict in found:
+        _, _, words = verdict.title.partition(": ")
+        groups.setdefault(words if verdict.about is None else verdict.about.name, []).append(verdict)
+    return list(groups.values())
+
+
+def _is_map(view: dict[str, Any]) -> bool:
+    """Whether courses of the view go over a plane."""
+    return any(drawing["course"] and drawing["course"]["x"] for drawing in view["drawings"])
+
+
+def _script_json(value: Any) -> str:
+    """JSON that cannot end the script element that holds it."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _trusted(text: str) -> Any:
+    import markupsafe
+
+    return markupsafe.Markup(text)
+
+
+def _caveats(run: RunResult, columns: Iterable[Column | None]) -> list[str]:
+    """What is to be known of the evaluators of some columns: their figures rest on the same."""
+    return caveats(run, {column.evaluator.title for column in columns if column is not None})
+
+
+def _subtitle(run: RunResult) -> str:
+    sequences = ", ".join(f"{entry.name} ({entry.frames} frames)" for entry in run.plan.sequences)
+    return f"{sequences}; matrix version {MATRIX_VERSION}"
+
+
+def _cards(run: RunResult) -> list[dict[str, str]]:
+    done = sum(result.status == "ok" for result in run.results)
+    failed, unsupported = len(run.failed), sum(result.status == "unsupported" for result in run.results)
+    settings = {(result.cell.codec.name, result.cell.codec.label) for result in run.results}
+    evaluators = sorted({result.cell.evaluator.title for result in run.results})
+    codecs = _counted(len({codec for codec, _ in settings}), "codec")
+    cards = [
+        {"title": "Cells computed", "value": f"{done} of {len(run.plan.cells)}", "tone": "good" if not failed else "",
+         "note": f"{failed} failed, {unsupported} unsupported, {run.missing} not yet run"},
+        {"title": "Codec settings", "value": str(len(settings)), "tone": "",
+         "note": f"{codecs} on {_counted(len(run.plan.sequences), 'sequence')}"},
+        {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
+    ]  # fmt: skip
+    known = {
+        json.dumps(found.get("machine", {}), sort_keys=True): found.get("machine", {})
+        for found in run.environments.values()
+    }
+    machines = [str(machine.get("cpu") or "unknown processor") for machine in known.values()]
+    several = f"{len(machines)} machines: do not compare times"
+    note = "times hold for this machine alone" if len(machines) < 2 else several
+    return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
+
+
+def _codes(run: RunResult) -> list[list[str]]:
+    """A row for each plugin and code of it that made cells: plugin, distribution, fingerprint, how many cells."""
+    found = Counter(item for result in run.results if result.status == "ok" for item in result.code.items())
+    rows = [[label, *code.rpartition(" ")[::2], str(count)] for (label, code), count in sorted(found.items())]
+    several = {label for label, count in Counter(row[0] for row in rows).items() if count > 1}
+    return [[*row, "other code made the rest: do not compare them" if row[0] in several else ""] for row in rows]
+
+
+def _companies(run: RunResult) -> list[str]:
+    """How many cells ran code of other distributions, which, and what confined it, in words."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for result in run.results:
+        company = result.worker.get("company")
+        if isinstance(company, list) and company:
+            tool = result.worker.get("confined")
+            counts[" and ".join(map(str, company)), f"confined by {tool}" if tool else "not confined"] += 1
+    return [f"{_counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _failures(run: RunResult) -> list[dict[str, str]]:
+    """What is told of each cell without a result, as far as the page shows them."""
+    told = []
+    repeated = {cell.evaluator.title for cell in run.plan.cells if cell.repeat}
+    for result in [result for result in run.results if result.status != "ok"][:_MOST_FAILURES]:
+        cell = result.cell
+        setting = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+        repeat = f", repeat {cell.repeat}" if cell.evaluator.title in repeated else ""
+        told.append(
+            {
+                "title": f"{cell.sequence.name}, {setting}, {cell.evaluator.title}{repeat}: {result.status}",
+                "reason": result.reason,
+                "traceback": result.traceback[-_TRACEBACK_LETTERS:],
+                "cell": cell.id[:12],
+            }
+        )
+    return told
+
+
+def write_report(
+    run: RunResult,
+    path: Path,
+    format_: str = "html",
+    *,
+    sequences_from: str | None = None,
+    frames: Collection[int] = (),
+) -> int:
+    """Write the report of a run and return its size in bytes.
+
+    `html`: the whole page. `markdown` or `md`, `latex`: the short table, for a pull request or a paper, with what is
+    noted of settings as its last column. sequences_from:
+    where the frames are that the page shows, a folder or `same` for where the plan says; None shows them only of a run
+    that was made here. frames: numbers of the frames to show, from 0; by default a few. Raises ParamsError for another
+    format, and for a frame that no sequence has.
+    """
+    longest = max((entry.frames for entry in run.plan.sequences), default=0)
+    if beyond := [number for number in frames if not 0 <= number < longest]:
+        raise ParamsError(f"frame {beyond[0]} is in no sequence of the run; they have frames 0 to {longest - 1}")
+    if format_ == "html":
+        content = render(run, partial(frame_pictures, run, sequences_from=sequences_from, wanted=frames)).encode()
+    elif format_ in ("markdown", "md", "latex"):
+        table = short_table(run).join(run.wide.filter([NOTES]))
+        content = exported(table, "latex" if format_ == "latex" else "markdown")
+    else:
+        raise ParamsError(f"format {format_!r} is not one of html, markdown, latex")
+    write_file(path, content)
+    return len(content)

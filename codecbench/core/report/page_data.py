@@ -1,0 +1,321 @@
+"""What the report's script draws from, as JSON types: rows, columns, views, and how each is drawn."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from codecbench.core.analysis.bjontegaard import BdRate
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.limits import Limit, limits
+from codecbench.core.analysis.ranking import Ranking, rankings
+from codecbench.core.analysis.run_result import RunResult, judged_column
+from codecbench.core.analysis.table import json_value
+from codecbench.core.analysis.verdicts import (
+    SequenceCurve,
+    anchors_of,
+    bd_rates_by_anchor,
+    intervals,
+    pareto_criteria,
+    pareto_settings,
+    spread,
+)
+from codecbench.core.contracts.view import Course, Lane
+from codecbench.core.report.formatting import beside_ranking, limit_words
+from codecbench.core.report.tables import caveats, three_digits
+from codecbench.core.report.views import PALETTE, STROKES, Map, bars_views, curve_views, map_views, styles_of
+
+_MOST_POINTS = 400
+_FEWEST_POINTS = 60
+_ALL_POINTS = 60_000
+"""Points of a drawn line that the page keeps, at the most and the least, and of all that it draws about."""
+_STEPS = 4000
+"""Coordinates are rounded to this share of what a drawing spans."""
+
+
+def page_data(run: RunResult) -> dict[str, Any]:
+    """Everything that the page draws but its pictures of frames."""
+    shown = {name: column for name, column in run.columns.items() if "/" not in column.stage}
+    return {
+        "name": run.plan.name,
+        "table": table(run),
+        "columns": {name: _column(column) for name, column in shown.items()},
+        "sequences": [entry.name for entry in run.plan.sequences],
+        "baselines": sorted(run.schema.baselines),
+        "styles": {curve: asdict(style) for curve, style in styles_of(run).items()},
+        "strokes": {name: asdict(style) for name, style in STROKES.items()},
+        "palette": PALETTE,
+        "presets": [{"title": view.title, "x": view.x.name, "y": view.y.name} for view in curve_views(run)],
+        "first": _first_preset(run),
+        "intervals": _intervals(run),
+        "rate": run.rate.name if run.rate else None,
+        "brief": [column.name for column in run.headlines()],
+        "bars_views": [
+            {
+                "title": bars.view.title,
+                "note": bars.view.note,
+                "unit": bars.unit,
+                "parts": [asdict(part) for part in bars.parts],
+            }
+            for bars in bars_views(run)
+        ],
+        "map_views": maps(run),
+    }
+
+
+def _first_preset(run: RunResult) -> int:
+    """The curve that is shown first: over the rate, what codecs are judged by."""
+    judged = judged_column(run)
+    places = [at for at, view in enumerate(curve_views(run)) if view.x == run.rate and view.y == judged]
+    return places[0] if places else 0
+
+
+def table(run: RunResult) -> dict[str, list[Any]]:
+    """The wide table by column, as JSON can hold it: infinities as text, missing values as null."""
+    wide = run.wide
+    found = {str(name): [json_value(value) for value in wide[name].tolist()] for name in wide.columns}
+    points = [run.curves[key] for key in zip(wide["codec"], wide["setting"], strict=True)]
+    return found | {"curve": [point.curve for point in points], "place": [point.place for point in points]}
+
+
+def _column(column: Column) -> dict[str, Any]:
+    metric = column.metric
+    return {
+        "group": column.evaluator.title,
+        "label": column.heading,
+        "factor": column.factor,
+        "better": metric.better,
+        "scale": metric.scale,
+        "summary": metric.summary,
+    }
+
+
+def _intervals(run: RunResult) -> dict[str, list[list[float] | None]]:
+    """The intervals of headlines, row by row of the table."""
+    keys = list(zip(run.wide["sequence"], run.wide["codec"], run.wide["setting"], strict=True))
+    known = {column.name: intervals(run, column) for column in run.headlines()}
+    return {
+        name: [[_rounded(end) for end in found[key]] if key in found else None for key in keys]
+        for name, found in known.items()
+        if found
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def maps(run: RunResult) -> list[dict[str, Any]]:
+    """The drawings of each map view, first repeats, and what is to be known of them; equal paths are kept once."""
+    return [_map(view) | {"caveats": caveats(run, [view.name])} for view in map_views(run)]
+
+
+def _map(view: Map) -> dict[str, Any]:
+    most = max(_FEWEST_POINTS, min(_MOST_POINTS, _ALL_POINTS // max(1, len(view.drawings))))
+    paths: dict[str, int] = {}
+    kept: list[list[list[float]]] = []
+
+    def kept_path(points: np.ndarray, step: float) -> int:
+        path = _thinned(points, most, step)
+        key = json.dumps(path)
+        if key not in paths:
+            paths[key] = len(kept)
+            kept.append(path)
+        return paths[key]
+
+    drawings = []
+    for drawn in view.drawings:
+        cell, drawing = drawn.result.cell, drawn.drawing
+        span = max((float(np.ptp(line.points, axis=0).max()) for line in drawing.lines if len(line.points)), default=1)
+        step = 10.0 ** np.floor(np.log10(span / _STEPS)) if span > 0 else 1.0
+        drawings.append(
+            {
+                "sequence": cell.sequence.name,
+                "codec": cell.codec.name,
+                "setting": cell.codec.label,
+                "way": cell.evaluator.label,
+                "caption": drawing.caption,
+                "holds": drawing.holds,
+                "axes": list(drawing.axes),
+                "lines": [
+                    {"name": line.name, "stroke": line.stroke, "path": kept_path(line.points, step)}
+                    for line in drawing.lines
+                ],
+                "course": drawing.course and _course(drawing.course, most, step),
+            }
+        )
+    strokes = {line.name: line.stroke for drawn in view.drawings for line in drawn.drawing.lines}
+    return {"title": view.view.title, "note": view.view.note, "strokes": strokes, "paths": kept, "drawings": drawings}
+
+
+def _course(course: Course, most: int, step: float) -> dict[str, Any] | None:
+    """A course in at most so many parts, of which each keeps its largest error; its lanes in parts of their own."""
+    count = len(course.frames)
+    if not count:
+        return None
+    starts = _starts(count, most)
+    worst = np.fmax.reduceat(course.errors, starts)
+    x, y = (
+        (None, None) if course.positions is None else (_steps(course.positions[starts, axis], step) for axis in (0, 1))
+    )
+    return {
+        "frames": course.frames[starts].tolist(),
+        "last": int(course.frames[-1]),
+        "x": x,
+        "y": y,
+        "errors": [None if np.isnan(error) else _rounded(error) for error in worst.tolist()],
+        "unit": course.unit,
+        "quantity": course.quantity,
+        "lanes": [_lane(lane) for lane in course.lanes],
+    }
+
+
+def _lane(lane: Lane) -> dict[str, Any]:
+    """A lane with a digit for each part: in how many ninths of its frames it holds, rounded up to hide none."""
+    starts = _starts(len(lane.holds), _MOST_POINTS)
+    shares = np.add.reduceat(lane.holds, starts) / np.diff([*starts, len(lane.holds)])
+    levels = "".join(str(level) for level in np.ceil(9 * shares).astype(int))
+    return {"name": lane.name, "tone": lane.tone, "share": _rounded(float(lane.holds.mean())), "levels": levels}
+
+
+def _starts(count: int, most: int) -> np.ndarray:
+    """Where parts of a series begin that are as long as each other, at most so many."""
+    return np.linspace(0, count, min(count, most), endpoint=False).astype(int)
+
+
+def _picks(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def _thinned(points: np.ndarray, most: int, step: float) -> list[Any]:
+    """At most so many points of a (N, 2) path as rounded x and y lists."""
+    picks = _picks(len(points), most)
+    return [_steps(points[picks, axis], step) for axis in (0, 1)]
+
+
+def _steps(values: np.ndarray, step: float) -> list[float | None]:
+    return [None if np.isnan(value) else _rounded(round(value / step) * step) for value in values.tolist()]
+
+
+_LEADS: Final = "on the Pareto front"
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What is said of every curve: BD-rates at equal values of some columns, and limits of others.
+
+    rates: by column and anchor; "" is the only anchor, which each sequence has by itself.
+    """
+
+    rates: dict[tuple[Column, str], dict[SequenceCurve, BdRate]]
+    limits: dict[Column, dict[SequenceCurve, Limit]]
+
+
+def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
+    """A table for each sequence as the template takes it, and the names of the anchors of BD-rates, if any."""
+    rates = {
+        (column, anchor): found
+        for column in run.headlines("quality", "task")
+        for anchor, found in bd_rates_by_anchor(run, column).items()
+    }
+    judged = _Judged(
+        {key: found for key, found in rates.items() if found},
+        {column: limits(run, [column]) for column in run.headlines("success")},
+    )
+    ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
+    times = run.headlines("time")
+    heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
+    last_heads = [f"{column.label} down to" for column in judged.limits]
+    last_heads += [column.heading for column in times]
+    criteria = pareto_criteria(run)
+    ranked = {(found.column, found.sequence): found for found in rankings(run)}
+    tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
+    for entry in run.plan.sequences:
+        wide = run.wide[run.wide["sequence"] == entry.name]
+        used, front = pareto_settings(wide, criteria)
+        curves: dict[str, list[Any]] = {}
+        for record, leads in zip(wide.to_dict("records"), front, strict=True):
+            curve = run.curves[record["codec"], record["setting"]].curve
+            curves.setdefault(curve, []).append({**record, _LEADS: leads})
+        own = next(iter(anchors_of(curves, run.schema.anchors)), "")
+        if not any(anchor for _, anchor in judged.rates) and own:
+            anchors[own] = None
+        rows = []
+        told = {key: found for key, found in judged.rates.items() if _has_number(found, entry.name)}
+        for curve, records in curves.items():
+            key = (entry.name, curve)
+            row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
+            row += [_range(records, column) for column in ranges]
+            row += [
+                "anchor" if curve == (anchor or own) else str(found.get(key, "–"))
+                for (_, anchor), found in told.items()
+            ]
+            row += [limit_words(found[key], run.rate) if key in found else "–" for found in judged.limits.values()]
+            rows.append([*row, *(spread(_values(records, column)) for column in times)])
+        note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
+        words = _in_words(entry.name, own, judged, run.rate, ranked)
+        untold = _untold({key: found for key, found in judged.rates.items() if key not in told}, entry.name)
+        bd_heads = [f"BD-rate{f' beside {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
+        own_heads = [*heads, *bd_heads, *last_heads]
+        tables.append(
+            {"sequence": entry.name, "heads": own_heads, "rows": rows, "note": note, "words": words, "untold": untold}
+        )
+    return tables, " and ".join(anchors) if judged.rates else ""
+
+
+def _has_number(found: dict[SequenceCurve, BdRate], sequence: str) -> bool:
+    return any(name == sequence and not rate.reason for (name, _), rate in found.items())
+
+
+def _untold(judged: dict[tuple[Column, str], dict[SequenceCurve, BdRate]], sequence: str) -> list[str]:
+    """What has no BD-rate of any curve on a sequence, each reason once."""
+    found: dict[str, list[str]] = {}
+    for (column, _), rates in judged.items():
+        for reason in [rate.reason for (name, _), rate in rates.items() if name == sequence][:1]:
+            found.setdefault(reason.split(":")[0], []).append(column.label)
+    return [
+        f"No curve has a BD-rate at equal {', '.join(dict.fromkeys(labels))}: {reason}."
+        for reason, labels in found.items()
+    ]
+
+
+def _in_words(
+    sequence: str, own: str, judged: _Judged, rate: Column | None, ranked: dict[tuple[Column, str], Ranking]
+) -> list[str]:
+    """Who needs least rate on a sequence, for each thing held equal, and who holds down to the least."""
+    words = []
+    for (column, named), found in judged.rates.items():
+        anchor = named or own
+        here = {curve: bd for (name, curve), bd in found.items() if name == sequence and not bd.reason}
+        if here:
+            best = min(here, key=lambda curve: here[curve].percent)
+            ahead = here[best].percent < 0.0
+            text = f"{best} needs least rate: {here[best]} against {anchor}" if ahead else f"{anchor} needs least rate"
+            ranking = ranked.get((column, sequence))
+            doubt = beside_ranking(ranking, best, anchor) if ranking else ""
+            words.append(f"At equal {column.label}, {text}{f' ({doubt})' if doubt else ''}.")
+    for column, limited in judged.limits.items():
+        held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and limit.lowest}
+        if held and rate is not None:
+            least = min(held, key=lambda curve: held[curve].rate)
+            subject = column.label[:1].upper() + column.label[1:]
+            words.append(f"{subject} down to the least rate with {least}: {limit_words(held[least], rate)}.")
+    return words
+
+
+def _values(records: list[Any], column: Column) -> np.ndarray:
+    """A column in the unit that people are shown."""
+    return np.array([float(record.get(column.name, np.nan)) * column.factor for record in records])
+
+
+def _range(records: list[Any], column: Column) -> str:
+    values = _values(records, column)
+    values = values[~np.isnan(values)]
+    if not len(values):
+        return "–"
+    low, high = values.min(), values.max()
+    least, most = three_digits(low), three_digits(high)
+    return (least if least == most else f"{least} to {most}").replace("inf", "∞")

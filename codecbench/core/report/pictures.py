@@ -1,0 +1,333 @@
+"""Pictures of the report: frames of settings in order of rate."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import math
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from codecbench.core.analysis.replanning import SAME_PLACE, relocated
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.contracts.errors import CodecbenchError, DatasetError
+from codecbench.core.contracts.evaluator import CodedFrame, Evaluator
+from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.sequence import FrameSequence
+from codecbench.core.contracts.view import Marks
+from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.identity import canonical_json
+from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
+from codecbench.core.engine.planning.plan import coding_id
+from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.running.coding.coded_frames import CodedFrames
+from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
+from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+from codecbench.core.engine.storage.plan_file import PlanFile
+from codecbench.core.engine.storage.store import Store
+from codecbench.core.report.tables import three_digits
+
+log = logging.getLogger("codecbench.report")
+
+_SETTINGS_A_SEQUENCE: Final = 64
+"""Settings whose pictures the page shows of one sequence, spread over the rates."""
+_MOST_FRAMES: Final = 5
+"""Of one setting."""
+_VIEWS: Final = 72
+"""As many of all settings as there are frames for, where each has several."""
+_BYTES_A_PIXEL: Final = 0.9
+"""What a pixel of a view takes of the page, about."""
+_LEAST_SIZE: Final = (360, 270)
+_MOST_SIZE: Final = (640, 480)
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """Data URIs of the three pictures of frame `index`, and marks.
+
+    width, height: of the pictures in pixels. kept, lost: x and y in turn of what an evaluator marks. note: what its
+    marks say of the whole frame; empty where it has none.
+    """
+
+    index: int
+    original: str
+    decoded: str
+    difference: str
+    width: int
+    height: int
+    kept: list[int]
+    lost: list[int]
+    note: str
+
+    @property
+    def weight_bytes(self) -> int:
+        return len(self.decoded) + len(self.difference) + 5 * (len(self.kept) + len(self.lost))
+
+
+_Views = tuple[PluginSetting, float, list[FrameView]]
+
+
+def frame_pictures(
+    run: RunResult, budget_bytes: int, sequences_from: str | None = None, wanted: Collection[int] = ()
+) -> dict[str, Any]:
+    """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly.
+
+    sequences_from: a folder in which sequences are looked for, or `same` for where the plan says, even if the run was
+    made elsewhere; None opens only what this user's own plan names. wanted: numbers of the frames to show, each of the
+    sequences that have it; by default a few spread evenly.
+    Each sequence has an equal share of the budget; where it does not do for all settings, they are thinned evenly.
+    """
+    originals: list[dict[str, Any]] = []
+    frames: list[dict[str, Any]] = []
+    share = budget_bytes // max(1, len(run.plan.sequences))
+    marker = _marker(run)
+    for entry in run.plan.sequences:
+        chosen = _chosen(run, entry)
+        if chosen and not _holds_bitstreams(run, entry, chosen):
+            log.warning("no images of %s: the run folder holds no bitstreams, as of a bundle without them", entry.name)
+            continue
+        params = _dataset_params(run, entry, sequences_from)
+        if params is None:
+            continue
+        shape = _shape(entry.frames, len(chosen), len(run.plan.sequences), share, wanted)
+        views = [
+            (setting, rate, found)
+            for setting, rate in chosen
+            if (found := _views(run, entry, params, setting, shape, marker))
+        ]
+        places: dict[int, int] = {}
+        shown = _thinned(views, share)
+        if len(shown) < len(views):
+            log.warning("images of %d of %d settings on %s fit on the page", len(shown), len(views), entry.name)
+        for setting, rate, found in shown:
+            spent = " · ".join(filter(None, (_spent(run, rate), f"{setting.name} {setting.label}".strip())))
+            for view in found:
+                if view.index not in places:
+                    places[view.index] = len(originals)
+                    originals.append({"picture": view.original, "width": view.width, "height": view.height})
+                frames.append(
+                    {
+                        "sequence": entry.name,
+                        "codec": setting.name,
+                        "setting": setting.label,
+                        "title": spent,
+                        "frame": view.index,
+                        "original": places[view.index],
+                        "decoded": view.decoded,
+                        "difference": view.difference,
+                        "kept": view.kept,
+                        "lost": view.lost,
+                        "note": view.note,
+                    }
+                )
+    return {"frames": frames, "originals": originals}
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Which frames are shown of each setting, and how much of them (width, height)."""
+
+    indices: list[int]
+    size: tuple[int, int]
+
+
+def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted: Collection[int]) -> _Shape:
+    """The frames that are wanted, or as many as there is room for, and as much of them as the budget allows."""
+    count = min(frames, max(1, min(_MOST_FRAMES, _VIEWS // max(1, settings * sequences))))
+    spread = [int(frames * (place + 0.5) / count) for place in range(count)]
+    indices = sorted({index for index in wanted if index < frames}) if wanted else spread
+    pixels = budget_bytes / max(1, settings * len(indices)) / _BYTES_A_PIXEL
+    scale = math.sqrt(pixels / (_LEAST_SIZE[0] * _LEAST_SIZE[1]))
+    width, height = (
+        max(least, min(most, int(scale * least))) for least, most in zip(_LEAST_SIZE, _MOST_SIZE, strict=True)
+    )
+    return _Shape(indices, (width, height))
+
+
+def _marker(run: RunResult) -> PluginSetting | None:
+    """The first evaluator of the run that marks frames."""
+    for setting in dict.fromkeys(result.cell.evaluator for result in run.results):
+        try:
+            if installed().ask(offers_marks, setting.name, of=[("evaluator", setting.name)]):
+                return setting
+        except CodecbenchError as error:
+            log.warning("evaluator %s marks nothing: %s", setting.name, clean_line(str(error)))
+    return None
+
+
+def offers_marks(registry: Registry, name: str) -> bool:
+    """Whether an evaluator marks frames."""
+    return bool(registry.load("evaluator", name).marks is not Evaluator.marks)
+
+
+def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, float]]:
+    """Codec settings but the baseline's by rising rate, those of unknown rate last, thinned evenly."""
+    settings = {(r.cell.codec.name, r.cell.codec.label): r.cell.codec for r in run.results}
+    known = [
+        (rate, settings[codec, label])
+        for (sequence, codec, label), rate in run.rates.items()
+        if sequence == entry.name and codec not in run.schema.baselines
+    ]
+    known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
+    picks = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SETTINGS_A_SEQUENCE)).round().astype(int))
+    return [(known[pick][1], known[pick][0]) for pick in picks] if known else []
+
+
+def _holds_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[PluginSetting, float]]) -> bool:
+    """Whether there is anything to decode of a sequence."""
+    store = Store(run.folder)
+    return any(store.coded_path(coding_id(entry, setting)).exists() for setting, _ in chosen)
+
+
+def _spent(run: RunResult, rate: float) -> str:
+    """A rate for people; nothing where it is not known."""
+    return "" if run.rate is None or np.isnan(rate) else f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
+
+
+def _thinned(views: list[_Views], budget_bytes: int) -> list[_Views]:
+    """As many settings, spread evenly, as the budget allows."""
+    count = len(views)
+    while count:
+        picks = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
+        chosen = [views[pick] for pick in picks]
+        originals = sum(len(view.original) for view in chosen[0][2])
+        if originals + sum(view.weight_bytes for *_, found in chosen for view in found) <= budget_bytes:
+            return chosen
+        count -= 1
+    return []
+
+
+def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> dict[str, Any] | None:
+    """The parameters to open a sequence with; None, with a line in the log, where it may not be opened."""
+    try:
+        if sequences_from not in (None, SAME_PLACE):
+            return {name: relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+        elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
+        if elsewhere is not None:
+            message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"
+            raise DatasetError(f"{message}; give --sequences-from FOLDER, or --sequences-from same")
+    except (CodecbenchError, OSError) as error:
+        log.warning("no images of %s: %s", entry.name, clean_line(str(error)))
+        return None
+    return entry.dataset.params
+
+
+def _views(
+    run: RunResult,
+    entry: SequenceEntry,
+    params: dict[str, Any],
+    setting: PluginSetting,
+    shape: _Shape,
+    marker: PluginSetting | None,
+) -> list[FrameView]:
+    """Frames of a sequence under a setting; none, with a line in the log, where they cannot be made again."""
+    job_id = coding_id(entry, setting)
+    path = str(Store(run.folder).coded_path(job_id).absolute())
+    asked: list[tuple[Kind, str]] = [("dataset", entry.dataset.name), ("codec", setting.name)]
+    asked += [("evaluator", marker.name)] if marker else []
+    sequence = entry.dataset.name, params, entry.fingerprint, entry.frames
+    marked = (marker.name, marker.params) if marker else None
+    wanted = shape.indices, list(shape.size), marked
+    try:
+        found = installed().ask(views_values, *sequence, setting.name, setting.params, path, job_id, *wanted, of=asked)
+    except (CodecbenchError, IndexError, OSError, ValueError) as error:
+        where = f"{setting.name} {setting.label} on {entry.name}"
+        log.warning("no image of %s: %s", where, clean_line(str(error)))
+        return []
+    return [FrameView(**values) for values in found]
+
+
+def views_values(
+    registry: Registry,
+    dataset: str,
+    dataset_params: dict[str, Any],
+    fingerprint: str,
+    frames: int,
+    codec: str,
+    codec_params: dict[str, Any],
+    path: str,
+    job_id: str,
+    indices: list[int],
+    size: list[int],
+    marker: tuple[str, dict[str, Any]] | None,
+) -> list[dict[str, Any]]:
+    """The fields of views of a sequence's frames, whose bitstreams are in the file `path` of the job.
+
+    marker: the evaluator that marks them, and its parameters. Raises DatasetError where the sequence is no longer the
+    one of the fingerprint, and BitstreamDamage where the file is not the job's.
+    """
+    sequence = _opened(registry, dataset, canonical_json(dataset_params).decode(), fingerprint, frames)
+    bitstreams = BitstreamFile(Path(path), job_id)
+    coded = CodedFrames(sequence, registry.create("codec", codec, codec_params), bitstreams, WorkPosition())
+    evaluator: Evaluator[Any] | None = registry.create("evaluator", *marker) if marker else None
+    found = []
+    for index in indices:
+        frame = coded.frame(index)
+        view = frame_view(frame, index, (size[0], size[1]), evaluator.marks(frame) if evaluator else None)
+        found.append(asdict(view))
+    return found
+
+
+@lru_cache(maxsize=1)
+def _opened(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> FrameSequence:
+    """A sequence, whose frames are read once for all settings. params: as JSON."""
+    sequence: FrameSequence = registry.create("dataset", dataset, json.loads(params)).open()
+    if sequence.fingerprint != fingerprint or len(sequence) != frames:
+        raise DatasetError("its frames are no longer those of the run")
+    return CachedSequence(sequence, sequence.name, FrameCache())
+
+
+_WEBP_QUALITY: Final = 82
+_DIFFERENCE_QUALITY: Final = 60
+_GAIN: Final = 4
+"""Differences of gray are shown this many times stronger, around middle gray."""
+
+
+def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: Marks | None = None) -> FrameView:
+    """The middle of a coded frame, `size` (width, height) of it at most, at one pixel a pixel. marks: of all of it."""
+    top, left, height, width = _middle(coded.original.image, size)
+    shown = slice(top, top + height), slice(left, left + width)
+    original, decoded = (np.ascontiguousarray(image[shown]) for image in (coded.original.image, coded.decoded))
+    difference = 128 + _GAIN * (gray_from_image(decoded).astype(np.int16) - gray_from_image(original))
+    kept, lost = ([], []) if marks is None else (_inside(marks, found, shown) for found in (True, False))
+    return FrameView(
+        index,
+        _uri(original, _WEBP_QUALITY),
+        _uri(decoded, _WEBP_QUALITY),
+        _uri(np.clip(difference, 0, 255).astype(np.uint8), _DIFFERENCE_QUALITY),
+        width,
+        height,
+        kept,
+        lost,
+        "" if marks is None else marks.note,
+    )
+
+
+def _middle(image: Image, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Top, left, height and width of what is shown."""
+    width, height = (min(limit, own) for limit, own in zip(size, image.shape[1::-1], strict=True))
+    return (image.shape[0] - height) // 2, (image.shape[1] - width) // 2, height, width
+
+
+def _inside(marks: Marks, found: bool, shown: tuple[slice, slice]) -> list[int]:
+    """The marks that are kept, or those that are lost, in pixels of the part that is shown."""
+    rows, columns = shown
+    places = np.rint(marks.places[marks.kept == found] - [columns.start, rows.start]).astype(int)
+    limits = np.array([columns.stop - columns.start, rows.stop - rows.start])
+    within: list[int] = places[((places >= 0) & (places < limits)).all(axis=1)].ravel().tolist()
+    return within
+
+
+def _uri(image: Image, quality: int) -> str:
+    stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, buffer = cv2.imencode(".webp", stored, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    return "data:image/webp;base64," + base64.b64encode(buffer.tobytes()).decode()

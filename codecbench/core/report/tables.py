@@ -1,0 +1,220 @@
+"""Tables in the formats that people and programs read."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import io
+import json
+import math
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.table import NOTES, json_value
+from codecbench.core.contracts.errors import ParamsError
+
+if TYPE_CHECKING:
+    from codecbench.core.analysis.columns import Column
+    from codecbench.core.analysis.run_result import RunResult
+
+_KEYS = ("sequence", "codec", "setting")
+_FORMULA = ("=", "+", "-", "@")
+_LATEX = str.maketrans(
+    {**{special: f"\\{special}" for special in "&%$#_{}"}, "\\": "\\textbackslash{}", "~": "\\textasciitilde{}",
+     "^": "\\textasciicircum{}", "\n": " "}
+)  # fmt: skip
+
+
+def exported(frame: pd.DataFrame, format_: str) -> bytes:
+    """A table as the bytes of a file: `csv`, `parquet`, `json`, `markdown` or `latex`.
+
+    Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty. In csv a
+    text that spreadsheets would take for a formula gets an apostrophe before it.
+    """
+    if format_ == "csv":
+        return _no_formulas(frame).to_csv(index=False).encode()
+    if format_ == "parquet":
+        buffer = io.BytesIO()
+        frame.to_parquet(buffer, index=False)
+        return buffer.getvalue()
+    if format_ == "json":
+        records = [
+            {str(name): json_value(value) for name, value in record.items()}
+            for record in _objects(frame).to_dict("records")
+        ]
+        return (json.dumps(records, indent=1) + "\n").encode()
+    rows = _objects(frame).to_numpy().tolist()
+    if format_ == "markdown":
+        return foreign_table([str(name) for name in frame.columns], rows).encode()
+    if format_ == "latex":
+        return _latex(frame).encode()
+    raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
+
+
+def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
+    """The identifying columns and those that match one of the comma-separated patterns, in the patterns' order.
+
+    What is noted of settings stays too: numbers are not to be read without it.
+    Raises ParamsError where a pattern matches nothing.
+    """
+    names = [str(name) for name in frame.columns]
+    chosen = [name for name in _KEYS if name in names]
+    for pattern in filter(None, (part.strip() for part in patterns.split(","))):
+        found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+        if not found:
+            near = difflib.get_close_matches(pattern, names, n=5, cutoff=0.3)
+            raise ParamsError(f"no column matches {pattern!r}; near it: {', '.join(near) or 'none'}")
+        chosen += [name for name in found if name not in chosen]
+    chosen += [NOTES] if NOTES in names and NOTES not in chosen else []
+    return frame[chosen]
+
+
+def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
+    """The headlines of a run in the units that people are shown, under heads for people.
+
+    brief: narrow heads, on several lines where there is more to say than the metric, for a screen that may not hold all
+    columns beside each other: the rate and what codecs are judged by come first, before them the status where a row is
+    not ok.
+    """
+    headlines = run.headlines()
+    if brief:
+        headlines = list(dict.fromkeys([*_judged_by(run), *headlines]))
+    parts = [run.wide[column.name] * column.factor for column in headlines]
+    heads = [column.brief if brief else column.heading for column in headlines]
+    at = 0 if brief and (run.wide["status"] != "ok").any() else len(parts)
+    table = pd.concat([run.wide[[*_KEYS]], *parts[:at], run.wide["status"], *parts[at:]], axis=1)
+    table.columns = pd.Index([*_KEYS, *heads[:at], "status", *heads[at:]])
+    return table
+
+
+def _judged_by(run: RunResult) -> list[Column]:
+    """The rate, whether the first task succeeds, and what is compared."""
+    from codecbench.core.analysis.run_result import judged_column, successes
+
+    succeeded = next(iter(successes(run)), [])
+    return [column for column in (run.rate, *succeeded, judged_column(run)) if column is not None]
+
+
+def _objects(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table with None for whatever is missing."""
+    return frame.astype(object).where(frame.notna(), None)
+
+
+def _no_formulas(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table with an apostrophe before each text, heads too, that begins like a formula; numbers as they are."""
+    texts = [name for name in frame.columns if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
+    return frame.assign(**{name: frame[name].map(_no_formula) for name in texts}).rename(columns=_no_formula)
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
+
+
+def _latex(frame: pd.DataFrame) -> str:
+    """A booktabs table; pandas would want jinja2's styler for less control."""
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    lines = ["\\begin{tabular}{" + "".join("r" if is_number else "l" for is_number in numeric) + "}", "\\toprule"]
+    lines.append(" & ".join(str(name).translate(_LATEX) for name in frame.columns) + " \\\\")
+    lines.append("\\midrule")
+    lines += [" & ".join(map(_latex_cell, row)) + " \\\\" for row in _objects(frame).to_numpy().tolist()]
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
+
+
+def _latex_cell(value: object) -> str:
+    if value is None:
+        return "--"
+    if isinstance(value, float):
+        return "$\\infty$" if value == float("inf") else f"{value:.4g}"
+    return str(value).translate(_LATEX)
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; cells are text or numbers, None and NaN become a dash."""
+    lines = [
+        "| " + " | ".join(heads) + " |",
+        "|" + "|".join("---" if not i else "---:" for i in range(len(heads))) + "|",
+    ]
+    lines += ["| " + " | ".join(cell(value) for value in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def foreign_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table of text that others wrote: markup in it is escaped."""
+    shown = ([escaped(value) if isinstance(value, str) else value for value in row] for row in rows)
+    return table([escaped(head) for head in heads], shown)
+
+
+def cell(value: object) -> str:
+    """A value as a table shows it: four significant digits, thousands apart where it is a count."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, float):
+        if math.isinf(value):
+            return "∞"
+        if value.is_integer() and abs(value) >= 10_000:
+            return f"{int(value):,}"
+        return f"{value:.4g}" if abs(value) < 10_000 else f"{value:,.0f}"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    return " ".join(str(value).split("\n")).replace("|", "\\|")
+
+
+def escaped(text: str) -> str:
+    """Foreign text that a page would otherwise take for markup: links, pictures, HTML, code, emphasis."""
+    return re.sub(r"[\\`*\[\]]", r"\\\g<0>", text).replace("&", "&amp;").replace("<", "&lt;")
+
+
+def change(ours: float, theirs: float) -> str:
+    """How far our number is from theirs, in percent."""
+    if math.isnan(ours) or not theirs:
+        return "–"
+    return f"{100 * (ours - theirs) / theirs:+.0f} %"
+
+
+def three_digits(value: float) -> str:
+    """With three significant digits, and without an exponent up to a million: 1840 and not 1.84e+03."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def notes(run: RunResult) -> list[str]:
+    """A sentence for each note on a sequence, for each caveat of a headline, and for those on codec settings."""
+    return [*sequence_notes(run), *caveats(run), *setting_notes(run)]
+
+
+def sequence_notes(run: RunResult) -> list[str]:
+    """A sentence for each note, with the sequences that have it: what was done to frames, how many of them are used."""
+    noted: dict[str, list[str]] = defaultdict(list)
+    for entry in run.plan.sequences:
+        for note in entry.notes:
+            noted[note].append(entry.name)
+    return [f"{', '.join(names)}: {note}." for note, names in noted.items()]
+
+
+def caveats(run: RunResult, evaluators: Collection[str] | None = None) -> list[str]:
+    """A sentence for each caveat of a headline, of all evaluators or of those with these names or titles."""
+    columns = [
+        column
+        for column in run.headlines()
+        if evaluators is None or column.evaluator.name in evaluators or column.evaluator.title in evaluators
+    ]
+    return list(dict.fromkeys(f"{column.label}: {column.metric.caveat}." for column in columns if column.metric.caveat))
+
+
+def setting_notes(run: RunResult) -> list[str]:
+    """A sentence for each note of a curve, with the settings of it that have the note where not all have."""
+    points: dict[str, set[str]] = defaultdict(set)
+    noted: dict[tuple[str, str], dict[str, None]] = defaultdict(dict)
+    for result in run.results:
+        place = run.curves[result.cell.codec.name, result.cell.codec.label]
+        points[place.curve].add(place.point)
+        for note in result.notes:
+            noted[place.curve, note][place.point] = None
+    return [
+        f"{curve}: {note}." if found.keys() == points[curve] else f"{curve}, {', '.join(found)}: {note}."
+        for (curve, note), found in noted.items()
+    ]

@@ -1,1 +1,0 @@
-"""Which settings are good enough over a link."""

@@ -1,1 +1,0 @@
-"""Comparing two runs of the same cells, such as before and after a change to a codec."""

@@ -1,1 +1,0 @@
-"""Codecs in order, as far as a run can tell them apart."""

@@ -1,0 +1,281 @@
+"""Goes through a search on a sequence again, as far as the records of its trials lead, and says what it has found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final, Literal, TypeVar
+
+from codecbench.core.analysis.columns import Column
+from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
+from codecbench.core.engine.planning.search import Search
+from codecbench.core.rounds.trials import Stopped, Trial, Trials, Unfinished
+
+A = TypeVar("A")
+E = TypeVar("E")
+
+_SHOWN: Final = 5
+"""Trials against the direction that are named."""
+
+
+@dataclass
+class Searching:
+    """A search on a sequence. tried: what is known of each place, in the order in which they were tried."""
+
+    search: Search
+    sequence: str
+    trials: Trials
+    seed: int
+    tried: dict[int, Trial] = field(default_factory=dict)
+
+    def result(self) -> tuple[SearchFinding, PluginSetting | None]:
+        """What was found by now, and the setting that every evaluator is to look at; `trials` is asked for the rest."""
+        try:
+            if len(self.search.axes) > 1:
+                self._follow(sampling(self.search.lengths, self.search.budget, self.seed), self._score)
+                return self._of_several()
+            ended = self._follow(bisection(len(self.search.settings), self.search.budget), self._side)
+            return self._nearest(ended) if self.search.aim.bound == "equal" else self._boundary(ended)
+        except Unfinished:
+            return self._finding("under way", None, f"{len(self.tried)} settings tried so far"), None
+        except Stopped as stop:
+            return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
+
+    def _follow(self, questions: Generator[list[int], dict[int, A], E], answer: Callable[[int], A]) -> E:
+        """Answer questions to their end. Raises Unfinished once all of a question are asked for, and Stopped."""
+        try:
+            places = next(questions)
+            while True:
+                self._try(places)
+                places = questions.send({place: answer(place) for place in places})
+        except StopIteration as ended:
+            result: E = ended.value
+            return result
+
+    def _try(self, places: list[int]) -> None:
+        unfinished = False
+        for place in places:
+            setting = self.search.settings[place]
+            try:
+                self.tried[place] = self.trials.trial(self.sequence, setting, self.search.aim)
+            except Unfinished:
+                unfinished = True
+            if self.search.least is not None:
+                evaluator, _ = self.search.least
+                try:
+                    self.trials.repeats(self.sequence, setting, evaluator.title, self.trials.totals[evaluator.title])
+                except Unfinished:
+                    unfinished = True
+        if unfinished:
+            raise Unfinished
+
+    def _side(self, place: int) -> Side:
+        trial, aim = self.tried[place], self.search.aim
+        if aim.bound != "equal":
+            return 1 if trial.meets else -1
+        if math.isnan(trial.value):
+            raise Stopped(f"{trial.label} has no value: {trial.reason}")
+        if abs(trial.value - aim.value) <= self.search.within or trial.value == aim.value:
+            return 0
+        return 1 if trial.value > aim.value else -1
+
+    def _score(self, place: int) -> Score:
+        trial, aim = self.tried[place], self.search.aim
+        if aim.bound == "equal":
+            return Score(0.0 if self._near_enough(trial) else aim.distance(trial.value), 0.0)
+        distance = aim.distance(trial.value)
+        violation = 0.0 if trial.meets else min(distance, 1e9) or 1.0
+        return Score(self._least(place), violation)
+
+    def _least(self, place: int) -> float:
+        """What a setting spends; 0 where nothing measures that."""
+        if self.search.least is None:
+            return 0.0
+        evaluator, metric = self.search.least
+        column = Column(evaluator, metric, "", metric.aggregates[0])
+        value = self.trials.shown(self.sequence, self.search.settings[place], column)
+        return math.inf if math.isnan(value) else value
+
+    def _nearest(self, ended: Bisected | None) -> tuple[SearchFinding, PluginSetting | None]:
+        """The setting that comes nearest to an aim."""
+        aim = self.search.aim
+        place = min(self.tried, key=lambda place: (aim.distance(self.tried[place].value), place))
+        trial = self.tried[place]
+        if not math.isfinite(trial.value) and math.isfinite(aim.value) and trial.value != aim.value:
+            return self._finding("unreachable", None, f"no setting has a finite value; {self._effort()}"), None
+        words = f"{trial.label} gives {_number(trial.value)}{_off(trial.value, aim.value)}"
+        state: SearchState = "nearest"
+        if ended is not None and ended.outcome == "one side":
+            state, words = "unreachable", f"no setting reaches that; of its ends, {words} is nearer"
+        elif ended is not None and ended.outcome == "spent":
+            state, words = "stopped", f"the budget is spent; of what was tried, {words} is nearest"
+        elif self._near_enough(trial):
+            state = "found"
+        return self._finding(state, trial, f"{words}; {self._effort()}"), trial.setting
+
+    def _near_enough(self, trial: Trial) -> bool:
+        return abs(trial.value - self.search.aim.value) <= self.search.within
+
+    def _boundary(self, ended: Bisected) -> tuple[SearchFinding, PluginSetting | None]:
+        """The last setting that will do before those that will not."""
+        aim, meeting = self.search.aim, {place: trial for place, trial in self.tried.items() if trial.meets}
+        if not meeting:
+            best = min(self.tried.values(), key=lambda trial: aim.distance(trial.value))
+            came = f"the nearest is {self._told(best)}" if not math.isnan(best.value) else best.reason
+            state: SearchState = "stopped" if ended.outcome == "spent" else "unreachable"
+            spent = "the budget is spent, and " if ended.outcome == "spent" else ""
+            return self._finding(state, None, f"{spent}no setting tried will do: {came}; {self._effort()}"), None
+        if ended.outcome == "one side" or len(meeting) == len(self.tried):
+            place = min(meeting, key=lambda place: (aim.distance(meeting[place].value), -place))
+            words = f"every setting tried will do, also {self._told(meeting[place])}"
+        else:
+            place = ended.low if ended.low in meeting else ended.high
+            other = ended.high if place == ended.low else ended.low
+            words = f"{self._told(meeting[place])} will do, {self._told(self.tried[other])} will not"
+        if ended.outcome == "spent":
+            return self._finding("stopped", meeting[place], f"the budget is spent; {words}; {self._effort()}"), (
+                meeting[place].setting
+            )
+        return self._finding("found", meeting[place], f"{words}; {self._effort()}"), meeting[place].setting
+
+    def _of_several(self) -> tuple[SearchFinding, PluginSetting | None]:
+        """The best of the settings of several parameters that were tried."""
+        if self.search.aim.bound == "equal":
+            return self._nearest(None)
+        meeting = [place for place, trial in self.tried.items() if trial.meets]
+        if not meeting:
+            return self._boundary(Bisected("one side", 0, 0))
+        place = min(meeting, key=self._least)
+        words = f"{self._told(self.tried[place])} will do"
+        if self.search.least is not None:
+            _, metric = self.search.least
+            words += f", and of those that will has the least {metric.name}, {_number(self._least(place))}"
+        return self._finding("found", self.tried[place], f"{words}; {self._effort()}"), self.search.settings[place]
+
+    def _told(self, trial: Trial) -> str:
+        """A trial with its value and what its runs say."""
+        value = "no value" if math.isnan(trial.value) else _number(trial.value)
+        return f"{trial.label} ({', '.join(filter(None, (value, trial.runs)))})"
+
+    def _effort(self) -> str:
+        words = f"{len(self.tried)} of {len(self.search.settings)} settings tried"
+        against = self._against()
+        return f"{words}; not monotone: {against}" if against else words
+
+    def _against(self) -> str:
+        """Trials between which the value turns, where repeats do not scatter it."""
+        if len(self.search.axes) > 1 or any(trial.runs for trial in self.tried.values()):
+            return ""
+        places = sorted(place for place in self.tried if not math.isnan(self.tried[place].value))
+        rising = self.tried[places[-1]].value >= self.tried[places[0]].value if places else True
+        turns = []
+        for before, after in pairwise(places):
+            first, second = self.tried[before], self.tried[after]
+            if first.value != second.value and (second.value > first.value) != rising:
+                turns.append(f"{_number(first.value)} at {first.label}, {_number(second.value)} at {second.label}")
+        return ", ".join(turns[:_SHOWN])
+
+    def _finding(self, state: SearchState, trial: Trial | None, words: str) -> SearchFinding:
+        reached = trial.value if trial is not None and math.isfinite(trial.value) else None
+        codec = self.search.settings[0].name
+        label = trial.setting.label if trial is not None else ""
+        return SearchFinding(self.sequence, codec, str(self.search.aim), state, label, reached, len(self.tried), words)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _off(value: float, wanted: float) -> str:
+    """How far a value is from what was wanted, as a share of it."""
+    return f", {100.0 * (value - wanted) / abs(wanted):+.2g} %" if wanted and value != wanted else ""
+
+
+Side = Literal[-1, 0, 1]
+"""Of a place: which side of what is sought it is on; 0 where it is that."""
+
+
+@dataclass(frozen=True)
+class Bisected:
+    """How a bisection ended. low, high: the places between which it did.
+
+    crossed: low and high are neighbours on different sides. hit: one of the places tried is what is sought. one side:
+    both ends are on the same, and so is their middle. spent: no further place may be tried.
+    """
+
+    outcome: Literal["crossed", "hit", "one side", "spent"]
+    low: int
+    high: int
+
+
+def bisection(length: int, budget: int) -> Generator[list[int], dict[int, Side], Bisected]:
+    """Yields places, of `length`, and is sent the side of each; tries at most `budget`.
+
+    Where both ends are on one side, their middle is tried as well: a parameter that does not act in one direction may
+    yet show there.
+    """
+    low, high = 0, length - 1
+    sides = yield [low, high][:budget]
+    if budget < 2:
+        return Bisected("hit" if 0 in sides.values() else "spent", low, high)
+    if sides[low] == sides[high] != 0:
+        if length == 2 or budget == 2:
+            return Bisected("one side" if length == 2 else "spent", low, high)
+        middle = length // 2
+        sides |= yield [middle]
+        if sides[middle] == sides[low]:
+            return Bisected("one side", low, high)
+        high = middle
+    while 0 not in sides.values() and high - low > 1:
+        if len(sides) >= budget:
+            return Bisected("spent", low, high)
+        middle = (low + high) // 2
+        sides |= yield [middle]
+        low, high = (middle, high) if sides[middle] == sides[low] else (low, middle)
+    return Bisected("hit" if 0 in sides.values() else "crossed", low, high)
+
+
+_AT_ONCE: Final = 4
+"""Settings that are tried in the same round."""
+_BARRED: Final = 1e12
+"""More than any cost: the sampler goes by the order of costs alone, in which settings that will not do come last."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a place is worth. cost: to be least; infinite where unknown. violation: above 0 where it will not do."""
+
+    cost: float
+    violation: float
+
+
+def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[int], dict[int, Score], None]:
+    """Yields places, in the order in which all combinations stand, and is sent the score of each; at most `budget`."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=min(10, budget // 2))
+    study = optuna.create_study(sampler=sampler)
+    known: dict[int, Score] = {}
+    most = min(budget, math.prod(lengths))
+    for _ in range(10 * budget):  # the sampler may come back to where it was
+        if len(known) >= most or Score(0.0, 0.0) in known.values():
+            return
+        asked = [study.ask() for _ in range(min(_AT_ONCE, most - len(known)))]
+        places = [_place([trial.suggest_int(str(axis), 0, length - 1) for axis, length in enumerate(lengths)], lengths)
+                  for trial in asked]  # fmt: skip
+        new = [place for place in dict.fromkeys(places) if place not in known]
+        if new:
+            known |= yield new
+        for trial, place in zip(asked, places, strict=True):
+            score = known[place]
+            study.tell(trial, min(score.cost, _BARRED) if score.violation == 0.0 else _BARRED * (1.0 + score.violation))
+
+
+def _place(parts: Sequence[int], lengths: Sequence[int]) -> int:
+    place = 0
+    for part, length in zip(parts, lengths, strict=True):
+        place = place * length + part
+    return place

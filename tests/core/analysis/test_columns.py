@@ -1,0 +1,133 @@
+"""What a column of the wide table is, and which are shown first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from codecbench.core.analysis.columns import Column, columns_of
+from codecbench.core.analysis.run_result import RunSchema
+from codecbench.core.analysis.table import CellResult, wide
+from codecbench.core.contracts.evaluator import Measurement
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
+from codecbench.core.facade import Run
+from codecbench.core.report.page import write_report
+from codecbench.core.report.tables import chosen_columns, exported, short_table
+
+SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "d", "1"), "f00d", 3, 3, True, True)
+WORK = Metric(
+    "work", "ops", "lower", "", ("mean", "max"), role="operations", headline=True, label="work done", brief="Mops",
+    display_unit="Mops", display_factor=1e-6,
+)  # fmt: skip
+SIZE = Metric("size", "B", "lower", "", role="rate", headline=True)
+KEPT = Metric("kept", "%", "higher", "", role="rate", headline=True)
+NOTE = Metric("note", "1", "neither", "")
+METRICS = {metric.name: metric for metric in (NOTE, KEPT, SIZE, WORK)}
+
+
+def result(codec: str, summaries: dict[tuple[str, str, str], float], label: str = "", **own: float) -> CellResult:
+    evaluator = PluginSetting("evaluator", "test", "1", {}, label)
+    cell = Cell(codec, SEQUENCE, PluginSetting("codec", codec, "1"), evaluator, 0, 0, False, None)
+    measurements = tuple(Measurement(name, value) for name, value in own.items())
+    return CellResult(cell, "ok", "", measurements, summaries, METRICS, lambda: None, Path())
+
+
+def run_of(*results: CellResult) -> Run:
+    plan = Plan("p", "", RunSettings(1, 1.0, 1, 0, PluginSetting("executor", "e", "1")), (SEQUENCE,), (), ())
+    return Run(Path(), plan, results, {}, RunSchema({}, {}))
+
+
+ONE = result(
+    "a",
+    {("work", "encode/dct", "mean"): 1e6, ("work", "encode", "mean"): 3e6, ("work", "encode", "max"): 4e6},
+    label="n=2", size=100.0, note=1.0, kept=7.0,
+)  # fmt: skip
+
+
+def test_columns_are_those_of_the_wide_table_in_the_order_of_declaration() -> None:
+    columns = columns_of([ONE])
+    assert set(columns) == set(wide([ONE]).columns) - {"sequence", "codec", "setting", "status", "reason"}
+    assert list(columns) == [
+        "test(n=2).note.mean",
+        "test(n=2).kept.mean",
+        "test(n=2).size.mean",
+        "test(n=2).work.encode/dct.mean",
+        "test(n=2).work.encode.mean",
+        "test(n=2).work.encode.max",
+    ]
+    assert all(name == column.name for name, column in columns.items())
+
+
+def test_a_column_says_what_it_is() -> None:
+    column = columns_of([ONE])["test(n=2).work.encode.mean"]
+    assert column.heading == "encode work done (n=2) [Mops]"
+    assert column.brief == "encode\nMops\nn=2"
+    assert column.factor == 1e-6
+    assert columns_of([ONE])["test(n=2).work.encode.max"].label == "encode work done (n=2), max"
+    infinite = Column(ONE.cell.evaluator, WORK, "", "infinite")
+    assert (infinite.heading, infinite.factor) == ("work done (n=2), infinite", 1.0)
+
+
+def test_a_metric_that_was_not_declared_stands_last_and_means_nothing() -> None:
+    undeclared = replace(
+        ONE, metrics={"work": WORK}, measurements=(Measurement("odd", 1.0), Measurement("odd", 2.0, stage="x"))
+    )
+    other = result("b", {}, note=1.0)
+    columns = columns_of([replace(undeclared, summaries={("late", "", "max"): 1.0, ("work", "", "mean"): 2.0}), other])
+    assert list(columns) == [
+        "test(n=2).work.mean", "test(n=2).late.max", "test(n=2).odd.mean", "test(n=2).odd.x.mean", "test.note.mean",
+    ]  # fmt: skip
+    odd = columns["test(n=2).odd.mean"]
+    assert (odd.metric, odd.heading, odd.brief) == (Metric("odd", "", "neither", ""), "odd (n=2)", "odd\nn=2")
+
+
+def test_heads_say_no_more_than_there_is() -> None:
+    note = columns_of([result("b", {}, note=1.0)])["test.note.mean"]
+    assert (note.label, note.heading, note.brief, note.unit, note.factor) == ("note", "note", "note", "1", 1.0)
+    assert columns_of([ONE])["test(n=2).size.mean"].heading == "size (n=2) [B]"
+    assert Column(ONE.cell.evaluator, WORK, "", "infinite").unit == ""
+
+
+def test_headlines_are_usual_summaries_in_total_that_have_a_value() -> None:
+    run = run_of(ONE, result("b", {}, size=float("nan")))
+    assert [column.measure for column in run.headlines()] == ["kept", "size", "work.encode"]
+    assert [column.measure for column in run.headlines("operations")] == ["work.encode"]
+
+
+def test_the_rate_is_the_first_that_is_better_when_lower() -> None:
+    run = run_of(ONE)
+    assert run.rate is not None
+    assert run.rate.metric is SIZE
+    assert run.rates == {("room", "a", ""): 100.0}
+    assert run_of(result("a", {}, kept=3.0)).rate is None
+
+
+def test_the_short_table_is_in_units_and_words_for_people() -> None:
+    table = short_table(run_of(ONE))
+    assert list(table.columns) == [
+        "sequence", "codec", "setting", "kept (n=2) [%]", "size (n=2) [B]", "encode work done (n=2) [Mops]", "status",
+    ]  # fmt: skip
+    assert table.iloc[0].tolist() == ["room", "a", "", 7.0, 100.0, 3.0, "ok"]
+
+
+def test_every_table_in_a_file_says_what_is_noted_of_a_setting(tmp_path: Path) -> None:
+    """In the terminal and on pages it stands below; a file is read without what stood around it."""
+    run = run_of(replace(ONE, notes=("half the colour",)), result("b", {}, size=3.0))
+    assert list(chosen_columns(run.wide, "*size*").columns)[3:] == ["test(n=2).size.mean", "test.size.mean", "notes"]
+    tables = [replace(run, results=run.results[1:]).wide, run.wide]
+    for form in ("csv", "json", "markdown", "latex"):
+        assert [exported(table, form).count(b"half the colour") for table in tables] == [0, 1]
+    for form in ("markdown", "latex"):
+        write_report(run, tmp_path / form, form)
+        assert (tmp_path / form).read_text().count("half the colour") == 1
+    assert run._repr_html_().count("half the colour") == 1
+
+
+def test_two_columns_under_one_head_are_both_shown() -> None:
+    table = short_table(run_of(ONE))
+    table.columns = pd.Index([*table.columns[:3], "same", "same", "same", "status"])
+    assert exported(table, "markdown").decode().count("same") == 3
+    assert exported(table, "latex").decode().count("same") == 3

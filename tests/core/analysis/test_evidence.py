@@ -1,0 +1,93 @@
+"""Tests of means against scipy's, and on series whose dependence, and whose standard error, is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import ttest_1samp, ttest_ind
+
+from codecbench.core.analysis.evidence import (
+    _time_constant,
+    block_means,
+    combined,
+    evidence_of_frames,
+    evidence_of_repeats,
+)
+
+
+def test_repeats_are_tested_as_scipy_does(rng: np.random.Generator) -> None:
+    for count in (2, 5, 40):
+        values = rng.normal(0.5, 1.0, count)
+        assert evidence_of_repeats(values).p_value == pytest.approx(ttest_1samp(values, 0.0).pvalue, rel=1e-9)
+
+
+@pytest.mark.parametrize("values", [[0.0] * 5, [0.7], [0.7] * 5])
+def test_what_does_not_vary_is_no_evidence(values: list[float]) -> None:
+    """A single run, and the same run several times under other seeds that change nothing."""
+    assert evidence_of_repeats(np.array(values)).p_value == 1.0
+    assert evidence_of_frames(np.array(values)).p_value == 1.0, "so few frames say nothing"
+
+
+def test_many_frames_that_differ_by_the_same_are_evidence() -> None:
+    same = evidence_of_frames(np.full(8, 0.7))
+    assert (same.mean, same.p_value) == (pytest.approx(0.7), 0.0)
+    assert evidence_of_frames(np.zeros(8)).p_value == 1.0
+    assert combined([same, same]).p_value == 0.0
+
+
+def drifting(rng: np.random.Generator, trials: int, count: int, correlation: float) -> np.ndarray:
+    """(trials, count) values about zero of which neighbours are correlated."""
+    steps = rng.normal(size=(trials, count + 300))
+    return np.asarray(lfilter([1.0], [1.0, -correlation], steps, axis=1)[:, 300:])
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_neighbours_that_depend_on_each_other_are_not_counted_twice(correlation: float) -> None:
+    """At a level of 1 %, 715 frames without a difference show one in about 1 % of trials, and not in most."""
+    rng = np.random.default_rng(5)
+    series = drifting(rng, 500, 715, correlation)
+    assert np.mean([evidence_of_frames(values).p_value < 0.01 for values in series]) < 0.03
+    if correlation > 0.8:
+        assert np.mean([evidence_of_repeats(values).p_value < 0.01 for values in series]) > 0.4
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_so_many_correlated_values_are_worth_one(correlation: float) -> None:
+    """Of an autoregressive process (1 + r) / (1 - r), also from series so short that its estimate is biased."""
+    known = (1.0 + correlation) / (1.0 - correlation)
+    (long,) = drifting(np.random.default_rng(6), 1, 100_000, correlation)
+    assert _time_constant(long) == pytest.approx(known, rel=0.05)
+    short = drifting(np.random.default_rng(7), 2_000, 40, correlation)
+    assert np.median([_time_constant(values) for values in short]) == pytest.approx(known, rel=0.25)
+
+
+def test_what_never_changes_is_worth_at_most_a_hundredth() -> None:
+    assert _time_constant(np.arange(10_000.0)) == pytest.approx(199.0)
+    assert _time_constant(np.ones(9)) == _time_constant(np.array([1.0, 2.0])) == 1.0
+
+
+def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:
+    series = drifting(rng, 100, 715, 0.5) + 0.5  # a quarter of the standard deviation
+    assert np.mean([evidence_of_frames(values).p_value < 0.01 for values in series]) > 0.8
+
+
+def test_sequences_count_alike_however_long_they_are(rng: np.random.Generator) -> None:
+    short, long = rng.normal(1.0, 1.0, 5), rng.normal(0.0, 0.1, 500)
+    found = combined([evidence_of_repeats(short), evidence_of_repeats(long)])
+    welch = ttest_ind(short, -long, equal_var=False)
+    assert found.mean == pytest.approx(0.5 * (short.mean() + long.mean()))
+    assert found.p_value == pytest.approx(welch.pvalue, rel=1e-9)
+    assert found.freedom == pytest.approx(welch.df, rel=1e-9)
+
+
+def test_where_each_sequence_has_one_run_sequences_are_the_samples(rng: np.random.Generator) -> None:
+    means = rng.normal(0.5, 1.0, 6)
+    found = combined([evidence_of_repeats(np.array([mean])) for mean in means])
+    assert found == evidence_of_repeats(means)
+
+
+def test_blocks_are_contiguous_and_of_equal_length() -> None:
+    np.testing.assert_allclose(block_means(np.arange(16.0), 4), [1.5, 5.5, 9.5, 13.5])
+    np.testing.assert_allclose(block_means(np.arange(5.0), 2), [0.5, 3.0])
+    np.testing.assert_allclose(block_means(np.array([4.0]), 3), [4.0])

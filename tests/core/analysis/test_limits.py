@@ -1,0 +1,150 @@
+"""Where a sweep ends, by counts whose intervals are known."""
+
+from __future__ import annotations
+
+import pytest
+from measured_runs import BITS, cell_result, run_of
+
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.limits import Limit, Standing, limits, limits_of, together
+from codecbench.core.analysis.run_result import CurvePoint
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.report.formatting import limit_words
+
+RATE = Column(PluginSetting("evaluator", "size", "1"), BITS, "", "mean")
+
+
+def sweep(**held: tuple[int, int]) -> Limit:
+    """The limit of a codec of whose settings, from the most rate to the least, so many of so many runs succeeded."""
+    rows = {("s", "mine", name): runs for name, runs in held.items()}
+    rates = {row: float(len(rows) - place) for place, row in enumerate(rows)}
+    values = {row: [1.0] * successes + [0.0] * (runs - successes) for row, (successes, runs) in rows.items()}
+    return limits_of(rates, values, {row[1:]: CurvePoint("mine", row[2]) for row in rows})["s", "mine"]
+
+
+@pytest.mark.parametrize(
+    ("successes", "runs", "verdict", "low"),
+    [
+        # (p + z^2/2n - z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n) with z = 1.96
+        (5, 5, "holds", 0.5655), (4, 4, "holds", 0.5101), (3, 3, "cannot tell", 0.4385), (2, 3, "cannot tell", 0.2077),
+        (9, 10, "holds", 0.5958), (5, 10, "cannot tell", 0.2366), (0, 3, "cannot tell", 0.0), (0, 4, "fails", 0.0),
+    ],
+)  # fmt: skip
+def test_a_setting_holds_where_the_interval_lies_above_one_half(
+    successes: int, runs: int, verdict: str, low: float
+) -> None:
+    standing = Standing("q=1", 1.0, successes, runs)
+    assert standing.verdict == verdict
+    assert standing.interval[0] == pytest.approx(low, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("successes", "runs", "more"), [(3, 3, 1), (0, 3, 1), (1, 1, 3), (4, 5, 3), (1, 5, 3), (5, 5, 0)]
+)
+def test_it_says_how_many_more_runs_would_tell(successes: int, runs: int, more: int) -> None:
+    standing = Standing("", 1.0, successes, runs)
+    assert standing.more_runs == more
+    many = more * (2 * successes >= runs)
+    assert Standing("", 1.0, successes + many, runs + more).verdict != "cannot tell"
+    if more:
+        fewer = (more - 1) * (2 * successes >= runs)
+        assert Standing("", 1.0, successes + fewer, runs + more - 1).verdict == "cannot tell"
+
+
+def test_the_limit_is_the_last_setting_before_the_first_that_fails() -> None:
+    limit = sweep(q9=(5, 5), q7=(5, 5), q5=(0, 5))
+    assert limit.lowest == Standing("q7", 2.0, 5, 5)
+    assert limit.next == Standing("q5", 1.0, 0, 5)
+    assert limit.out_of_order == ()
+    words = "q7 (2 bpp, 5/5 runs, at least 57 % at 95 %); q5 fails (0/5 runs, at most 43 % at 95 %)"
+    assert limit_words(limit, RATE) == words
+
+
+def test_a_limit_ends_where_the_sample_cannot_tell() -> None:
+    limit = sweep(q9=(5, 5), q7=(3, 5), q5=(5, 5))
+    assert limit.lowest == Standing("q9", 3.0, 5, 5)
+    assert limit.next == Standing("q7", 2.0, 3, 5)
+    assert "cannot tell of q7 (3/5 runs; at least 6 more would tell)" in limit_words(limit, RATE)
+    few = sweep(q9=(3, 3))
+    assert few.lowest is None
+    assert limit_words(few, RATE) == "cannot tell of q9 (3/3 runs; at least 1 more would tell)"
+
+
+def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
+    limit = sweep(q9=(5, 5), q7=(0, 5), q5=(5, 5), q3=(0, 5))
+    assert limit.lowest is not None
+    assert limit.lowest.point == "q9"
+    assert [setting.point for setting in limit.out_of_order] == ["q7"]
+    assert limit_words(limit, RATE).endswith(
+        "q7 fails (0/5 runs, at most 43 % at 95 %); out of order, for q5 below it holds"
+    )
+
+
+def test_a_codec_that_fails_at_its_best_has_no_limit() -> None:
+    limit = sweep(q9=(0, 5), q7=(0, 5))
+    assert limit.lowest is None
+    assert limit_words(limit, RATE) == "q9 fails (0/5 runs, at most 43 % at 95 %)"
+
+
+def test_a_sweep_that_never_fails_has_nothing_after_its_limit() -> None:
+    limit = sweep(q9=(5, 5), q7=(9, 10))
+    assert limit.next is None
+    assert limit_words(limit, RATE).endswith("; never failed here")
+
+
+def test_a_missing_value_is_a_run_without_success() -> None:
+    rows = {("s", "mine", "q"): [1.0, 1.0, 1.0, 1.0, float("nan")]}
+    limit = limits_of({("s", "mine", "q"): 1.0}, rows, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
+    assert limit.settings == (Standing("q", 1.0, 4, 5),)
+
+
+@pytest.mark.parametrize("known", [{("s", "mine", "q"): float("nan")}, {}])
+def test_a_limit_is_refused_where_a_rate_is_not_known(known: dict[tuple[str, str, str], float]) -> None:
+    """Sorted by rates with a NaN among them, a sweep would say anything."""
+    limit = limits_of(known, {("s", "mine", "q"): [1.0]}, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
+    assert limit.reason == limit_words(limit, RATE) == "no rate is known of q"
+    assert limit.lowest is None
+
+
+def test_runs_succeed_that_succeed_in_every_column() -> None:
+    raw = {("s", "raw", ""): {(2, 0): 1.0}}
+    first = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 1.0, (2, 0): 1.0}, **raw}
+    second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}, **raw}
+    assert together([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
+
+
+def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
+    """As from a start from which the baseline fails too."""
+    nan = float("nan")
+    mine = {(0, 0): 1.0, (1, 0): nan, (2, 0): nan}
+    raw = {(0, 0): 1.0, (1, 0): nan, (2, 0): 1.0}
+    found = together([{("s", "mine", "q"): mine, ("s", "raw", ""): raw}])
+    assert found["s", "raw", ""] == [1.0, 1.0]
+    assert found["s", "mine", "q"] == [1.0, pytest.approx(nan, nan_ok=True)]
+    nothing = together([{("s", "mine", "q"): {(0, 0): nan}}])
+    limit = limits_of({("s", "mine", "q"): 1.0}, nothing, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
+    assert limit.reason == "its runs cannot be judged here"
+
+
+def test_a_run_that_crashed_did_not_succeed() -> None:
+    """Also where there is no other codec to say that it could have been judged."""
+    cells = [cell_result("plain", 1.0, "track", own={("held", ""): [1.0]}, repeat=repeat) for repeat in range(4)]
+    cells.append(cell_result("plain", 1.0, "track", repeat=4, status="timed_out", reason="60 s"))
+    run = run_of(cell_result("plain", 1.0, "size", own={("bits", ""): [1.0]}), *cells)
+    (limit,) = limits(run, [run.columns["track.held.mean"]]).values()
+    assert limit.settings == (Standing("q=1.0", 1.0, 4, 5),)
+
+
+def test_limits_of_a_run_need_its_rate() -> None:
+    rates = (0.5, 1.0)
+    sizes = [cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in rates]
+    held = [
+        cell_result("plain", rate, "track", own={("held", ""): [float(rate > 0.5)]}, repeat=repeat)
+        for rate in rates
+        for repeat in range(5)
+    ]
+    run = run_of(*sizes, *held)
+    (limit,) = limits(run, [run.columns["track.held.mean"]]).values()
+    assert limit.settings == (Standing("q=1.0", 1.0, 5, 5), Standing("q=0.5", 0.5, 0, 5))
+    (refused,) = limits(run_of(*held), [run.columns["track.held.mean"]]).values()
+    assert refused.reason.startswith("no rate was measured")

@@ -1,0 +1,122 @@
+"""What a run could decide: differences of known size are found as often as is said, and no more runs than that tell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from measured_runs import cell_result, run_of
+from scipy.stats import binom, ttest_1samp
+
+from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
+from codecbench.core.analysis.limits import Standing
+from codecbench.core.analysis.power import LimitPower, pair_powers, smallest_difference, times
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.table import CellResult
+from codecbench.core.report.formatting import power_verdicts
+
+RATES = (0.25, 0.5, 1.0)
+
+
+def cells(codec: str, errors: list[np.ndarray]) -> list[CellResult]:
+    """Cells of a codec with the errors of its repeats at each rate."""
+    found = []
+    for rate, of_rate in zip(RATES, errors, strict=True):
+        found.append(cell_result(codec, rate, "size", own={("bits", ""): [rate]}))
+        for repeat, error in enumerate(of_rate):
+            found.append(cell_result(codec, rate, "track", own={("drift", ""): [float(error)]}, repeat=repeat))
+    return found
+
+
+def run_with(better_by: float, spread: float, count: int, rng: np.random.Generator) -> RunResult:
+    """Two codecs, of which b has so much less error (in base-10 logarithms) with a scatter over repeats."""
+    noise = rng.normal(0.0, spread, count)
+    first = [np.full(count, 1.0 / rate) for rate in RATES]
+    second = [np.full(count, 1.0 / rate) * 10.0 ** (noise - better_by) for rate in RATES]
+    return run_of(*cells("a", first), *cells("b", second))
+
+
+@pytest.mark.parametrize(("count", "level", "power"), [(8, 0.05, 0.8), (12, 0.01, 0.8), (40, 0.01, 0.5)])
+def test_the_smallest_difference_is_found_as_often_as_is_said(
+    count: int, level: float, power: float, rng: np.random.Generator
+) -> None:
+    samples = rng.normal(0.0, 1.0, (4000, count))
+    smallest = smallest_difference(Evidence(0.0, 1.0 / count, count - 1), level, power)
+    found = float(np.mean(ttest_1samp(samples + smallest, 0.0, axis=1).pvalue < level))
+    assert found == pytest.approx(power, abs=0.05)
+
+
+def test_more_of_the_same_is_what_is_said_of_it(rng: np.random.Generator) -> None:
+    values = rng.normal(1.0, 2.0, 20)
+    more = times(evidence_of_repeats(values), 3.0)
+    assert more.freedom == 59
+    assert more.variance == pytest.approx(np.var(values, ddof=1) / 60)
+
+
+def test_four_times_as_many_frames_are_known_with_twice_the_freedom(rng: np.random.Generator) -> None:
+    few, many = ([evidence_of_frames(rng.normal(0.0, 1.0, count)) for _ in range(100)] for count in (400, 1600))
+    foretold = [times(found, 4.0, frames=True) for found in few]
+    assert foretold[0].freedom == 2 * few[0].freedom
+    assert np.mean([found.freedom for found in many]) == pytest.approx(np.mean([f.freedom for f in foretold]), rel=0.15)
+    assert np.mean([f.variance for f in many]) == pytest.approx(np.mean([f.variance for f in foretold]), rel=0.15)
+
+
+def test_a_clear_difference_stands_and_a_small_one_says_what_would_tell(rng: np.random.Generator) -> None:
+    (clear,) = pair_powers(run_with(0.3, 0.05, 12, rng))
+    assert clear.stands
+    assert clear.more_units == 0
+    assert abs(clear.difference) == pytest.approx(0.3, abs=0.06)
+    assert clear.difference < 0, "the second is better"
+    (small,) = pair_powers(run_with(0.02, 0.1, 12, rng))
+    assert not small.stands
+    assert small.smallest > abs(small.difference)
+    more = small.more_units
+    assert more is not None
+    assert more > 0
+    enough = times(small.evidence, (12 + more) / 12)
+    assert smallest_difference(enough, small.level, 0.8) <= abs(small.difference) * 1.0001
+    short = times(small.evidence, (12 + more - 1) / 12)
+    assert smallest_difference(short, small.level, 0.8) > abs(small.difference)
+
+
+def test_equal_codecs_differ_by_nothing_that_any_number_of_runs_would_show() -> None:
+    values = [np.full(5, 1.0 / rate) for rate in RATES]
+    (pair,) = pair_powers(run_of(*cells("a", values), *cells("b", values)))
+    assert (pair.difference, pair.stands, pair.more_units) == (0.0, False, None)
+    assert math.isnan(pair.smallest)
+
+
+def test_levels_are_shared_among_pairs(rng: np.random.Generator) -> None:
+    members = [cell for name in "abc" for cell in cells(name, [rng.lognormal(0, 0.2, 9) / rate for rate in RATES])]
+    pairs = pair_powers(run_of(*members))
+    assert len(pairs) == 3
+    assert {pair.level for pair in pairs} == {0.01 / 3}
+    assert all(0.0 < pair.p_value <= 1.0 for pair in pairs)
+
+
+@pytest.mark.parametrize("runs", [4, 5, 10, 30])
+def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) -> None:
+    limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 0, runs), 0.8)
+    found = sum(
+        binom.pmf(successes, runs, limit.told_from)
+        for successes in range(runs + 1)
+        if Standing("", 1.0, successes, runs).verdict == "holds"
+    )
+    assert found == pytest.approx(0.8, abs=1e-6)
+
+
+def test_three_runs_could_not_tell_anything() -> None:
+    limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 3, 3), 0.8)
+    assert math.isnan(limit.told_from)
+    assert limit.more_runs == 1
+
+
+def test_tables_say_it(rng: np.random.Generator) -> None:
+    (verdict,) = power_verdicts(run_with(0.3, 0.05, 12, rng))
+    assert verdict.title == "s: drift, 12 repeats, found in 80 % of cases"
+    ((codecs, difference, smallest, says, more),) = verdict.rows
+    assert (codecs, says, more) == ("a over b", "b is ahead", "–")
+    assert 0.4 < float(difference.removeprefix("×")) < 0.6
+    assert 1.0 < float(smallest.removeprefix("×")) < 1.3
+    assert verdict.sentences[0].startswith("1 of 1 differences stand at 0.01")

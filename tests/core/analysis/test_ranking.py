@@ -1,0 +1,290 @@
+"""Rankings of codecs whose order is known, and of codecs that have none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from measured_runs import DRIFT, cell_result, run_of
+from scipy.signal import lfilter
+
+from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.table import CellResult
+
+RATES = (0.25, 0.5, 1.0, 2.0)
+STARTS = 12
+Errors = Callable[[float], np.ndarray]
+
+
+def sized(codec: str, rate: float, sequence: str = "s") -> CellResult:
+    return cell_result(codec, rate, "size", own={("bits", ""): [rate]}, sequence_name=sequence)
+
+
+def starts(codec: str, errors: Errors, rates: tuple[float, ...] = RATES, sequence: str = "s") -> list[CellResult]:
+    """Cells of a codec whose runs from each start have such errors at a rate; a NaN is a run that failed."""
+    results = []
+    for rate in rates:
+        results.append(sized(codec, rate, sequence))
+        for repeat, error in enumerate(errors(rate)):
+            lost = bool(np.isnan(error))
+            own = None if lost else {("drift", ""): [float(error)]}
+            status = "crashed" if lost else "ok"
+            results.append(
+                cell_result(codec, rate, "track", own=own, repeat=repeat, sequence_name=sequence, status=status)
+            )
+    return results
+
+
+def frames(codec: str, errors: Errors, count: int, sequence: str = "s") -> list[CellResult]:
+    """Cells of a codec that has such errors of frames at a rate."""
+    results = []
+    for rate in RATES:
+        size = {("bits", ""): [rate] * count}
+        results.append(cell_result(codec, rate, "size", size, sequence_name=sequence, count=count))
+        values = {("drift", ""): errors(rate).tolist()}
+        results.append(cell_result(codec, rate, "track", values, sequence_name=sequence, count=count))
+    return results
+
+
+def falling(factor: float, rng: np.random.Generator, spread: float = 0.1, count: int = STARTS) -> Errors:
+    """Errors that fall with the rate, times a factor and noise."""
+    return lambda rate: factor / rate * np.exp(rng.normal(0.0, spread, count))
+
+
+def only(run: RunResult) -> Ranking:
+    (found,) = rankings(run)
+    return found
+
+
+def places(ranking: Ranking) -> dict[str, tuple[int, int]]:
+    return {ranked.curve: (ranked.first, ranked.last) for ranked in ranking.ranked}
+
+
+def row(ranking: Ranking, curve: str) -> Ranked:
+    return next(ranked for ranked in ranking.ranked if ranked.curve == curve)
+
+
+def test_codecs_that_differ_are_in_order(rng: np.random.Generator) -> None:
+    cells = [cell for name, factor in (("plain", 1.0), ("good", 0.5), ("bad", 2.0)) for cell in
+             starts(name, falling(factor, rng))]  # fmt: skip
+    found = only(run_of(*cells))
+    assert places(found) == {"good": (1, 1), "plain": (2, 2), "bad": (3, 3)}
+    assert [ranked.curve for ranked in found.ranked] == ["good", "plain", "bad"]
+    assert [ranked.group for ranked in found.ranked] == ["a", "b", "c"]
+    assert row(found, "good").ahead_of == ("plain", "bad")
+    assert (found.anchors, found.units, found.of) == (("plain",), STARTS, ("repeats",))
+    assert row(found, "plain").bd_rates == {}
+    assert row(found, "good").bd_rates["plain"].percent == pytest.approx(-50.0, abs=8.0)
+
+
+def test_codecs_in_between_share_a_letter_with_both(rng: np.random.Generator) -> None:
+    shared = rng.normal(0.0, 0.1, STARTS)
+    wobble = rng.normal(0.0, 1.0, STARTS)
+    cells = starts("plain", lambda rate: np.exp(shared) / rate)
+    cells += starts("better", lambda rate: 0.7 * np.exp(shared + 0.01 * wobble) / rate)
+    cells += starts("between", lambda rate: 0.84 * np.exp(shared + wobble) / rate)
+    found = only(run_of(*cells))
+    assert row(found, "better").ahead_of == ("plain",)
+    assert row(found, "between").group == "ab"
+    assert places(found) == {"better": (1, 2), "between": (1, 3), "plain": (2, 3)}
+
+
+def test_rows_are_in_order_of_their_places_and_then_of_scores(rng: np.random.Generator) -> None:
+    cells = [cell for name, factor in (("plain", 1.0), ("alias", 1.0), ("late", 0.4)) for cell in
+             starts(name, falling(factor, rng, 0.3))]  # fmt: skip
+    cells += starts("costly", falling(30.0, rng), rates=(2.0, 32.0, 64.0))
+    cells += starts("aside", falling(1.0, rng), rates=(32.0, 64.0, 128.0))
+    found = only(run_of(*cells))
+    ordered = [(ranked.first, ranked.last, -ranked.score) for ranked in found.ranked]
+    assert ordered == sorted(ordered)
+    assert sorted(found.not_compared("aside")) == ["alias", "late", "plain"]
+    assert found.not_compared("costly") == ()
+    assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.recommended.curve
+
+
+@pytest.mark.parametrize("trial", range(20))
+def test_equal_codecs_under_other_names_are_never_ordered(trial: int) -> None:
+    """Runs that differ by chance alone, as from another machine."""
+    rng = np.random.default_rng(trial)
+    names = ("plain", "alias", "copy", "double", "echo", "twin")
+    cells = [cell for name in names for cell in starts(name, falling(1.0, rng, 0.5))]
+    found = only(run_of(*cells))
+    assert set(places(found).values()) == {(1, 6)}
+    assert {ranked.group for ranked in found.ranked} == {"a"}
+
+
+def test_the_same_numbers_under_other_names_are_one_group(rng: np.random.Generator) -> None:
+    errors = {rate: 1 / rate * np.exp(rng.normal(0.0, 0.5, STARTS)) for rate in RATES}
+    cells = [cell for name in ("plain", "alias", "copy") for cell in starts(name, errors.__getitem__)]
+    assert set(places(only(run_of(*cells))).values()) == {(1, 3)}
+
+
+@pytest.mark.thorough
+def test_neighbouring_frames_are_no_independent_evidence() -> None:
+    """Equal codecs whose errors drift from frame to frame, with a correlation of 0.9, over 400 frames.
+
+    A table orders two of them in 1 % of all cases, so that one of 20 may.
+    """
+    ordered = 0
+    for trial in range(20):
+        rng = np.random.default_rng(100 + trial)
+
+        def drifting(rate: float, rng: np.random.Generator = rng) -> np.ndarray:
+            path = lfilter([1.0], [1.0, -0.9], rng.normal(0.0, 1.0, 400))
+            return np.asarray(np.exp(0.2 * path) / rate)
+
+        cells = [cell for name in ("plain", "alias", "copy") for cell in frames(name, drifting, 400)]
+        found = only(run_of(*cells))
+        assert (found.units, found.of) == (400, ("frames",))
+        ordered += set(places(found).values()) != {(1, 3)}
+    assert ordered <= 1
+
+
+def test_frames_tell_a_small_difference_that_is_always_there(rng: np.random.Generator) -> None:
+    shared = {rate: np.exp(rng.normal(0.0, 1.0, 144)) / rate for rate in RATES}
+    cells = frames("plain", shared.__getitem__, 144)
+    cells += frames("mine", lambda rate: 0.98 * shared[rate] * np.exp(rng.normal(0.0, 0.02, 144)), 144)
+    assert places(only(run_of(*cells))) == {"mine": (1, 1), "plain": (2, 2)}
+
+
+def test_few_starts_that_scatter_order_nobody(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng, 0.5, count=3)) + starts("mine", falling(0.7, rng, 0.5, count=3))
+    assert set(places(only(run_of(*cells))).values()) == {(1, 2)}
+
+
+def test_one_run_each_orders_nobody(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng, count=1)) + starts("mine", falling(0.1, rng, count=1))
+    assert set(places(only(run_of(*cells))).values()) == {(1, 2)}
+
+
+def test_a_codec_that_loses_runs_does_not_win_by_the_rest(rng: np.random.Generator) -> None:
+    """Of the runs that it finishes the errors are half the other's."""
+    lost = np.where(np.arange(STARTS) % 2 == 0, np.nan, 1.0)
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", lambda rate: 0.5 / rate * lost)
+    found = only(run_of(*cells))
+    assert row(found, "mine").ahead_of == ()
+    assert (row(found, "mine").missing, row(found, "mine").values) == (STARTS // 2 * 4, STARTS * 4)
+    assert row(found, "plain").score > row(found, "mine").score
+    assert found.recommended.curve == "plain"
+
+
+def test_a_codec_that_gives_nothing_is_last(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng)) + starts("none", lambda rate: np.full(STARTS, np.nan))
+    found = only(run_of(*cells))
+    assert places(found) == {"plain": (1, 1), "none": (2, 2)}
+
+
+def test_frames_that_nobody_has_count_for_nobody(rng: np.random.Generator) -> None:
+    gap = np.where(np.arange(144) < 44, np.nan, 1.0)
+    cells = frames("plain", lambda rate: gap / rate, 144) + frames("mine", lambda rate: gap * 0.9 / rate, 144)
+    found = only(run_of(*cells))
+    assert found.units == 100
+    assert all(ranked.missing == 0 for ranked in found.ranked)
+
+
+def test_codecs_at_other_rates_have_no_place_and_a_reason(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng))
+    cells += starts("vast", falling(0.1, rng), rates=(20.0, 30.0)) + starts("raw", falling(0.1, rng), rates=(24.0,))
+    found = only(run_of(*cells))
+    assert set(places(found)) == {"plain", "mine"}
+    assert found.left_out == {"vast": "no other codec was measured at its rates"}
+
+
+def test_single_settings_at_one_rate_are_compared_directly(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng), rates=(1.0,)) + starts("mine", falling(0.5, rng), rates=(1.05,))
+    assert places(only(run_of(*cells))) == {"mine": (1, 1), "plain": (2, 2)}
+
+
+def test_a_codec_whose_rate_is_not_known_has_no_place(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng)) + starts("free", falling(0.1, rng))
+    unknown = [cell for cell in cells if not (cell.cell.codec.name == "free" and cell.cell.evaluator.name == "size")]
+    found = only(run_of(*unknown))
+    assert set(places(found)) == {"plain", "mine"}
+    assert found.left_out == {"free": "no rate is known of q=0.25, q=0.5, q=1.0, q=2.0"}
+
+
+def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Generator) -> None:
+    cells = []
+    for sequence in ("one", "two", "three"):
+        cells += starts("plain", falling(1.0, rng, 0.3, count=4), sequence=sequence)
+        cells += starts("mine", falling(0.7, rng, 0.3, count=4), sequence=sequence)
+    together, *each = rankings(run_of(*cells))
+    assert (together.sequence, [ranking.sequence for ranking in each]) == ("", ["one", "two", "three"])
+    assert places(together) == {"mine": (1, 1), "plain": (2, 2)}
+    assert together.units == 12
+    assert all(set(places(ranking).values()) == {(1, 2)} for ranking in each)
+    bd_rate = row(together, "mine").bd_rates["plain"]
+    factors = [1 + row(ranking, "mine").bd_rates["plain"].percent / 100 for ranking in each]
+    assert 1 + bd_rate.percent / 100 == pytest.approx(np.prod(factors) ** (1 / 3))
+    assert rankings(run_of(*cells), brief=True) == [together]
+
+
+def test_a_codec_that_is_not_on_every_sequence_is_named(rng: np.random.Generator) -> None:
+    cells = []
+    for sequence in ("one", "two"):
+        cells += starts("plain", falling(1.0, rng), sequence=sequence) + starts(
+            "mine", falling(1, rng), sequence=sequence
+        )
+    cells += starts("gray", falling(0.5, rng), sequence="one")
+    cells.append(cell_result("gray", 1.0, "track", sequence_name="two", status="unsupported", reason="colour only"))
+    together = rankings(run_of(*cells), brief=True)[0]
+    assert together.left_out == {"gray": "unsupported: colour only"}
+
+
+def test_what_has_not_been_run_yet_is_not_held_against_anybody(rng: np.random.Generator) -> None:
+    """The last codec has three starts of twelve so far, and nothing on the other sequence."""
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng))
+    cells += starts("late", falling(0.5, rng, count=3))
+    found = only(run_of(*cells))
+    assert found.units == 3
+    assert all(ranked.missing == 0 for ranked in found.ranked)
+    cells += starts("plain", falling(1.0, rng), sequence="t") + starts("mine", falling(0.5, rng), sequence="t")
+    assert rankings(run_of(*cells), brief=True)[0].left_out == {"late": "not run yet on t"}
+
+
+def test_an_error_of_nothing_is_as_good_as_the_best(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng)) + starts("zero", lambda rate: np.zeros(STARTS))
+    with np.errstate(all="raise"):
+        assert places(only(run_of(*cells))) == {"zero": (1, 1), "plain": (2, 2)}
+
+
+def test_without_a_rate_there_is_no_ranking(rng: np.random.Generator) -> None:
+    cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng))
+    assert rankings(run_of(*(cell for cell in cells if cell.cell.evaluator.name == "track"))) == []
+    assert DRIFT.role == "task"
+
+
+def test_at_one_rate_codecs_are_compared_there_alone(rng: np.random.Generator) -> None:
+    """Two curves that cross: which is ahead depends on the rate, and the value is the one between two settings."""
+
+    def power(exponent: float) -> Errors:
+        return lambda rate: rate**-exponent * np.exp(rng.normal(0.0, 0.02, STARTS))
+
+    far = starts("far", falling(1.0, rng), rates=(8.0, 16.0))
+    run = run_of(*starts("steep", power(2.0)), *starts("flat", power(0.5)), *far)
+    low, high = (rankings(run, at=rate)[0] for rate in (0.35, 1.4))
+    assert places(low) == {"flat": (1, 1), "steep": (2, 2)}
+    assert places(high) == {"steep": (1, 1), "flat": (2, 2)}
+    assert row(low, "flat").value == pytest.approx(0.35**-0.5, rel=0.03)
+    assert row(low, "steep").value == pytest.approx(0.35**-2, rel=0.03)
+    assert (row(low, "flat").nearest, row(high, "flat").nearest) == ("q=0.25", "q=1.0")
+    assert low.left_out == {"far": "its settings do not reach this rate on s"}
+    assert places(rankings(run, at=0.24)[0]) == {"flat": (1, 1), "steep": (2, 2)}
+    assert rankings(run, at=0.1) == []
+
+
+def test_the_order_on_a_sequence_agrees_with_that_of_the_others(rng: np.random.Generator) -> None:
+    factors = {"plain": 1.0, "good": 0.5, "bad": 2.0}
+    turned = {"plain": 1.0, "good": 2.0, "bad": 0.5}
+    cells = [
+        cell
+        for sequence, of_codecs in (("s", factors), ("t", factors), ("v", factors), ("u", turned))
+        for name, factor in of_codecs.items()
+        for cell in starts(name, falling(factor, rng, 0.01), sequence=sequence)
+    ]
+    together, *each = rankings(run_of(*cells))
+    assert together.rank_correlation["u"] == pytest.approx(-1.0)
+    assert [together.rank_correlation[name] for name in "stv"] == pytest.approx([1.0, 1.0, 1.0])
+    assert all(ranking.rank_correlation == {} for ranking in each)
