@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import as_quality, frame_matrix, values_of_repeats
@@ -18,94 +20,240 @@ from codecbench.core.analysis.verdicts import as_quality, frame_matrix, values_o
 Array = NDArray[np.float64]
 Of = Literal["frames", "repeats"]
 
-_EQUAL_RATES: Final = 1.1
-"""Rates up to this factor apart count as equal where two curves share no more."""
+SMALLEST: Final = math.log(1.01)
+"""The smallest difference worth knowing, as the log of a rate: 1 %."""
+_ROUNDING: Final = 1e-9
+_ALIKE: Final = 0.25
+"""Settings of two curves are the same if they are nearer than this share of the least step between settings."""
 _STEPS: Final = 33
-"""Rates at which two curves are compared."""
+"""Qualities at which two curves are compared."""
 
 
 @dataclass(frozen=True)
 class CurveValues:
     """The settings of a curve, in order of rate.
 
-    points: (S,) names. log_rates: (S,). qualities: (S, U), better when higher, of the same U frames or repeats for
-    every curve; none is missing. missing: how many were, each of which counts as the worst that anybody had. of: frames
-    or repeats.
+    points: (S,) names. rates: (S, U), positive. qualities: (S, U), better when higher, of the same U frames or repeats
+    for every curve; none is missing. missing: how many were, each of which counts as the worst that anybody had. of:
+    frames or repeats.
     """
 
     points: tuple[str, ...]
-    log_rates: Array
+    rates: Array
     qualities: Array
     missing: int
     of: Of
 
-    def better_than(self, other: CurveValues, at: float | None = None) -> Evidence | None:
-        """By how much this curve is better, on average over the log of the rates that both have; None for none.
+    @cached_property
+    def log_rates(self) -> Array:
+        """(S,) logarithms of the mean rates."""
+        return np.asarray(np.log(self.rates.mean(axis=1)))
 
-        With `at`, at that rate alone.
+    @cached_property
+    def means(self) -> Array:
+        """(S,) mean qualities that never fall with the rate (isotonic regression by pooling adjacent violators)."""
+        pools: list[list[float]] = []
+        for value in self.qualities.mean(axis=1):
+            pools.append([float(value)])
+            while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
+                pooled = pools.pop()
+                pools[-1] += pooled
+        return np.array([mean for pool in pools for mean in [float(np.mean(pool))] * len(pool)])
+
+    @cached_property
+    def inverse(self) -> Callable[[Array], Array]:
+        """The log rate at which a quality is reached, monotone between settings (PCHIP, doi:10.1137/0717021)."""
+        return _inverse(self.log_rates, self.means)
+
+    def without(self, place: int) -> Callable[[Array], Array]:
+        """`inverse` without one of the settings."""
+        return _inverse(np.delete(self.log_rates, place), np.delete(self.means, place))
+
+    def gaps(self, qualities: Array) -> Array:
+        """(S - 2,) by how much the mean log rate may be wrong because of the gaps beside each inner setting.
+
+        From what it changes without the setting. The area between a bent curve and its chord grows with the cube of a
+        gap, and with the product of both gaps and their sum where one chord spans both; a gap has two such settings,
+        but one at the ends. Infinite for two settings, of which nothing says how the curve bends between them.
         """
-        low = max(self.log_rates[0], other.log_rates[0])
-        high = min(self.log_rates[-1], other.log_rates[-1])
-        if at is not None:
-            if not (self.reaches(at) and other.reaches(at)):
-                return None
-            low = high = float(np.log(at))
-        if low - high > np.log(_EQUAL_RATES):
-            return None
-        shared = np.linspace(low, high, _STEPS) if high > low else np.array([0.5 * (low + high)])
-        differences = self.mean(shared) - other.mean(shared)
-        return evidence_of_frames(differences) if self.of == "frames" else evidence_of_repeats(differences)
+        levels = len(np.unique(self.means))
+        if levels < 2 or np.isin(qualities, self.means).all():
+            return np.zeros(max(1, len(self.means) - 2))
+        if levels == 2:
+            return np.array([math.inf])
+        whole = self.inverse(qualities)
+        without = [np.mean(self.without(place)(qualities) - whole) for place in range(1, len(self.means) - 1)]
+        steps = np.diff(self.means)
+        steps = np.maximum(steps, _ALIKE * steps.mean())
+        cubes = np.r_[2.0, np.ones(len(steps) - 2), 2.0] * steps**3 if len(steps) > 2 else 2.0 * steps**3
+        before, after = steps[:-1], steps[1:]
+        return np.asarray(without * (cubes[:-1] + cubes[1:]) / (6.0 * before * after * (before + after)))
 
-    def reaches(self, rate: float) -> bool:
-        """Whether a rate lies among those of the settings, give or take what counts as equal."""
-        margin = np.log(_EQUAL_RATES)
-        return bool(self.log_rates[0] - margin <= np.log(rate) <= self.log_rates[-1] + margin)
+    def changes(self, qualities: Array) -> Array:
+        """(U,) by how much each frame or repeat moves the mean log rate at these qualities."""
+        levels, places = np.unique(self.means, return_inverse=True)
+        nearest = np.eye(len(levels))
+        weights = np.array([np.interp(qualities, levels, row).mean() for row in nearest])
+        slopes = np.gradient(self.inverse(levels), levels) if len(levels) > 1 else np.zeros(1)
+        members = np.bincount(places)
+        of_rates = self.rates / self.rates.mean(axis=1, keepdims=True) - 1.0
+        of_qualities = self.qualities - self.qualities.mean(axis=1, keepdims=True)
+        moved = of_rates - slopes[places, None] * of_qualities
+        return np.asarray((weights / members)[places] @ moved)
+
+    def contains(self, rate: float) -> bool:
+        """Whether a rate lies between those of the settings, or is that of one."""
+        return bool(self.log_rates[0] - _ROUNDING <= np.log(rate) <= self.log_rates[-1] + _ROUNDING)
 
     def nearest(self, rate: float) -> str:
         """The setting with the rate nearest to this one."""
         return self.points[int(np.argmin(np.abs(self.log_rates - np.log(rate))))]
 
-    def mean(self, at: Array) -> Array:
-        """(U,) mean over some log rates, linear between settings."""
-        weights = [np.interp(at, self.log_rates, unit).mean() for unit in np.eye(len(self.log_rates))]
-        return np.asarray(np.array(weights) @ self.qualities)
+    def mean_at(self, rate: float) -> float:
+        """The mean quality at a rate, between the two settings around it."""
+        if len(self.points) == 1:
+            return float(self.means[0])
+        from scipy.interpolate import PchipInterpolator  # loads for half a second
+
+        return float(PchipInterpolator(*_distinct(self.log_rates, self.means))(np.log(rate)))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What is known of two curves before frames or repeats are asked how sure it is.
+
+    mean: log of how many times the rate of the first the second takes. changes: (U,), of that mean. doubt: as there.
+    """
+
+    mean: float
+    changes: Array
+    doubt: float
+
+
+def difference(first: CurveValues, second: CurveValues, at: float | None = None) -> Difference | None:
+    """How much less rate the first takes at equal quality, on average over the qualities that both reach.
+
+    With `at`, at the quality that the two have at this rate on average. Where they share no quality, one may be better
+    at less rate: then the difference is between its cheapest setting and the other's best. None where neither holds.
+    """
+    if at is not None and not (first.contains(at) and second.contains(at)):
+        return None
+    low, high = max(first.means[0], second.means[0]), min(first.means[-1], second.means[-1])
+    if low > high:
+        return _dominance(first, second)
+    if at is not None:
+        qualities = np.clip([0.5 * (first.mean_at(at) + second.mean_at(at))], low, high)
+    else:
+        qualities = np.linspace(low, high, _STEPS) if high > low else np.array([low])
+    mean = float(np.mean(second.inverse(qualities) - first.inverse(qualities)))
+    changes = second.changes(qualities) - first.changes(qualities)
+    return Difference(mean, mean + changes, _doubt(first, second, qualities))
+
+
+def _doubt(first: CurveValues, second: CurveValues, qualities: Array) -> float:
+    """By how much a mean difference in log rate may be wrong because no setting lies between those there are.
+
+    Curves with settings at the same rates or qualities are wrong alike, so that only the difference counts.
+    """
+    gaps = first.gaps(qualities), second.gaps(qualities)
+    if any(np.isinf(each).any() for each in gaps):
+        return math.inf
+    alike = len(first.points) == len(second.points) > 1 and any(
+        np.abs(own - other).max() <= _ALIKE * min(np.diff(own).min(), np.diff(other).min())
+        for own, other in ((first.log_rates, second.log_rates), (first.means, second.means))
+    )
+    if alike and len(gaps[0]) == len(gaps[1]):
+        return float(np.abs(gaps[0] - gaps[1]).sum())
+    return float(np.abs(gaps[0]).sum() + np.abs(gaps[1]).sum())
+
+
+def _dominance(first: CurveValues, second: CurveValues) -> Difference | None:
+    """The difference of two curves of which one is always better, if it is so at less rate too.
+
+    Its size is that of the rates at which this is known. What has to be shown is that the quality is better: frames
+    vary as the cube root of their quality does, so that what is better on every frame counts, by however much on each.
+    """
+    if first.means[0] < second.means[0]:
+        turned = _dominance(second, first)
+        return None if turned is None else Difference(-turned.mean, -turned.changes, turned.doubt)
+    saved = float(second.log_rates[-1] - first.log_rates[0])
+    better = np.cbrt(first.qualities[0] - second.qualities[-1])
+    if saved < -_ROUNDING or better.mean() <= 0.0:
+        return None
+    size = max(saved, 2.0 * SMALLEST)
+    return Difference(size, size * better / better.mean(), 0.0)
+
+
+def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
+    rates, levels = _distinct(log_rates, means)
+    if len(levels) == 1:
+        return lambda qualities: np.full(len(qualities), rates[0])
+    from scipy.interpolate import PchipInterpolator  # loads for half a second
+
+    curve = PchipInterpolator(levels, rates, extrapolate=True)
+    return lambda qualities: np.asarray(curve(np.clip(qualities, levels[0], levels[-1])))
+
+
+def _distinct(log_rates: Array, means: Array) -> tuple[Array, Array]:
+    """Log rates and qualities without repeated qualities: settings of one quality count with their mean log rate."""
+    levels, places = np.unique(means, return_inverse=True)
+    return np.bincount(places, log_rates) / np.bincount(places), levels
 
 
 def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[str, CurveValues], dict[str, str]]:
     """The curves of a sequence by name, and why others are none.
 
     Places that no setting has a value of, such as frames without ground truth, count for nobody. An infinite value
-    counts as the best or the worst that is finite.
+    counts as the best or the worst that is finite. A setting whose rate is not known is left out of its curve.
     """
     rows, of = _rows(run, column, sequence)
+    measured = {key: values for key, values in rows.items() if run.rates.get(key, np.nan) > 0}
+    known = {run.curves[key[1:]].curve for key in measured}
     unknown: dict[str, list[str]] = defaultdict(list)
     for key in rows:
         point = run.curves[key[1:]]
-        if np.isnan(run.rates.get(key, np.nan)):
+        if point.curve not in known:
             unknown[point.curve].append(point.point or "its setting")
     left_out = {curve: f"no rate is known of {', '.join(points)}" for curve, points in unknown.items()}
-    measured = {key: values for key, values in rows.items() if run.curves[key[1:]].curve not in left_out}
     if not measured:
         return {}, left_out
     table = as_quality(np.array(list(measured.values())), column)
-    table = table[:, ~np.isnan(table).all(axis=0)]
+    judged = ~np.isnan(table).all(axis=0)
+    table = table[:, judged]
     if not np.isfinite(table).any():
         return {}, left_out | {run.curves[key[1:]].curve: "no value" for key in measured}
     missing = np.isnan(table).sum(axis=1)
     finite = table[np.isfinite(table)]
     bounded = np.clip(np.where(np.isnan(table), finite.min(), table), finite.min(), finite.max())
+    of_units = _rates(run, list(measured), judged if of == "frames" else None, table.shape[1])
     places: dict[str, list[int]] = defaultdict(list)
     keys = list(measured)
     for place, key in enumerate(keys):
         places[run.curves[key[1:]].curve].append(place)
-    rates = np.log([run.rates[key] for key in keys])
-    found = {}
+    curves = {}
     for curve, members in places.items():
-        order = sorted(members, key=lambda place: rates[place])
+        order = sorted(members, key=lambda place: run.rates[keys[place]])
         lost = int(missing[order].sum())
         points = tuple(run.curves[keys[place][1:]].point for place in order)
-        found[curve] = CurveValues(points, rates[order], bounded[order], lost, of)
-    return found, left_out
+        curves[curve] = CurveValues(points, of_units[order], bounded[order], lost, of)
+    return curves, left_out
+
+
+def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, units: int) -> Array:
+    """(S, U) rates of settings at the judged frames, with each setting's mean rate; the same for all repeats."""
+    assert run.rate is not None
+    means = np.array([run.rates[key] for key in keys])
+    rates = np.repeat(means[:, None], units, axis=1)
+    if judged is None:
+        return rates
+    cells = {(each.cell.sequence.name, each.cell.codec.name, each.cell.codec.label): each
+             for each in run.of(run.rate.evaluator.title)}  # fmt: skip
+    for place, key in enumerate(keys):
+        if key in cells:
+            own = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
+            if np.isfinite(own).all() and own.mean() > 0:
+                rates[place] = own * (means[place] / own.mean())
+    return rates
 
 
 def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], Of]:

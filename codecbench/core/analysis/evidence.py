@@ -1,8 +1,9 @@
 """How sure a mean difference is: of independent repeats, and of frames of which each resembles the next.
 
-Source for frames: the equal-weighted cosine estimator of the variance of a mean, and its t-test, of Lazarus, Lewis,
-Stock and Watson, Journal of Business & Economic Statistics 36(4), 2018, doi:10.1080/07350015.2018.1506926. Deviation:
-fewer cosines than their rule where means of neighbours still resemble each other, because frames of a slow camera do.
+How much frames resemble each other is estimated from all pairs of codecs together, because all coded the same frames: a
+first-order autoregression plus noise of each frame, by Whittle's likelihood of cosines (1953, doi:10.1007/BF02590998),
+averaged over a grid of models. The slowest cosines then correct the variance of each pair, as far as pairs differ (the
+moderated t of Smyth 2004, doi:10.2202/1544-6115.1027). docs/verdict.md shows how often equal codecs are ordered.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -21,37 +23,62 @@ FEWEST_FRAMES: Final = 8
 """Frames below which nothing can be said of how they depend on each other."""
 _ROUNDING: Final = 1e-12
 """Relative differences up to this are none."""
-_COSINES: Final = 0.41
-"""Times the number of frames to the power of 2/3: the rule of the source."""
-_SHARE: Final = 0.5
-"""Cosines for each block of neighbours that is worth an independent one: by simulation, see docs/verdict.md."""
-_FEWEST_COSINES: Final = 3
+_MOST_BLOCKS: Final = 400
+"""Longer series are averaged to so many blocks of neighbours: what matters is how slowly they change."""
+_CORRELATIONS: Final = (0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995)
+_NOISE: Final = {0.0: 0.45, 0.25: 0.3, 0.5: 0.17, 0.75: 0.07, 0.9: 0.01}
+"""Shares of independent noise, and how likely each is before anything is seen."""
+_WHITE: Final = 0.4
+"""How likely it is, before anything is seen, that frames do not resemble each other."""
+_SLOW: Final = 6
+"""So many of the slowest cosines say whether a pair is as the model has it."""
+_TRUST: Final = 2.0
+"""The model counts as this many times those cosines: with more a false order in a hundred tables is exceeded."""
+_TAIL: Final = 0.1
+"""The two-sided probability at which Student's t replaces the average over models."""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """A mean difference, the variance of that mean, and the degrees of freedom with which the variance is known.
 
-    The degrees of freedom are infinite where many frames differ by exactly the same.
+    The degrees of freedom are infinite where many frames differ by exactly the same. doubt: by how much the mean may be
+    wrong for a reason that more frames would not mend, such as settings far apart.
     """
 
     mean: float
     variance: float
     freedom: float
+    doubt: float = 0.0
 
     @property
     def p_value(self) -> float:
-        """Two-sided, that there is no difference, by Student's t.
+        """Two-sided, that there is no difference."""
+        return self.p_beyond(0.0)
+
+    def p_beyond(self, least: float) -> float:
+        """Two-sided, that the difference is no larger than `least`, by Student's t.
 
         1 where repeats do not vary: a single one, or the same run several times, is no evidence.
         """
+        distance = abs(self.mean) - least - self.doubt
+        if not distance > 0.0:
+            return 1.0
         if math.isinf(self.freedom):
             return 0.0
-        if not (self.freedom >= 1 and self.variance > (_ROUNDING * self.mean) ** 2):
+        if not (self.freedom > 0 and self.variance > (_ROUNDING * self.mean) ** 2):
             return 1.0
         from scipy.special import stdtr  # as in student_quantile
 
-        return float(2.0 * stdtr(self.freedom, -abs(self.mean) / math.sqrt(self.variance)))
+        return float(2.0 * stdtr(self.freedom, -distance / math.sqrt(self.variance)))
+
+    def reach(self, confidence: float) -> float:
+        """Half the width of the interval with this confidence; infinite if nothing is known."""
+        if math.isinf(self.freedom):
+            return self.doubt
+        if not (self.freedom > 0 and math.isfinite(self.variance)):
+            return math.inf
+        return self.doubt + student_quantile(0.5 + confidence / 2.0, self.freedom) * math.sqrt(self.variance)
 
 
 def student_quantile(level: float, freedom: float) -> float:
@@ -63,72 +90,140 @@ def student_quantile(level: float, freedom: float) -> float:
 
 def evidence_of_repeats(differences: Array) -> Evidence:
     """What (N,) independent differences say: the paired t-test (Student 1908, doi:10.1093/biomet/6.1.1)."""
-    count = len(differences)
-    variance = float(np.var(differences, ddof=1)) / count if count > 1 else math.nan
-    return Evidence(float(differences.mean()), variance, count - 1)
+    return evidence_of_pairs(differences[None], 1, "repeats")[0]
 
 
 def evidence_of_frames(differences: Array) -> Evidence:
-    """What (N,) differences of neighbours in time say: a t-test with a degree of freedom for each cosine that is used.
+    """What (N,) differences of neighbours in time say, with no other pair to tell how much they resemble each other."""
+    return evidence_of_pairs(differences[None], 1, "frames")[0]
 
-    Neighbouring frames show the same things, so that single ones are no independent samples. The variance of their mean
-    is read from the slowest of their changes: the mean square of their projections on the first cosines.
+
+def evidence_of_pairs(differences: Array, independent: int, of: str, tail: float = _TAIL) -> list[Evidence]:
+    """What (P, N) differences of P pairs say, each of the same N frames or repeats in the same order.
+
+    independent: how many of the pairs are, one less than there are codecs. of: `frames` in order of time, or `repeats`.
+    tail: the two-sided probability at which the evidence will be judged.
     """
-    count, mean = len(differences), float(differences.mean())
-    centred = differences - mean
-    if count < FEWEST_FRAMES:
-        return Evidence(mean, math.nan, 0.0)
-    if np.abs(centred).max() <= _ROUNDING * abs(mean):
-        return Evidence(mean, 0.0, math.inf if mean else 0.0)
-    cosines = _cosines(centred)
-    times = (np.arange(count) + 0.5) / count
-    projections = math.sqrt(2.0 / count) * np.cos(np.pi * np.outer(np.arange(1, cosines + 1), times)) @ centred
-    return Evidence(mean, float(projections @ projections) / cosines / count, cosines)
+    pairs, count = differences.shape
+    means = differences.mean(axis=1)
+    centered = differences - means[:, None]
+    same = np.abs(centered).max(axis=1, initial=0.0) <= _ROUNDING * np.abs(means)
+    least = FEWEST_FRAMES if of == "frames" else 2
+    variances, freedom = np.full(pairs, np.nan), 0.0
+    if count >= least and not same.all():
+        if of == "frames":
+            variances[~same], freedom = _of_frames(centered[~same], independent, tail)
+        else:
+            variances[~same], freedom = _of_repeats(centered[~same], independent)
+    exact = math.inf if of == "frames" and count >= least else max(0.0, count - 1.0)
+    return [
+        Evidence(float(mean), 0.0 if equal and count >= least else float(variance),
+                 (exact if mean or of == "repeats" else 0.0) if equal else freedom)
+        for mean, variance, equal in zip(means, variances, same, strict=True)
+    ]  # fmt: skip
 
 
-def combined(found: Sequence[Evidence]) -> Evidence:
+def combined(evidence: Sequence[Evidence]) -> Evidence:
     """The mean over sequences, each of the same weight (Welch 1947, doi:10.1093/biomet/34.1-2.28).
 
     Where a sequence has a single value, sequences are the samples.
     """
-    if len(found) == 1:
-        return found[0]
-    means = np.array([each.mean for each in found])
-    if any(math.isnan(each.variance) for each in found):
-        return evidence_of_repeats(means)
-    variances = np.array([each.variance for each in found]) / len(found) ** 2
+    if len(evidence) == 1:
+        return evidence[0]
+    means = np.array([each.mean for each in evidence])
+    doubt = float(np.mean([each.doubt for each in evidence]))
+    if any(math.isnan(each.variance) for each in evidence):
+        samples = evidence_of_repeats(means)
+        return Evidence(samples.mean, samples.variance, samples.freedom, doubt)
+    variances = np.array([each.variance for each in evidence]) / len(evidence) ** 2
     total = float(variances.sum())
-    spread = float(sum(variance**2 / each.freedom for variance, each in zip(variances, found, strict=True) if variance))
-    exact = all(math.isinf(each.freedom) for each in found)
-    return Evidence(float(means.mean()), total, total**2 / spread if spread else math.inf if exact else 0.0)
+    spread = float(sum(var**2 / each.freedom for var, each in zip(variances, evidence, strict=True) if var))
+    exact = all(math.isinf(each.freedom) for each in evidence)
+    return Evidence(float(means.mean()), total, total**2 / spread if spread else math.inf if exact else 0.0, doubt)
 
 
-def _cosines(centred: Array) -> int:
-    """On how many cosines the variance of the mean of a series (N,) about zero is read."""
-    blocks = block_means(centred, math.isqrt(len(centred)))
-    independent = len(blocks) / _time_constant(blocks)
-    return max(_FEWEST_COSINES, int(min(_COSINES * len(centred) ** (2.0 / 3.0), _SHARE * independent)))
+def _of_repeats(centered: Array, independent: int) -> tuple[Array, float]:
+    """Variances of the means of (P, N) independent values, and the degrees of freedom of all."""
+    count = centered.shape[1]
+    freedom = count - 1.0
+    variances = (centered**2).sum(axis=1) / freedom
+    prior, typical = _common(variances, freedom)
+    if math.isinf(prior):
+        return np.full(len(variances), typical) / count, freedom * independent
+    known = min(prior + freedom, freedom * max(1, independent))
+    return (prior * typical + freedom * variances) / (prior + freedom) / count, known
+
+
+def _of_frames(centered: Array, independent: int, tail: float) -> tuple[Array, float]:
+    """Variances of the means of (P, N) series about zero, and the degrees of freedom of all."""
+    from scipy.fft import dct
+    from scipy.special import stdtr  # as in student_quantile
+
+    if centered.shape[1] > _MOST_BLOCKS:
+        centered = np.array([block_means(series, _MOST_BLOCKS) for series in centered])
+    count = centered.shape[1]
+    powers = np.maximum(dct(centered, norm="ortho", axis=1)[:, 1:] ** 2, np.finfo(float).tiny)
+    spectra, sums, log_priors = _models(count)
+    scales = (powers[None] / spectra[:, None]).mean(axis=2)
+    misfit = (((count - 1) * np.log(scales)).mean(axis=1) + np.log(spectra).sum(axis=1)) * max(1, independent)
+    weights = np.exp(log_priors - 0.5 * misfit - (log_priors - 0.5 * misfit).max())
+    weights /= weights.sum()
+    slow = min(_SLOW, count - 1)
+    expected = np.einsum("m,mk,mp->pk", weights, spectra[:, :slow], scales)
+    ratios = (powers[:, :slow] / expected).mean(axis=1)
+    prior, typical = _common(ratios, slow) if len(ratios) > 1 else (_TRUST * slow, 1.0)
+    typical = max(typical, 1.0)
+    if math.isinf(prior):
+        ratios = np.full(len(ratios), typical)
+    else:
+        ratios = (prior * typical + slow * ratios) / (prior + slow)
+    freedom = min(prior + slow, _TRUST * slow * max(1, independent))
+    errors = np.sqrt(sums[:, None] * scales * ratios / count)  # of the mean, by model and pair
+    low, high = np.zeros(len(ratios)), 1e3 * errors.max(axis=0)
+    for _ in range(60):  # where the average over models has the tail, by bisection
+        middle = 0.5 * (low + high)
+        beyond = weights @ (2.0 * stdtr(freedom, -middle / errors)) > tail
+        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
+    return (high / student_quantile(1.0 - tail / 2.0, freedom)) ** 2, freedom
+
+
+@lru_cache(maxsize=4)
+def _models(count: int) -> tuple[Array, Array, Array]:
+    """(M, N-1) power of each cosine by model, (M,) N times the variance of the mean, (M,) logs of the prior."""
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    cosines = np.cos(np.pi * np.outer(np.arange(1, count), np.arange(count) + 0.5) / count) * math.sqrt(2.0 / count)
+    spectra, sums, priors = [np.ones(count - 1)], [1.0], [_WHITE]
+    for correlation in _CORRELATIONS:
+        matrix = correlation**lags
+        spectrum, total = np.einsum("ij,ij->i", cosines @ matrix, cosines), float(matrix.sum()) / count
+        for noise, share in _NOISE.items():
+            spectra.append(noise + (1.0 - noise) * spectrum)
+            sums.append(noise + (1.0 - noise) * total)
+            priors.append((1.0 - _WHITE) * share / len(_CORRELATIONS))
+    return np.array(spectra), np.array(sums), np.log(priors)
+
+
+def _common(variances: Array, freedom: float) -> tuple[float, float]:
+    """Degrees of freedom and value of what variances have in common (Smyth 2004, section 6.2); none for one."""
+    from scipy.special import digamma, polygamma  # as in student_quantile
+
+    if len(variances) < 2:
+        return 0.0, 1.0
+    logs = np.log(np.maximum(variances, np.finfo(float).tiny)) - digamma(freedom / 2.0) + math.log(freedom / 2.0)
+    excess = float(logs.var(ddof=1) - polygamma(1, freedom / 2.0))
+    if excess <= 0.0:
+        return math.inf, math.exp(float(logs.mean()))
+    half = 0.5 + 1.0 / excess  # Newton's method for the inverse of the trigamma function
+    for _ in range(50):
+        trigamma = float(polygamma(1, half))
+        half += trigamma * (1.0 - trigamma / excess) / float(polygamma(2, half))
+    return 2.0 * half, math.exp(float(logs.mean() + digamma(half)) - math.log(half))
 
 
 def block_means(values: Array, count: int) -> Array:
     """(B,) means of `count` contiguous blocks of (N,) values, of lengths as equal as can be; at most N."""
     edges = np.linspace(0, len(values), max(1, min(count, len(values))) + 1).round().astype(int)
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
-
-
-def _time_constant(values: Array) -> float:
-    """How many values are worth one independent one, from the correlation of neighbours; at least 1.
-
-    (1 + r) / (1 - r), where r is that correlation, corrected for its bias (Marriott and Pope 1954,
-    doi:10.1093/biomet/41.3-4.390).
-    """
-    centred = values - values.mean()
-    power = float(centred @ centred)
-    if len(values) < 3 or power == 0.0:
-        return 1.0
-    found = float(centred[1:] @ centred[:-1]) / power
-    correlation = min(max(found + (1.0 + 4.0 * found) / len(values), 0.0), 0.99)
-    return (1.0 + correlation) / (1.0 - correlation)
 
 
 Values = NDArray[np.float64]

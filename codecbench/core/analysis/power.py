@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.curve_values import Of
+from codecbench.core.analysis.curve_values import SMALLEST, Of
 from codecbench.core.analysis.evidence import POWER, Evidence, student_quantile
 from codecbench.core.analysis.limits import Standing, limits
 from codecbench.core.analysis.ranking import SIGNIFICANCE, Ranking, holm, rankings
@@ -25,10 +25,9 @@ _MOST_TIMES: Final = 1000.0
 class PairPower:
     """Two curves by a column on a sequence, or over all (POOLED), and what so many frames or repeats could tell.
 
-    difference: by how much the first is better, where both have rates; of a metric on a logarithmic scale, of base-10
-    logarithms. smallest: the difference that would be found, at the level of the ranking, in the share `power` of
-    cases; NaN where none could be. p_value: adjusted for all pairs of the ranking (Holm). level: below which the least
-    p-value of the ranking has to be.
+    difference: log of how many times the rate of the first the second takes for the same quality. smallest: the
+    difference that would be found, at the level of the ranking, in the share `power` of cases; NaN where none could be.
+    p_value: adjusted for all pairs of the ranking (Holm). level: below which the least p-value of the ranking must be.
     """
 
     column: Column
@@ -53,7 +52,7 @@ class PairPower:
 
     @cached_property
     def smallest(self) -> float:
-        return smallest_difference(self.evidence, self.level, self.power)
+        return self._shown_by(1.0)
 
     @cached_property
     def more_units(self) -> int | None:
@@ -78,7 +77,8 @@ class PairPower:
 
     def _shown_by(self, factor: float) -> float:
         """The smallest difference that so many times as many frames or repeats would show."""
-        return smallest_difference(times(self.evidence, factor, "frames" in self.of), self.level, self.power)
+        more = times(self.evidence, factor, "frames" in self.of)
+        return SMALLEST + more.doubt + smallest_difference(more, self.level, self.power)
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,10 @@ def smallest_difference(evidence: Evidence, level: float, power: float) -> float
 def times(evidence: Evidence, factor: float, frames: bool = False) -> Evidence:
     """What `factor` times as many repeats would say, or frames, were they like those there are.
 
-    The degrees of freedom of frames grow as blocks of neighbours do: with the square root; see `evidence_of_frames`.
+    The degrees of freedom of frames stay: they are those of the slowest changes.
     """
-    freedom = evidence.freedom * math.sqrt(factor) if frames else (evidence.freedom + 1.0) * factor - 1.0
-    return Evidence(evidence.mean, evidence.variance / factor, freedom)
+    freedom = evidence.freedom if frames else (evidence.freedom + 1.0) * factor - 1.0
+    return replace(evidence, variance=evidence.variance / factor, freedom=freedom)
 
 
 def pair_powers(run: RunResult, power: float = POWER) -> list[PairPower]:
@@ -133,7 +133,7 @@ def pair_powers(run: RunResult, power: float = POWER) -> list[PairPower]:
 
 
 def _of_ranking(ranking: Ranking, power: float) -> Iterator[PairPower]:
-    adjusted = holm(np.array([evidence.p_value for *_, evidence in ranking.pairs]))
+    adjusted = holm(np.array([evidence.p_beyond(SMALLEST) for *_, evidence in ranking.pairs]))
     level = SIGNIFICANCE / max(1, len(ranking.pairs))
     for (first, second, evidence), p_value in zip(ranking.pairs, adjusted, strict=True):
         yield PairPower(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.curve_values import Array, CurveValues, Of, curve_values
-from codecbench.core.analysis.evidence import Evidence, combined
+from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference
+from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_pairs
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import SequenceCurve, anchors_of, bd_rates_by_anchor, from_quality
@@ -84,6 +84,24 @@ class Ranking:
     def as_good(self) -> tuple[str, ...]:
         """Other curves than which none is told to be better."""
         return tuple(each.curve for each in self.ranked if each.first == 1 and each is not self.recommended)
+
+    def evidence(self, first: str, second: str) -> Evidence | None:
+        """What is known of two curves: the log of how many times the first one's rate the second takes."""
+        for one, other, found in self.pairs:
+            if (one, other) == (first, second):
+                return found
+            if (other, one) == (first, second):
+                return replace(found, mean=-found.mean)
+        return None
+
+    @property
+    def equal(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of curves that take the same rate within the smallest difference worth knowing."""
+        confidence = 1.0 - SIGNIFICANCE / max(1, len(self.pairs))
+        return tuple(
+            (first, second) for first, second, found in self.pairs
+            if abs(found.mean) + found.reach(confidence) < SMALLEST
+        )  # fmt: skip
 
     def not_compared(self, curve: str) -> tuple[str, ...]:
         """The ranked curves that share no rate with this one, of which nothing is known beside it."""
@@ -201,31 +219,48 @@ def _comparable(
         absent = [sequence for sequence, found in values.items() if curve not in found]
         if absent:
             left_out.setdefault(curve, f"not run yet on {', '.join(absent)}")
-        elif at is not None and (away := [name for name, found in values.items() if not found[curve].reaches(at)]):
+        elif at is not None and (away := [name for name, found in values.items() if not found[curve].contains(at)]):
             left_out.setdefault(curve, f"its settings do not reach this rate on {', '.join(away)}")
     curves = [curve for curve in known if curve not in left_out and curve not in baselines]
     for curve in list(curves):
         others = [other for other in curves if other != curve]
-        if not any(_compared(curve, other, values, at) is not None for other in others):
+        if not any(
+            all(difference(of_curves[curve], of_curves[other], at) is not None for of_curves in values.values())
+            for other in others
+        ):
             left_out[curve] = "no other codec was measured at its rates"
     return [curve for curve in curves if curve not in left_out], {
         curve: reason for curve, reason in left_out.items() if curve not in baselines
     }
 
 
-def _compared(first: str, second: str, values: dict[str, dict[str, CurveValues]], at: float | None) -> Evidence | None:
-    """By how much the first is better on average over sequences; None where they share no rate on one."""
-    parts = [found[first].better_than(found[second], at) for found in values.values()]
-    present = [part for part in parts if part is not None]
-    return combined(present) if len(present) == len(parts) else None
-
-
 def _evidence(
     curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None
 ) -> dict[tuple[int, int], Evidence]:
-    """Of each pair of curves that can be compared, by position."""
-    pairs = {(i, j): _compared(curves[i], curves[j], values, at) for i, j in combinations(range(len(curves)), 2)}
-    return {pair: found for pair, found in pairs.items() if found is not None}
+    """Of each pair of curves that can be compared on every sequence, by position: the mean over sequences."""
+    by_sequence = [_evidence_on(curves, of_curves, at) for of_curves in values.values()]
+    return {
+        pair: combined([found[pair] for found in by_sequence])
+        for pair in combinations(range(len(curves)), 2)
+        if all(pair in found for found in by_sequence)
+    }
+
+
+def _evidence_on(
+    curves: list[str], values: dict[str, CurveValues], at: float | None
+) -> dict[tuple[int, int], Evidence]:
+    """Of each pair of curves that can be compared on a sequence."""
+    pairs = {
+        (i, j): difference(values[curves[i]], values[curves[j]], at) for i, j in combinations(range(len(curves)), 2)
+    }
+    known = {pair: found for pair, found in pairs.items() if found is not None}
+    if not known:
+        return {}
+    independent = len({member for pair in known for member in pair}) - 1
+    changes = np.array([found.changes for found in known.values()])
+    of = next(iter(values.values())).of
+    evidence = evidence_of_pairs(changes, independent, of, SIGNIFICANCE / len(known))
+    return {pair: replace(each, doubt=found.doubt) for (pair, found), each in zip(known.items(), evidence, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -240,7 +275,7 @@ def _told_apart(count: int, evidence: dict[tuple[int, int], Evidence]) -> _Matri
     better = np.zeros((count, count), dtype=bool)
     if not evidence:
         return _Matrices(better, np.zeros(count))
-    certain = holm(np.array([found.p_value for found in evidence.values()])) < SIGNIFICANCE
+    certain = holm(np.array([found.p_beyond(SMALLEST) for found in evidence.values()])) < SIGNIFICANCE
     design = np.zeros((len(evidence), count))
     for row, ((first, second), found) in enumerate(evidence.items()):
         design[row, first], design[row, second] = 1.0, -1.0
@@ -297,7 +332,7 @@ def _beside(curve: str, sequences: list[str], rates: _Rates) -> dict[str, BdRate
 
 def _mean_at(of_curve: list[CurveValues], rate: float) -> float:
     """The mean over sequences of the mean quality at a rate."""
-    return float(np.mean([found.mean(np.log([rate])).mean() for found in of_curve]))
+    return float(np.mean([found.mean_at(rate) for found in of_curve]))
 
 
 def _letter(number: int) -> str:

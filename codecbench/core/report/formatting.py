@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import POWER
 from codecbench.core.analysis.limits import POOLED, Limit, limits, pooled_rates
 from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers
@@ -80,11 +81,21 @@ def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
     named = ("place", "codec", "group", *shown, "better than")
     rows = tuple(
         (_places(ranked), ranked.curve, ranked.group, *(cell(ranked) for cell in shown.values()),
-         ", ".join(ranked.ahead_of) or "–")
+         ", ".join(_ahead_of(ranking, ranked.curve, other) for other in ranked.ahead_of) or "–")
         for ranked in ranking.ranked
     )  # fmt: skip
     taken = () if ranking.rate is None else (_taken(run, ranking),)
     return Verdict(title, named, rows, (*taken, *_notes(ranking)), ranking.column)
+
+
+def _ahead_of(ranking: Ranking, first: str, second: str) -> str:
+    """`jpeg (31 % less rate, 25 to 36)`: the rate that the first saves for the same quality, with its 95 % interval."""
+    found = ranking.evidence(first, second)
+    if found is None:
+        return second
+    reach = found.reach(0.95)
+    saved = [100.0 * (1.0 - np.exp(-value)) for value in (found.mean, found.mean - reach, found.mean + reach)]
+    return f"{second} ({saved[0]:.2g} % less rate, {saved[1]:.2g} to {saved[2]:.2g})"
 
 
 def _taken(run: RunResult, ranking: Ranking) -> str:
@@ -131,6 +142,8 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"No two of these codecs can be told apart with {SURE}{few}."
     else:
         yield "Codecs that share a letter cannot be told apart."
+    for first, second in ranking.equal:
+        yield f"{first} and {second} are equal within {100.0 * np.expm1(SMALLEST):.2g} % of rate."
     yield from _not_compared(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
@@ -255,8 +268,8 @@ def _of_pairs(pairs: list[PairPower]) -> Verdict:
     rows = tuple(
         (
             f"{pair.first} over {pair.second}",
-            _amount(pair.difference, pair.column),
-            "–" if math.isnan(pair.smallest) else _amount(pair.smallest, pair.column),
+            _amount(pair.difference),
+            "–" if math.isnan(pair.smallest) else _amount(pair.smallest),
             _said(pair),
             _more(pair.more_units, of),
         )
@@ -264,8 +277,6 @@ def _of_pairs(pairs: list[PairPower]) -> Verdict:
     )
     stood = sum(pair.stands for pair in pairs)
     sentences = [f"{stood} of {len(pairs)} differences stand at {first.level:.2g}, a share of 0.01 for each pair."]
-    if first.column.metric.scale == "log" and first.column.metric.better == "lower":
-        sentences.append("Differences are factors: of ×1.1 the second has 1.1 times as much.")
     return Verdict(title, _PAIR_HEADS, rows, tuple(sentences))
 
 
@@ -273,12 +284,9 @@ def _often(power: float) -> str:
     return f"in {100.0 * power:.3g} % of cases"
 
 
-def _amount(difference: float, column: Column) -> str:
-    """A difference in the unit that people are shown; of logarithms as a factor."""
-    if column.metric.scale == "log" and column.metric.better == "lower":
-        return f"×{10.0**difference:.3g}"
-    unit = f" {column.unit}" if column.unit not in ("", "1") else ""
-    return f"{difference * column.factor:+.3g}{unit}"
+def _amount(difference: float) -> str:
+    """How much more (+) or less rate the first takes for the same quality."""
+    return f"{100.0 * math.expm1(-difference):+.3g} %"
 
 
 def _said(pair: PairPower) -> str:

@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
 from codecbench.core.analysis.evidence import (
-    _time_constant,
     block_means,
     combined,
     evidence_of_frames,
+    evidence_of_pairs,
     evidence_of_repeats,
 )
 
@@ -53,18 +53,23 @@ def test_neighbours_that_depend_on_each_other_are_not_counted_twice(correlation:
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
-def test_so_many_correlated_values_are_worth_one(correlation: float) -> None:
-    """Of an autoregressive process (1 + r) / (1 - r), also from series so short that its estimate is biased."""
-    known = (1.0 + correlation) / (1.0 - correlation)
-    (long,) = drifting(np.random.default_rng(6), 1, 100_000, correlation)
-    assert _time_constant(long) == pytest.approx(known, rel=0.05)
-    short = drifting(np.random.default_rng(7), 2_000, 40, correlation)
-    assert np.median([_time_constant(values) for values in short]) == pytest.approx(known, rel=0.25)
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_the_variance_of_a_mean_is_that_of_the_process(correlation: float, noise: float) -> None:
+    """Of an autoregressive process (1 + r) / (1 - r) times that of independent values, plus that of the noise."""
+    rng = np.random.default_rng(6)
+    known = (1.0 + correlation) / (1.0 - correlation) + noise**2
+    found = []
+    for _ in range(30):
+        series = drifting(rng, 5, 400, correlation) * np.sqrt(1.0 - correlation**2) + noise * rng.normal(size=(5, 400))
+        found += [400 * each.variance for each in evidence_of_pairs(series, 5, "frames")]
+    assert np.median(found) == pytest.approx(known, rel=0.35)
 
 
-def test_what_never_changes_is_worth_at_most_a_hundredth() -> None:
-    assert _time_constant(np.arange(10_000.0)) == pytest.approx(199.0)
-    assert _time_constant(np.ones(9)) == _time_constant(np.array([1.0, 2.0])) == 1.0
+def test_what_pairs_have_in_common_makes_each_surer(rng: np.random.Generator) -> None:
+    """With three repeats one pair has two degrees of freedom; ten independent pairs of the same scatter have twenty."""
+    together = evidence_of_pairs(rng.normal(0.0, 1.0, (10, 3)), 10, "repeats")
+    assert together[0].freedom > 10
+    assert evidence_of_repeats(np.array([0.0, 0.1, 0.2])).freedom == 2
 
 
 def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:
