@@ -48,7 +48,7 @@ def report_run(
         results = [replace(found, notes=(noted,)) if found.cell.codec.name == "plain" else found for found in results]
     run = run_of(*results)
     views = {"track": (View("map", "Paths", note="Seen from above."),)} if paths else {}
-    return replace(run, meaning=RunSchema({}, views, run.schema.baselines, run.schema.anchors))
+    return replace(run, schema=RunSchema({}, views, run.schema.baselines, run.schema.anchors))
 
 
 def _name(codec: int) -> str:

@@ -26,7 +26,7 @@ _ROUNDING: Final = 1e-12
 _MOST_BLOCKS: Final = 400
 """Longer series are averaged to so many blocks of neighbours: what matters is how slowly they change."""
 _CORRELATIONS: Final = (0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995)
-_NOISE: Final = {0.0: 0.45, 0.25: 0.3, 0.5: 0.17, 0.75: 0.07, 0.9: 0.01}
+_NOISE_SHARES: Final = {0.0: 0.45, 0.25: 0.3, 0.5: 0.17, 0.75: 0.07, 0.9: 0.01}
 """Shares of independent noise, and how likely each is before anything is seen."""
 _WHITE: Final = 0.4
 """How likely it is, before anything is seen, that frames do not resemble each other."""
@@ -196,7 +196,7 @@ def _models(count: int) -> tuple[Array, Array, Array]:
     for correlation in _CORRELATIONS:
         matrix = correlation**lags
         spectrum, total = np.einsum("ij,ij->i", cosines @ matrix, cosines), float(matrix.sum()) / count
-        for noise, share in _NOISE.items():
+        for noise, share in _NOISE_SHARES.items():
             spectra.append(noise + (1.0 - noise) * spectrum)
             sums.append(noise + (1.0 - noise) * total)
             priors.append((1.0 - _WHITE) * share / len(_CORRELATIONS))
