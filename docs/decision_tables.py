@@ -8,6 +8,7 @@ from typing import Final
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.formatting import setting_words
 from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
@@ -59,7 +60,7 @@ def row(ranking: Ranking) -> list[str]:
     assert ranking.rate is not None
     return [
         f"{ranking.rate:g} bit/px",
-        f"`{taken.curve} {taken.nearest}`",
+        f"`{taken.curve} {setting_words(taken)}`",
         shown(ranking, taken),
         ", ".join(taken.ahead_of) or "–",
         ", ".join(ranking.as_good) or "–",

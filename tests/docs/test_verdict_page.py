@@ -43,8 +43,9 @@ def test_the_example_is_what_is_printed(tmp_path: Path) -> None:
         assert found[4].split(" (")[0] == expected[4].split(" (")[0]
         assert number(found[3]) == pytest.approx(number(expected[3]), abs=10.0)
     assert printed.splitlines()[0] in ran
-    (at_rate,) = re.findall(r"```\n\$ codecbench rank runs/small --rate 1.4\n(.*?)```", PAGE, re.DOTALL)
-    for found, expected in zip(rows(call(tmp_path, "rank", "runs/small", "--rate", "1.4")), rows(at_rate), strict=True):
+    (at_rate,) = re.findall(r"```\n\$ codecbench rank runs/small --rate 1.55\n(.*?)```", PAGE, re.DOTALL)
+    printed_at_rate = call(tmp_path, "rank", "runs/small", "--rate", "1.55")
+    for found, expected in zip(rows(printed_at_rate), rows(at_rate), strict=True):
         assert [found[at] for at in (0, 1, 2, 4)] == [expected[at] for at in (0, 1, 2, 4)]
         assert found[5].split(" (")[0] == expected[5].split(" (")[0]
         assert float(found[3]) == pytest.approx(float(expected[3]), abs=0.03)

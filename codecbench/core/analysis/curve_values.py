@@ -22,6 +22,8 @@ Of = Literal["frames", "repeats"]
 
 SMALLEST: Final = math.log(1.01)
 """The smallest difference worth knowing, as the log of a rate: 1 %."""
+_SAME_RATE: Final = math.log(1.1)
+"""Up to so far from a rate a setting is recommended for it."""
 _ROUNDING: Final = 1e-9
 _ALIKE: Final = 0.25
 """Settings of two curves are the same if they are nearer than this share of the least step between settings."""
@@ -105,9 +107,14 @@ class CurveValues:
         """Whether a rate lies between those of the settings, or is that of one."""
         return bool(self.log_rates[0] - _ROUNDING <= np.log(rate) <= self.log_rates[-1] + _ROUNDING)
 
-    def nearest(self, rate: float) -> str:
-        """The setting with the rate nearest to this one."""
-        return self.points[int(np.argmin(np.abs(self.log_rates - np.log(rate))))]
+    def settings_at(self, rate: float) -> tuple[str, ...]:
+        """The setting whose rate is this one within a tenth, else the two around it."""
+        distances = np.abs(self.log_rates - np.log(rate))
+        nearest = int(np.argmin(distances))
+        if distances[nearest] <= _SAME_RATE or len(self.points) == 1:
+            return (self.points[nearest],)
+        above = int(np.clip(np.searchsorted(self.log_rates, np.log(rate)), 1, len(self.points) - 1))
+        return self.points[above - 1], self.points[above]
 
     def mean_at(self, rate: float) -> float:
         """The mean quality at a rate, between the two settings around it."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import string
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
 
@@ -35,7 +35,7 @@ class Ranked:
     anchor, without an interval, for what may be claimed is in the other fields; none against itself. missing, values:
     how many of its values are missing, of how many. score: how much better it is than the others on average, by least
     squares over pairs; known less surely than places are. In a ranking at one rate, value is the column's mean there,
-    between settings, and nearest the setting with the nearest rate.
+    between settings, and settings, by sequence, the one that has this rate or the two around it.
     """
 
     curve: str
@@ -48,7 +48,7 @@ class Ranked:
     values: int
     score: float
     value: float | None = None
-    nearest: str = ""
+    settings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -314,7 +314,7 @@ def _placed(
                 sum(found.qualities.size for found in of_curve),
                 float(matrices.scores[at]),
                 None if rate is None else from_quality(_mean_at(of_curve, rate), column),
-                "" if rate is None else of_curve[0].nearest(rate),
+                {} if rate is None else {on: found[curve].settings_at(rate) for on, found in values.items()},
             )
         )
     return placed

@@ -77,7 +77,7 @@ def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
         shown: dict[str, Callable[[Ranked], str]] = {head: partial(_rate, anchor) for head, anchor in heads}
     else:
         title += f", at {_spent(run, ranking.rate)}"
-        shown = {ranking.column.heading: partial(_value, ranking.column), "nearest setting": _nearest}
+        shown = {ranking.column.heading: partial(_value, ranking.column), "setting": setting_words}
     named = ("place", "codec", "group", *shown, "better than")
     rows = tuple(
         (_places(ranked), ranked.curve, ranked.group, *(cell(ranked) for cell in shown.values()),
@@ -102,7 +102,8 @@ def _taken(run: RunResult, ranking: Ranking) -> str:
     """Which codec to take at the ranking's rate, and how sure that is."""
     assert ranking.rate is not None
     taken = ranking.recommended
-    parts = [f"At {_spent(run, ranking.rate)} take {f'{taken.curve} {taken.nearest}'.strip()}"]
+    setting = setting_words(taken)
+    parts = [f"At {_spent(run, ranking.rate)} take {taken.curve}{'' if setting == '–' else f' {setting}'}"]
     if ranking.as_good:
         parts[0] += f", or {', '.join(ranking.as_good)}, which cannot be told from it"
     if taken.ahead_of:
@@ -123,8 +124,14 @@ def _value(column: Column, ranked: Ranked) -> str:
     return "–" if ranked.value is None else f"{ranked.value * column.factor:.4g}"
 
 
-def _nearest(ranked: Ranked) -> str:
-    return ranked.nearest or "–"
+def setting_words(ranked: Ranked) -> str:
+    """The setting at the ranking's rate, or the two between which it lies; by sequence if they differ."""
+    by_words: dict[str, list[str]] = defaultdict(list)
+    for sequence, points in ranked.settings.items():
+        by_words[f"between {' and '.join(points)}" if len(points) > 1 else points[0]].append(sequence)
+    if len(by_words) > 1:
+        return "; ".join(f"{words} on {', '.join(sequences)}" for words, sequences in by_words.items())
+    return next(iter(by_words), "") or "–"
 
 
 def _places(ranked: Ranked) -> str:
