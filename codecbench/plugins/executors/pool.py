@@ -182,8 +182,14 @@ class WorkerPool:
                 self._discard(slot)
                 self._launch(slot)
                 return None
-            lost = exitcode == _UNKNOWN and not slot.confined and slot.server is not None and not runs(slot.server)
-            return self._end(slot, "crashed", _LOST if lost else _death(exitcode), discard=True)
+            unknown = exitcode == _UNKNOWN and not slot.confined
+            if unknown and slot.server is not None and not runs(slot.server):
+                return self._end(slot, "crashed", _LOST, discard=True)
+            if (
+                unknown
+            ):  # two threads asked for the status of a worker at once, which one of them is told: it may be RETIRED
+                return self._restarted(slot, _death(exitcode))
+            return self._end(slot, "crashed", _death(exitcode), discard=True)
         if isinstance(error, RuntimeError) and (slot.pool is None or not slot.pool.active):
             return self._restarted(slot, f"its worker could not start or answer: {error}")
         text = " ".join(f"{type(error).__name__}: {error}".split())

@@ -27,7 +27,7 @@ class Quality(SequenceEvaluator[NoParams]):
     """
 
     name = "quality"
-    version = "1"
+    version = "2"
     kernels = ("codecbench.plugins.evaluators.quality",)
     params_type = NoParams
     typical_ms_per_frame = 30.0
