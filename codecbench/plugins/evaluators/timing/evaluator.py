@@ -1,7 +1,7 @@
 """The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
 
 What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
-Reading frames, checks and garbage collection are outside what is timed. Every frame is coded a few times before the
+Reading frames, checks and garbage collection are outside what is timed. The first frame is coded before the
 first measurement, so that compilation, caches and clocks have settled; a codec with memory or of features is timed in
 order over the first frames instead, each call once. One repeat is one cell; the engine interleaves the repeats of all
 settings, so that a slow spell of the machine hits none of them alone.
@@ -10,6 +10,7 @@ settings, so that a slow spell of the machine hits none of them alone.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final
@@ -24,19 +25,21 @@ from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
-from codecbench.plugins.evaluators.timing.clock import Duration, duration, no_collection, yardstick
+from codecbench.plugins.evaluators.timing.clock import Duration, no_collection, repeated, yardstick
 from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order, times_in_order
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
+_WARM_UP_S: Final = 0.1
+"""A codec that takes longer has settled after one coding: what it loads and compiles is a small part of it."""
 _NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
 
 class TimingParams(Params):
     """`frames`: how many, spread evenly over the sequence. `repeats`: cells for each setting. `warmup`: codings of
-    the first frame that are not timed. `min_ms`: calls that are faster are repeated until this much has passed,
-    and share it. With a codec that has memory or is of features, `frames` and `warmup` are the first frames of the
-    sequence.
+    the first frame that are not timed, fewer where they take over 0.1 s. `min_ms`: calls that are faster are
+    repeated until this much has passed, and share it. With a codec that has memory or is of features, `frames` and
+    `warmup` are the first frames of the sequence.
     """
 
     frames: Annotated[int, Field(ge=1)] = 10
@@ -76,7 +79,7 @@ class Timing(CodecEvaluator[TimingParams]):
     """Encode and decode time per frame."""
 
     name = "timing"
-    version = "2"
+    version = "3"
     params_type = TimingParams
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
@@ -112,8 +115,11 @@ class Timing(CodecEvaluator[TimingParams]):
             return
         images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
         for index in list(images)[:1]:
+            end = time.monotonic() + _WARM_UP_S
             for _ in range(self.params.warmup):
                 codec.decode(codec.encode(images[index]))
+                if time.monotonic() > end:
+                    break
         with no_collection():
             taken = {index: self._durations(codec, image) for index, image in images.items()}
         for index, durations in taken.items():
@@ -148,14 +154,11 @@ class Timing(CodecEvaluator[TimingParams]):
             yield Measurement("encode_cpu_ms", finding.cpu_ms, index, "encode/extract")
 
     def _durations(self, codec: AnyCodec[Any], image: Image) -> _Durations:
-        prepared = codec.prepared(image)
-        bitstream = prepared.encode(image)
-        encoding = duration(lambda: prepared.encode(image), self.params.min_ms)
-        codec.decode(bitstream)
-        decoding = duration(lambda: codec.decode(bitstream), self.params.min_ms)
-        searches = prepared is not codec
-        preparing = duration(lambda: codec.prepared(image), self.params.min_ms) if searches else None
-        return _Durations(encoding, decoding, preparing, yardstick())
+        least_ms = self.params.min_ms
+        prepared, preparing = repeated(lambda: codec.prepared(image), least_ms)
+        bitstream, encoding = repeated(lambda: prepared.encode(image), least_ms)
+        _, decoding = repeated(lambda: codec.decode(bitstream), least_ms)
+        return _Durations(encoding, decoding, None if prepared is codec else preparing, yardstick())
 
 
 def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:

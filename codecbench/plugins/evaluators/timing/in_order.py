@@ -36,10 +36,11 @@ def feature_times_in_order(
     encoder, decoder = codec.encoder(), codec.decoder()
     times: tuple[list[Duration], list[Duration], list[Duration]] = ([], [], [])
     for image in images:
-        found: list[Any] = []
-        times[0].append(timed(lambda: found.append(codec.extract(image))))  # noqa: B023 - called at once
-        times[1].append(timed(lambda: found.append(encoder.push(found[0]))))  # noqa: B023
-        times[2].append(timed(lambda: decoder.push(found[1])))  # noqa: B023
+        features, extracting = timed(partial(codec.extract, image))
+        packet, coding = timed(partial(encoder.push, features))
+        _, decoding = timed(partial(decoder.push, packet))
+        for direction, taken in zip(times, (extracting, coding, decoding), strict=True):
+            direction.append(taken)
         beside()
     return times
 
@@ -53,11 +54,11 @@ def _timed_session(
     made: list[_Made] = []
     taken: dict[int, Duration] = {}
     for frame, call in calls:
-        taken[frame] = timed(lambda: made.extend(call()))  # noqa: B023 - called at once
+        parts, taken[frame] = timed(call)
+        made.extend(parts)
         beside()
-    held: list[_Made] = []
-    last = timed(lambda: held.extend(flush()))
+    held, last = timed(flush)
     for part in held:
         before = taken[part.frame]
         taken[part.frame] = Duration(before.wall_ms + last.wall_ms / len(held), before.cpu_ms + last.cpu_ms / len(held))
-    return made + held, taken
+    return made + list(held), taken
