@@ -41,7 +41,7 @@ run: {timeout_s: 1500}
 OLDER = {
     "NUMBA_CPU_NAME": "x86-64-v2",
     "NUMBA_CPU_FEATURES": "",
-    "OPENCV_CPU_DISABLE": "AVX512_SKX,AVX2,FP16,FMA3,AVX",
+    "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FP16,FMA3,AVX",
     "OPENCV_IPP": "disabled",
 }
 """A processor of before 2013, as far as kernels and OpenCV go."""
