@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,7 @@ import psutil
 import pytest
 from distributions import install_source
 
-from codecbench.core.engine.scouting import answers_of_children, is_single_threaded
+from codecbench.core.engine.scouting import answers_of_children
 
 
 def line(value: object) -> bytes:
@@ -52,14 +51,18 @@ def test_they_are_elsewhere_and_silent(capfd: pytest.CaptureFixture[str]) -> Non
 
 
 def test_threads_are_counted() -> None:
-    stop = threading.Event()
-    thread = threading.Thread(target=stop.wait)
-    thread.start()
-    assert not is_single_threaded()
-    stop.set()
-    thread.join()
-    answer = answers_of_children({"a": lambda: line(is_single_threaded())}, 20.0)
-    assert answer == {"a": {"value": True}}
+    """In a process of its own: a library of another test may start its threads again in a child that is forked."""
+    script = (
+        "import threading\n"
+        "from codecbench.core.engine.scouting import is_single_threaded\n"
+        "before, stop = is_single_threaded(), threading.Event()\n"
+        "threading.Thread(target=stop.wait).start()\n"
+        "print(before, is_single_threaded())\n"
+        "stop.set()\n"
+    )
+    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-c", script], env=variables, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["True", "False"], done.stderr
 
 
 def test_a_long_answer_arrives_whole() -> None:
