@@ -6,6 +6,7 @@ another format adds its own.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import shutil
@@ -19,7 +20,9 @@ from project import GOLDEN
 
 from codecbench.core.analysis.collect import open_run
 from codecbench.core.conformance.corpus import Entry, pixels_sha256, read_manifest
+from codecbench.core.conformance.harness import decoded_of
 from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.stream import Packet
 from codecbench.core.engine.planning.model import CodingJob
 from codecbench.core.engine.registry import installed
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
@@ -99,9 +102,13 @@ CONTEXT_CORPUS = read_manifest(KEPT / "bitstreams-context")
 FILES = [("bitstreams", entry) for entry in CORPUS] + [("bitstreams-context", entry) for entry in CONTEXT_CORPUS]
 
 
-def test_the_kept_bitstreams_are_of_every_codec_of_pictures_that_ships() -> None:
-    others = {"h264", "hevc", "av1", "vp9", "mjpeg", "ffv1", "multilevel_stream", "orb_features"}
-    assert {entry.codec for entry in CORPUS} == {plugin.spec.name for plugin in installed().plugins("codec")} - others
+STREAMS = sorted((KEPT / "streams").glob("*.json"))
+
+
+def test_bitstreams_of_every_codec_that_ships_are_kept() -> None:
+    """Of features elsewhere: `test_packets_are_the_same_on_every_machine`."""
+    kept = {entry.codec for entry in CORPUS} | {path.stem for path in STREAMS} | {"orb_features"}
+    assert kept == {plugin.spec.name for plugin in installed().plugins("codec")}
 
 
 @pytest.mark.parametrize(("folder", "entry"), FILES, ids=[f"{folder}/{entry.file}" for folder, entry in FILES])
@@ -117,3 +124,18 @@ def test_a_kept_bitstream_decodes_to_the_same_pixels(folder: str, entry: Entry) 
     assert pixels.shape[:2] == entry.shape[:2]
     if entry.codec in OWN or decoder.libraries() == entry.libraries:
         assert pixels_sha256(pixels) == entry.pixels_sha256
+
+
+@pytest.mark.parametrize("path", STREAMS, ids=lambda path: path.stem)
+def test_kept_packets_decode_to_the_same_pixels(path: Path) -> None:
+    """In every version of a library: these standards, but for Motion JPEG, say each bit of what is decoded."""
+    kept = json.loads(path.read_text())
+    try:
+        codec = installed().load("codec", path.stem).create()
+    except Unsupported as reason:
+        pytest.skip(str(reason))
+    data = [base64.b85decode(text) for text in kept["packets"]]
+    pictures = decoded_of(codec, [Packet(*packet) for packet in zip(data, kept["frames"], kept["starts"], strict=True)])
+    assert [(picture.frame, picture.state) for picture in pictures] == [(frame, "whole") for frame in range(3)]
+    if path.stem != "mjpeg" or codec.libraries() == kept["libraries"]:
+        assert [pixels_sha256(picture.image) for picture in pictures] == kept["pixels_sha256"]
