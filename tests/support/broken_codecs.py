@@ -9,8 +9,9 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from itertools import count
+from queue import SimpleQueue
 from typing import Any, ClassVar
 
 import numpy as np
@@ -169,20 +170,19 @@ class Allocates(_TrustsItsHeader):
 
 
 class SharesABuffer(_Broken):
-    """Threads meet when two of them have written the buffer, which then one of them has lost."""
+    """The first image of another thread waits in a buffer until the next one has taken its place."""
 
-    buffer: ClassVar[dict[str, Image]] = {}
-    meeting: ClassVar[threading.Barrier] = threading.Barrier(2)
+    comers: ClassVar[Iterator[int]] = count()
+    buffer: ClassVar[SimpleQueue[Image]] = SimpleQueue()
 
     def encode(self, image: Image, **_: Any) -> bytes:
-        self.buffer["image"] = image
         if threading.current_thread() is threading.main_thread():
-            self.meeting.reset()
-        else:
-            with suppress(threading.BrokenBarrierError):
-                self.meeting.wait()
-            self.meeting.abort()  # one meeting is enough, and nobody waits for those that have failed
-        return super().encode(self.buffer["image"])
+            type(self).comers = count()
+        elif (order := next(self.comers)) == 0:
+            image = self.buffer.get()
+        elif order == 1:
+            self.buffer.put(image)
+        return super().encode(image)
 
 
 class AcceptsAnything(_Broken):

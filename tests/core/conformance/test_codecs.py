@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from codecbench.core.conformance import damage, sandbox
 from codecbench.core.conformance.harness import Check, shape_of
 from codecbench.core.conformance.settings import setting_label
 from codecbench.core.conformance.suite import checks_of, films_of
@@ -45,6 +46,13 @@ def _cases() -> Iterator[Any]:
                     marks = [pytest.mark.thorough] if is_slow else []
                     label = setting_label(name, setting).replace(" ", "-")
                     yield pytest.param(name, setting, check, id=f"{label}-{check.name}", marks=marks)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels may be compiled meanwhile, and the machine may be busy: only what hangs takes so long."""
+    monkeypatch.setattr(damage, "_TIMEOUT_S", 300.0)
+    monkeypatch.setattr(sandbox, "_START_TIMEOUT_S", 300.0)
 
 
 @pytest.mark.parametrize(("name", "setting", "check"), list(_cases()))
