@@ -50,6 +50,6 @@ def test_the_command_answers_the_shell_as_the_page_says() -> None:
 
 
 def asked(**variables: str) -> str:
-    done = subprocess.run([COMMAND], env={**os.environ, **variables}, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([COMMAND], env={**os.environ, **variables}, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout

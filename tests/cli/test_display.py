@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import io
-import time
+import threading
 
 import pytest
 
-from codecbench.cli import display
 from codecbench.cli.display import Display, clock, spoken
 from codecbench.cli.screen import Screen
 from codecbench.core.engine.running.progress import Progress
@@ -29,27 +28,43 @@ def test_a_clock(seconds: float, text: str) -> None:
     assert clock(seconds) == text
 
 
-def test_without_a_terminal_a_line_is_said_from_time_to_time(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(display, "_LINE_EVERY_S", 0.05)
-    with Display(Screen(file=io.StringIO()), keep_going=True) as shown:
-        shown.show(MOMENT)
-        time.sleep(0.3)
-    said = capsys.readouterr().err.splitlines()
-    assert 2 <= len(said) <= 7
-    assert set(said) <= {"starting", "14 of 90 cells, about 3:20 left, 2 without a result"}
-    assert said[-1] != "starting"
-    time.sleep(0.1)
-    assert capsys.readouterr().err == ""
+class TwoMinutes(threading.Event):
+    """The end of a display, for which two minutes are waited at once and the third for as long as it takes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waited_s: list[float | None] = []
+        self.over = threading.Event()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.waited_s.append(timeout)
+        if len(self.waited_s) <= 2:
+            return False
+        self.over.set()
+        return super().wait()
+
+
+def test_without_a_terminal_a_line_is_said_every_minute(capsys: pytest.CaptureFixture[str]) -> None:
+    shown, shown._ended = Display(Screen(file=io.StringIO()), keep_going=True), TwoMinutes()
+    shown.show(MOMENT)
+    with shown:
+        assert shown._ended.over.wait(300)
+    assert shown._lines is not None
+    shown._lines.join(300)
+    assert shown._ended.waited_s == [60.0] * 3
+    assert capsys.readouterr().err.splitlines() == ["14 of 90 cells, about 3:20 left, 2 without a result"] * 2
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {"force_terminal": True}])
 def test_nothing_of_that_on_a_terminal_or_when_told_to_be_quiet(
-    options: dict[str, bool], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    options: dict[str, bool], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(display, "_LINE_EVERY_S", 0.05)
-    with Display(Screen(file=io.StringIO(), **options), keep_going=True) as shown:
+    before = set(threading.enumerate())
+    shown, shown._ended = Display(Screen(file=io.StringIO(), **options), keep_going=True), TwoMinutes()
+    with shown:
         shown.show(MOMENT)
-        time.sleep(0.2)
+        begun = set(threading.enumerate()) - before
+    for thread in begun:
+        thread.join(300)
+    assert shown._ended.waited_s == []
     assert capsys.readouterr().err == ""

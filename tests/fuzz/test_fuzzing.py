@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import limits
 import numpy as np
 import pytest
 from decoder_targets import TARGETS, Target
@@ -20,6 +21,12 @@ log = logging.getLogger("fuzz")
 CORPUS = Path(__file__).parent / "corpus"
 KEPT = sorted(path for path in CORPUS.glob("*/*") if path.is_file())
 SHAPES = ((1, 1), (9, 17), (9, 17, 3))
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels may be compiled meanwhile, and the machine may be busy: only what hangs takes so long."""
+    monkeypatch.setattr(limits, "MAX_TIME_S", 300.0)
 
 
 @pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.name}")

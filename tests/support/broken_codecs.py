@@ -9,7 +9,9 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
+from queue import SimpleQueue
 from typing import Any, ClassVar
 
 import numpy as np
@@ -158,7 +160,7 @@ class _TrustsItsHeader(_Broken):
 class Hangs(_TrustsItsHeader):
     def act(self, width: int, height: int) -> None:
         if width * height > 1 << 26:
-            time.sleep(60)
+            time.sleep(3600)
 
 
 class Allocates(_TrustsItsHeader):
@@ -168,13 +170,19 @@ class Allocates(_TrustsItsHeader):
 
 
 class SharesABuffer(_Broken):
-    buffer: ClassVar[dict[str, Image]] = {}
+    """The first image of another thread waits in a buffer until the next one has taken its place."""
+
+    comers: ClassVar[Iterator[int]] = count()
+    buffer: ClassVar[SimpleQueue[Image]] = SimpleQueue()
 
     def encode(self, image: Image, **_: Any) -> bytes:
-        self.buffer["image"] = image
-        time.sleep(1e-4)
-        threading.Event().wait(1e-4)
-        return super().encode(self.buffer["image"])
+        if threading.current_thread() is threading.main_thread():
+            type(self).comers = count()
+        elif (order := next(self.comers)) == 0:
+            image = self.buffer.get()
+        elif order == 1:
+            self.buffer.put(image)
+        return super().encode(image)
 
 
 class AcceptsAnything(_Broken):
@@ -253,7 +261,7 @@ class NeverEnds(_Broken):
     def encode(self, image: Image, **_: Any) -> bytes:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         while True:
-            time.sleep(60)
+            time.sleep(3600)
 
 
 class EndsWhenConstructed(_Broken):

@@ -277,6 +277,24 @@ class Slow(FrameEvaluator[FaultParams]):
         yield Measurement("error", float(np.abs(coded.original.image.astype(int) - coded.decoded).mean()))
 
 
+class Gated(FrameEvaluator[NoParams]):
+    """Takes a file out of the folder that GATE names before it measures a sequence; where there is none, it hangs."""
+
+    name = "gated"
+    version = "1"
+    params_type = NoParams
+    metrics = (Metric("error", "1", "lower", "mean absolute difference"),)
+
+    def evaluate(self, coded: CodedFrame) -> Iterator[Measurement]:
+        if coded.original.index == 0:
+            ticket = next(Path(os.environ["GATE"]).iterdir(), None)
+            if ticket is None:
+                time.sleep(3600)
+            else:
+                ticket.unlink()
+        yield Measurement("error", 0.0)
+
+
 _HERE = "fault_plugins:"
 
 
@@ -297,4 +315,5 @@ def codecbench_evaluators() -> list[PluginSpec]:
         PluginSpec("whole", _HERE + "Whole", "looks at all frames"),
         PluginSpec("alone", _HERE + "Alone", "runs alone"),
         PluginSpec("slow", _HERE + "Slow", "takes a while"),
+        PluginSpec("gated", _HERE + "Gated", "waits to be let through"),
     ]

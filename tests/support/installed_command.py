@@ -64,11 +64,17 @@ class Place:
         )  # fmt: skip
 
 
-def tiny_place(folder: Path) -> Place:
-    """A place with the plain plugins, and the matrix `tiny.yaml` with its finished run in `runs/tiny`."""
+def plain_place(folder: Path) -> Place:
+    """A place with the plain plugins."""
     place = Place(folder)
     shutil.copy(SUPPORT / "plain_plugins.py", place.site)
     register(place.site, "plain", "1", "plain_plugins")
+    return place
+
+
+def tiny_place(folder: Path) -> Place:
+    """A place with the plain plugins, and the matrix `tiny.yaml` with its finished run in `runs/tiny`."""
+    place = plain_place(folder)
     (folder / "tiny.yaml").write_text(TINY)
     done = place.call("run", "tiny.yaml")
     assert done.status == 0, done.output

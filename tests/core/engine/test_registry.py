@@ -36,7 +36,7 @@ def listed(site: Path) -> dict[str, list[dict[str, str]]]:
     """What `codecbench list` says where `site` is installed too."""
     environment = {**os.environ, "PYTHONPATH": str(site)}
     command = [sys.executable, "-m", "codecbench", "list", "--json"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300)
     return json.loads(done.stdout)
 
 
@@ -69,31 +69,31 @@ def test_a_third_party_codec_shows_up(tmp_path: Path) -> None:
 def test_listing_imports_no_codec(tmp_path: Path) -> None:
     code = "import sys; from codecbench.cli import cli; cli(['list'], standalone_mode=False)"
     check = "; print(*[m for m in ('numpy', 'cv2', 'numba', 'pandas') if m in sys.modules], file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code + check], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code + check], capture_output=True, text=True, check=True, timeout=300)
     assert done.stderr.strip() == ""
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        ("import nothing_of_this_name", "does not import: ModuleNotFoundError"),
-        ("raise RuntimeError('broken on purpose')", "broken on purpose"),
-        ("x = 1", "implements no hook"),
-        (hook_module("codec"), "codecbench_codec, which is not a hook; did you mean codecbench_codecs?"),
-        (hook_module(name="raw"), "codec 'raw' is already offered by codecbench"),
-        (hook_module(name="Not A Name"), "is not of the form"),
-        (hook_module(target="no_colon"), "is not package.module:Class"),
-        (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it returns a list of PluginSpec"),
-        (hook_module().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
-    ],
-)
-def test_a_bad_distribution_is_reported_and_the_rest_works(tmp_path: Path, source: str, words: str) -> None:
-    install_source(tmp_path, "bad-plugin", "1.2", source)
+BAD = [
+    ("import nothing_of_this_name", "does not import: ModuleNotFoundError"),
+    ("raise RuntimeError('broken on purpose')", "broken on purpose"),
+    ("x = 1", "implements no hook"),
+    (hook_module("codec"), "codecbench_codec, which is not a hook; did you mean codecbench_codecs?"),
+    (hook_module(name="raw"), "codec 'raw' is already offered by codecbench"),
+    (hook_module(name="Not A Name"), "is not of the form"),
+    (hook_module(target="no_colon"), "is not package.module:Class"),
+    (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it returns a list of PluginSpec"),
+    (hook_module().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
+]
+
+
+def test_bad_distributions_are_reported_and_the_rest_works(tmp_path: Path) -> None:
+    for number, (source, _) in enumerate(BAD):
+        install_source(tmp_path, f"bad-{number}", "1.2", source)
     install_posterize(tmp_path)
     rows = listed(tmp_path)
-    assert [problem for problem in rows["problems"] if words in problem and "bad-plugin 1.2" in problem], rows[
-        "problems"
-    ]
+    for number, (_, words) in enumerate(BAD):
+        said = [problem for problem in rows["problems"] if f"bad-{number} 1.2" in problem]
+        assert words in str(said)
     assert {"raw", "jpeg", "posterize"} <= set(names(rows["codecs"]))
     assert next(row for row in rows["codecs"] if row["name"] == "raw")["distribution"].startswith("codecbench ")
 
@@ -215,7 +215,7 @@ def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path) -> None:
         install_source(tmp_path, f"liar-{name}", "1", hook_module(name=name, target=target))
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     command = [sys.executable, "-c", LOADING, *TARGETS]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     for (name, (_, words)), said in zip(TARGETS.items(), done.stdout.splitlines(), strict=True):
         assert said.startswith("PluginError: "), said

@@ -5,13 +5,17 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from plain_room import walls
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.folder import Folder
 from codecbench.plugins.datasets.scaling import scaled_camera
-from codecbench.plugins.datasets.synthetic.dataset import Synthetic
+from codecbench.plugins.datasets.synthetic import dataset, rendered
+from codecbench.plugins.datasets.synthetic.atlas import make_atlas
+from codecbench.plugins.datasets.synthetic.dataset import Synthetic, room_camera
+from codecbench.plugins.datasets.synthetic.render import Renderer
 from codecbench.plugins.datasets.tum import Tum
 
 WIDTH, HEIGHT = 160, 120
@@ -19,7 +23,8 @@ WIDTH, HEIGHT = 160, 120
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "cache"))
+    """Of frames; that of kernels is everybody's."""
+    monkeypatch.setattr(rendered, "cache_folder", lambda: tmp_path / "cache")
 
 
 @pytest.fixture
@@ -51,7 +56,10 @@ def test_a_point_is_seen_where_the_scaled_camera_projects_it(spot, scale):
 
 
 @pytest.mark.parametrize(("rendered", "scale"), [(192, 0.5), (96, 2.0)])
-def test_a_scaled_scene_is_the_scene_of_the_scaled_camera(rendered, scale):
+def test_a_scaled_scene_is_the_scene_of_the_scaled_camera(rendered, scale, monkeypatch):
+    atlas = make_atlas(walls(6.0))
+    monkeypatch.setattr(dataset, "_renderer", lambda *size: Renderer(atlas, room_camera(*size)))
+
     def room(width, **values):
         return Synthetic.create(width=width, height=width * 3 // 4, frames=2, noise=0.0, **values).open()
 

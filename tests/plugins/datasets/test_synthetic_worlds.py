@@ -10,6 +10,7 @@ from math import pi
 import cv2
 import numpy as np
 import pytest
+from plain_room import walls
 from pydantic import ValidationError
 
 from codecbench.core.contracts.image import gray_from_image
@@ -17,6 +18,7 @@ from codecbench.plugins.datasets.synthetic import rendered
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, SyntheticParams
 from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
 from codecbench.plugins.datasets.synthetic.render import Renderer
+from codecbench.plugins.datasets.synthetic.worlds import places, sequence
 from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between, moved
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
 from codecbench.plugins.datasets.synthetic.worlds.paths import Route
@@ -34,6 +36,15 @@ def own_cache(tmp_path, monkeypatch):
 
 def small(world, **values):
     return Synthetic.create(**{"world": world, "width": 96, "height": 72, **values}).open()
+
+
+@pytest.fixture
+def plain_places(monkeypatch):
+    """The corridor and the town have but four walls, so that they are made at once."""
+    monkeypatch.setattr(places, "corridor", lambda distinctness: walls(60.0))
+    monkeypatch.setattr(places, "town", lambda: walls(1000.0))
+    for module, name in ((places, "_panels"), (places, "atlas_of"), (sequence, "_exposure")):
+        monkeypatch.setattr(module, name, getattr(module, name).__wrapped__)  # nothing of them is kept
 
 
 # Parameters
@@ -205,6 +216,7 @@ def test_every_frame_shows_something_everywhere_and_moves_as_the_truth_says(worl
         assert np.median(errors) < 0.25 + 0.02 * np.median(motion)
 
 
+@pytest.mark.usefixtures("plain_places")
 def test_the_van_ahead_is_the_only_difference_and_stays_where_it_is_in_the_picture():
     alone, behind = (small(world, width=320, height=96, severity=0) for world in ("straight_road", "road_behind_van"))
     np.testing.assert_array_equal(alone.ground_truth.world_from_camera, behind.ground_truth.world_from_camera)
@@ -218,6 +230,7 @@ def test_the_van_ahead_is_the_only_difference_and_stays_where_it_is_in_the_pictu
         assert rows.max() < middle[1] + 1.65 / (12.0 - 2.3) * behind.camera.fx + 4
 
 
+@pytest.mark.usefixtures("plain_places")
 def test_the_first_second_is_dark_and_hardly_moves():
     sequence = small("slow_start")
     light = [float(np.square(sequence.read(index).image / 255.0).mean()) for index in (20, 26, 34, 40)]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import gc
-import time
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from held_clock import CLOCK, held_clock
 from memory_sequence import MemorySequence, context
 
 from codecbench.core.contracts.codec import Capabilities, Codec, StreamCodec
@@ -19,6 +19,8 @@ from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecode
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.evaluators.timing import Timing
 from codecbench.plugins.evaluators.timing.clock import repeated
+
+pytestmark = pytest.mark.usefixtures(held_clock.__name__)
 
 
 class Slow(Codec[NoParams]):
@@ -36,21 +38,19 @@ class Slow(Codec[NoParams]):
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         self.calls["encode"] += 1
-        time.sleep(0.3 if self.calls["encode"] == 1 else 0.02)
+        CLOCK.sleep(0.3 if self.calls["encode"] == 1 else 0.02)
         return image.tobytes()
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         self.calls["decode"] += 1
         self.collecting.add(gc.isenabled())
-        end = time.process_time() + 0.01
-        while time.process_time() < end:
-            pass
+        CLOCK.compute(0.01)
         return np.frombuffer(bitstream, np.uint8).reshape(100, 200)
 
 
 class SlowToRead(MemorySequence):
     def read(self, index: int) -> Frame:
-        time.sleep(0.1)
+        CLOCK.sleep(0.1)
         return super().read(index)
 
 
@@ -64,11 +64,10 @@ def test_what_is_timed_is_the_codec_alone_and_warm(tmp_path: Path) -> None:
         frames.add(measured.frame)
     assert frames == {1, 3}
     assert all(len(series) == 2 for series in found.values())
-    assert 20 <= min(found["encode_wall_ms"]) < 100
-    assert max(found["encode_cpu_ms"]) < 5
-    assert 9.9 <= min(found["decode_cpu_ms"]) < 50
-    assert min(found["decode_wall_ms"]) >= 9.9
-    assert found["encode_mpix_per_s"][0] == pytest.approx(0.02 / (found["encode_wall_ms"][0] * 1e-3))
+    assert found["encode_wall_ms"] == pytest.approx([20, 20])
+    assert found["encode_cpu_ms"] == [0, 0]
+    assert found["decode_wall_ms"] == found["decode_cpu_ms"] == pytest.approx([10, 10])
+    assert found["encode_mpix_per_s"] == pytest.approx([0.02 / 0.02] * 2)
     assert False in codec.collecting
     assert gc.isenabled()
 
@@ -81,7 +80,7 @@ class Searching(Slow):
         self.image = image
 
     def prepared(self, image: Image) -> Searching:
-        time.sleep(0.1)
+        CLOCK.sleep(0.1)
         return Searching(image)
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
@@ -95,10 +94,9 @@ def test_what_a_codec_searches_for_is_timed_apart_from_the_encoding(tmp_path: Pa
     images = [np.full((100, 200), value, np.uint8) for value in range(2)]
     measured = list(Timing.create(warmup=1).evaluate(Searching(), MemorySequence(images), context(tmp_path)))
     found = {name: [m.value for m in measured if m.metric == name] for name in ("encode_wall_ms", "prepare_wall_ms")}
-    assert max(found["encode_wall_ms"]) < 20
-    assert len(found["prepare_wall_ms"]) == 2
-    assert 100 <= min(found["prepare_wall_ms"]) < 180
-    assert all(m.value < 20 and m.reason is None for m in measured if m.metric == "prepare_cpu_ms")
+    assert found["encode_wall_ms"] == [0, 0]
+    assert found["prepare_wall_ms"] == pytest.approx([100, 100])
+    assert all(m.value == 0 and m.reason is None for m in measured if m.metric == "prepare_cpu_ms")
 
 
 def test_a_codec_that_searches_for_nothing_has_no_time_of_it(tmp_path: Path) -> None:
@@ -115,11 +113,14 @@ def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:
     def call() -> None:
         nonlocal calls
         calls += 1
-        time.sleep(0.001)
+        CLOCK.sleep(0.001)
 
     _, taken = repeated(call, min_ms=20)
-    assert 2 <= calls <= 21
-    assert 1.0 <= taken.wall_ms < 20.0
+    assert calls == 1 + 20
+    assert taken.wall_ms == pytest.approx(1.0)
+    calls = 0
+    _, taken = repeated(call, min_ms=1)
+    assert (calls, taken.wall_ms) == (1, pytest.approx(1.0))
     calls = 0
     repeated(call, min_ms=0)
     assert calls == 1
@@ -168,19 +169,19 @@ class SlowSession(StreamEncoder):
         self.seen: list[int] = []
 
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
-        time.sleep(0.02)
+        CLOCK.sleep(0.02)
         self.seen.append(int(image[0, 0]))
         ready = len(self.seen) - 3
         return [Packet(b"x", ready, True)] if ready >= 0 else []
 
     def flush(self) -> list[Packet]:
-        time.sleep(0.05)
+        CLOCK.sleep(0.05)
         return [Packet(b"x", frame, True) for frame in range(max(0, len(self.seen) - 2), len(self.seen))]
 
 
 class SlowPlayback(StreamDecoder):
     def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
-        time.sleep(0.01)
+        CLOCK.sleep(0.01)
         return []
 
     def flush(self) -> list[Picture]:
@@ -194,8 +195,8 @@ def test_a_stream_is_timed_in_order_each_call_once(tmp_path: Path) -> None:
     assert [session.seen for session in codec.sessions] == [[0, 1], [0, 1, 2, 3]]
     found = {metric.name: [m.value for m in measured if m.metric == metric.name] for metric in Timing.metrics}
     assert [m.frame for m in measured if m.metric == "encode_wall_ms"] == [0, 1, 2, 3]
-    assert found["encode_wall_ms"] == pytest.approx([20, 20, 45, 45], abs=12)
-    assert found["decode_wall_ms"] == pytest.approx([10] * 4, abs=8)
-    assert max(found["encode_cpu_ms"] + found["decode_cpu_ms"]) < 5
+    assert found["encode_wall_ms"] == pytest.approx([20, 20, 45, 45])
+    assert found["decode_wall_ms"] == pytest.approx([10] * 4)
+    assert set(found["encode_cpu_ms"] + found["decode_cpu_ms"]) == {0}
     assert all(m.reason and "has memory" in m.reason for m in measured if m.metric.startswith("prepare"))
     assert len(found["yardstick_ms"]) == 4

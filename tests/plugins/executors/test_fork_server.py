@@ -53,7 +53,17 @@ def where_numba_came_from(_: object) -> str:
 
 def write_pid_and_hang(path: object) -> None:
     Path(str(path)).write_text(str(os.getpid()))
-    ctypes.PyDLL(None).sleep(60)  # PyDLL keeps the interpreter locked
+    ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter locked
+
+
+def wait_for(path: Path) -> None:
+    while not path.exists():
+        time.sleep(0.02)
+
+
+def stay_until_told(folder: object) -> None:
+    Path(str(folder), "there").touch()
+    wait_for(Path(str(folder), "told"))
 
 
 def test_each_worker_has_the_variables_and_the_umask_of_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +109,7 @@ def kill_program(folder: Path) -> list[psutil.Process]:
 
 
 def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path: Path) -> None:
-    gone, left = psutil.wait_procs(kill_program(tmp_path), timeout=20)
+    gone, left = psutil.wait_procs(kill_program(tmp_path), timeout=300)
     assert not left
     assert gone
 
@@ -107,24 +117,24 @@ def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", range(20))
 def test_the_folder_of_the_socket_goes_with_the_server_of_a_killed_program(tmp_path: Path, trial: int) -> None:
-    psutil.wait_procs(kill_program(tmp_path), timeout=20)
+    psutil.wait_procs(kill_program(tmp_path), timeout=300)
     assert [path for folder in tmp_path.glob("pymp-*") for path in (folder, *folder.iterdir())] == []
 
 
-def test_a_server_that_ends_leaves_the_socket_of_another_in_the_same_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_ends_leaves_the_socket_of_another_in_the_same_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("CODECBENCH_TEST_VARIABLE", "there")
     assert value(variable) == "there"
-    spawned = multiprocessing.get_context("spawn").Process(target=value, args=(variable,))
+    spawned = multiprocessing.get_context("spawn").Process(target=value, args=(stay_until_told, tmp_path))
     spawned.start()
-    children = psutil.Process(spawned.pid).children
-    servers = []
-    while spawned.is_alive():
-        servers += [child for child in children(recursive=True) if child not in servers]
-        time.sleep(0.02)
+    wait_for(tmp_path / "there")
+    servers = psutil.Process(spawned.pid).children(recursive=True)
+    (tmp_path / "told").touch()
     spawned.join()
     assert spawned.exitcode == 0
     assert servers
-    assert not psutil.wait_procs(servers, timeout=20)[1]
+    assert not psutil.wait_procs(servers, timeout=300)[1]
     assert value(variable) == "there"
 
 

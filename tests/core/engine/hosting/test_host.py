@@ -64,7 +64,8 @@ def babble(_: object) -> None:
 
 
 @pytest.fixture
-def host() -> Iterator[PluginHost]:
+def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[PluginHost]:
+    monkeypatch.setenv(LIMIT_VARIABLE, "600")
     host = PluginHost(())
     yield host
     host.end()
@@ -84,7 +85,7 @@ def test_it_answers_from_another_process_in_a_folder_of_its_own(host: PluginHost
 def test_a_host_whose_program_was_killed_removes_its_folder_and_ends(tmp_path: Path) -> None:
     program = (
         "import json, time; from codecbench.core.engine.hosting.host import PluginHost; host = PluginHost(()); "
-        "print(json.dumps(host.ask('test_host:where', ())), flush=True); time.sleep(60)"
+        "print(json.dumps(host.ask('test_host:where', ())), flush=True); time.sleep(3600)"
     )
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     environment = {**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": paths}
@@ -93,7 +94,7 @@ def test_a_host_whose_program_was_killed_removes_its_folder_and_ends(tmp_path: P
         pid, folder = json.loads(asker.stdout.readline())
         assert list(tmp_path.iterdir()) == [Path(folder)]
         asker.kill()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 300
     while (psutil.pid_exists(pid) or list(tmp_path.iterdir())) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not psutil.pid_exists(pid)

@@ -117,7 +117,7 @@ def test_every_codec_fault_costs_its_own_cells_alone(
 
 
 def test_every_decoder_fault_names_its_frame(bench: Bench) -> None:
-    plan = bench.plan(matrix(grid("faulty", [*DECODE_FAULTS, "jump", "none"]), "wandering", LIMITS))
+    plan = bench.plan(matrix(grid("faulty", [*DECODE_FAULTS, "jump", "none"]), "wandering", "timeout_s: 600"))
     bench.run(plan)
     for cell, record in bench.records(plan).values():
         expected = DECODE_FAULTS.get(cell.codec.params["fault"])
@@ -145,6 +145,7 @@ def test_every_evaluator_fault_fails_the_cell(bench: Bench) -> None:
             assert record.summaries["error", "", "mean"] == pytest.approx(1.5, abs=0.1)  # 2 bits dropped: 0..3
 
 
+@pytest.mark.thorough
 def test_failed_cells_are_tried_again_and_good_ones_kept(bench: Bench) -> None:
     text = matrix(grid("faulty", ["raise", "none"]), "wandering")
     assert bench.run(text).statuses == {"failed": 1, "ok": 1}

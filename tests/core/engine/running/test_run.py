@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,10 @@ from project import SUPPORT
 
 import codecbench
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.planning.model import Cell, CodingJob
+from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.running.schedule import Schedule
+from codecbench.core.engine.running.summary import RunSummary
 
 STEPS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
 MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")
@@ -32,10 +33,27 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield made
 
 
-def test_a_run_computes_every_cell_once_and_reports_as_it_goes(bench: Bench) -> None:
+@dataclass(frozen=True)
+class Finished:
+    """A run of MANY by two workers, what it told meanwhile, and the same run once more."""
+
+    bench: Bench
+    plan: Plan
+    seen: list[Progress]
+    summary: RunSummary
+    again: RunSummary
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     seen: list[Progress] = []
-    plan = bench.plan(MANY)
-    summary = bench.run(plan, workers=2, listener=seen.append)
+    with bench_in(tmp_path_factory.mktemp("finished")) as bench:
+        plan = bench.plan(MANY)
+        return Finished(bench, plan, seen, bench.run(plan, listener=seen.append), bench.run(plan))
+
+
+def test_a_run_computes_every_cell_once_and_reports_as_it_goes(finished: Finished) -> None:
+    plan, seen, summary, again = finished.plan, finished.seen, finished.summary, finished.again
     assert summary.statuses == {"ok": len(plan.cells)} == {"ok": 24}
     assert (summary.computed, summary.kept, summary.encoded, summary.interrupted) == (24, 0, 4, None)
     assert [one.cell.id for one in seen if one.cell] != []
@@ -43,30 +61,28 @@ def test_a_run_computes_every_cell_once_and_reports_as_it_goes(bench: Bench) -> 
     assert (seen[-1].cells_done, seen[-1].jobs_done, seen[-1].not_ok) == (24, 4, 0)
     assert seen[-1].remaining_s == 0.0
     assert all(one.remaining_s is not None for one in seen)
-    again = bench.run(plan)
     assert (again.computed, again.kept, again.encoded) == (0, 24, 0)
 
 
-def test_records_say_what_where_and_when(bench: Bench) -> None:
-    plan = bench.plan(matrix("{use: faulty, params: {step: 1}}", "wandering, whole"))
-    bench.run(plan)
-    environments = bench.store().environments.read()
-    for cell, record in bench.records(plan).values():
+def test_records_say_what_where_and_when(finished: Finished) -> None:
+    store, records = finished.bench.store(), finished.bench.records(finished.plan).values()
+    environments = store.environments.read()
+    for cell, record in records:
         assert record.environment in environments
         assert record.cell["codec"] == {
             "name": "faulty",
             "version": "1",
             "params": cell.codec.params,
-            "label": "step=1",
+            "label": f"step={cell.codec.params['step']}",
         }
         assert record.cell["sequence"]["fingerprint"] == cell.sequence.fingerprint
         assert record.duration_s > 0
         assert record.worker["pid"] > 0
-    (whole,) = [record for cell, record in bench.records(plan).values() if cell.evaluator.name == "whole"]
-    assert list(whole.files) == ["total.txt"]
     size = FRAMES * (3 + 16 * 24)
-    assert bench.store().read_file(whole, "total.txt") == f"{size}\n".encode()
-    assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
+    for whole in [record for cell, record in records if cell.evaluator.name == "whole"]:
+        assert list(whole.files) == ["total.txt"]
+        assert store.read_file(whole, "total.txt") == f"{size}\n".encode()
+        assert (whole.measurements[0].metric, whole.measurements[0].value) == ("size_bytes", size)
 
 
 @pytest.mark.thorough
@@ -125,15 +141,13 @@ def test_python_recomputes_by_name_too(bench: Bench) -> None:
     }
 
 
-def test_exclusive_cells_come_last_alone_pinned_and_interleaved(bench: Bench) -> None:
-    plan = bench.plan(matrix(STEPS, "alone, slow"))
-    order: list[Cell] = []
-    bench.run(plan, workers=2, listener=lambda one: order.append(one.cell) if one.cell else None)
+def test_exclusive_cells_come_last_alone_pinned_and_interleaved(finished: Finished) -> None:
+    order = [one.cell for one in finished.seen if one.cell]
     alone = [cell for cell in order if cell.exclusive]
     assert order[-8:] == alone
     assert [cell.repeat for cell in alone] == [0] * 4 + [1] * 4
     assert [cell.codec.params["step"] for cell in alone] == [0, 1, 2, 3] * 2
-    for cell, record in bench.records(plan).values():
+    for cell, record in finished.bench.records(finished.plan).values():
         if cell.exclusive:
             assert {one.metric: one.value for one in record.measurements}["cores"] == 1
 
@@ -145,7 +159,8 @@ def test_two_runs_in_one_folder_are_told(bench: Bench) -> None:
         with pytest.raises(StoreError, match=r"is in use by process \d+ on .*; wait for it to end or choose another"):
             bench.run(plan)
     assert not bench.store().in_use()
-    assert bench.run(plan).statuses == {"ok": 1}
+    with bench.store().locked():
+        assert bench.store().in_use(), "the next one may have it"
 
 
 def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) -> None:
@@ -236,15 +251,22 @@ def test_fifty_runs_killed_at_random_times_resume_to_the_same_result(bench: Benc
     check_interruptions(bench, 50, seed=2)
 
 
-def test_an_interrupted_run_says_so_and_goes_on_later(bench: Bench) -> None:
-    plan = bench.plan(matrix(grid("faulty", "abcdef"), "slow"))
+def test_an_interrupted_run_says_so_and_goes_on_later(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The third cell hangs until the run ends, so that it is known how many were computed."""
+    gate = bench.folder / "gate"
+    gate.mkdir()
+    monkeypatch.setenv("GATE", str(gate))
+    plan = bench.plan(matrix(grid("faulty", "abc"), "gated"))
+    for ticket in "12":
+        (gate / ticket).touch()
 
     def stop(progress: Progress) -> None:
         if progress.cells_done == 2:
             signal.raise_signal(signal.SIGTERM)
 
     summary = bench.run(plan, listener=stop)
-    assert summary.interrupted == "SIGTERM"
-    assert 2 <= summary.computed < 6
+    assert (summary.interrupted, summary.computed) == ("SIGTERM", 2)
     assert "ended by SIGTERM" in bench.store().log_path.read_text()
-    assert bench.run(plan).kept == summary.computed
+    (gate / "3").touch()
+    again = bench.run(plan)
+    assert (again.kept, again.computed, again.statuses) == (2, 1, {"ok": 3})

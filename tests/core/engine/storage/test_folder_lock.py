@@ -13,19 +13,20 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.storage import folder_lock
 
 HOLDER = """
-import sys, time
+import sys
 from pathlib import Path
 from codecbench.core.engine.storage import folder_lock
 with folder_lock.held(Path(sys.argv[1])):
     print("held", flush=True)
-    time.sleep(60)
+    sys.stdin.read()
 """
 
 
 def test_one_process_holds_it_until_it_ends_however_that_ends(tmp_path: Path) -> None:
     lock = tmp_path / "lock"
     assert not folder_lock.is_held(lock)
-    with subprocess.Popen([sys.executable, "-c", HOLDER, str(lock)], stdout=subprocess.PIPE) as other:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(lock)], stdin=pipe, stdout=pipe) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
         assert folder_lock.is_held(lock)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -51,7 +52,9 @@ def coded(request: pytest.FixtureRequest) -> Coded:
     return [(stream, DECODER.decode(stream)) for stream in streams]
 
 
-def decoded_ones(coded: Coded, seed: int, repair: Callable[[bytes], bytes]) -> list[tuple[int, bytes, np.ndarray]]:
+def decoded_ones(
+    coded: Coded, seed: int, repair: Callable[[bytes], bytes], within_s: float = math.inf
+) -> list[tuple[int, bytes, np.ndarray]]:
     """Which bitstream, its damaged copy and the picture, of those copies that are not refused; each in time."""
     streams, found, slowest_s = [stream for stream, _ in coded], [], 0.0
     for index, copy in damaged_copies(streams, COUNT, np.random.default_rng(seed)):
@@ -59,7 +62,7 @@ def decoded_ones(coded: Coded, seed: int, repair: Callable[[bytes], bytes]) -> l
         with suppress(BitstreamError):
             found.append((index, data, DECODER.decode(data)))
         slowest_s = max(slowest_s, time.process_time() - start)
-    assert slowest_s < SLOWEST_S
+    assert slowest_s < within_s
     return found
 
 
@@ -73,7 +76,7 @@ def test_damage_is_refused(coded: Coded) -> None:
 @pytest.mark.thorough
 def test_damage_behind_valid_checksums(coded: Coded) -> None:
     """Without their help the decoder must still neither crash nor hang; most damage it sees."""
-    unseen = decoded_ones(coded, 2, TARGETS["multilevel"].repair)
+    unseen = decoded_ones(coded, 2, TARGETS["multilevel"].repair, SLOWEST_S)
     assert all(picture.dtype == np.uint8 for _, _, picture in unseen)
     assert len(unseen) < COUNT / 2
 

