@@ -31,7 +31,7 @@ from codecbench.core.engine.registry import installed
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.pytesting import CodecSuite
 
-CORPUS_CODECS = ("raw", "png", "jpeg_qf")
+CORPUS_CODECS = ("raw", "png")
 
 
 def verify(*arguments: str) -> Result:
