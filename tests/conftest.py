@@ -7,13 +7,25 @@ import os
 import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
+
+with pytest.MonkeyPatch.context() as environment:  # one thread in each of the processes that share the cores
+    environment.setenv("OPENBLAS_NUM_THREADS", "1")
+    import numpy as np
+    import scipy.linalg  # noqa: F401  # has an OpenBLAS of its own
 
 TIERS = ("thorough", "slow")
 """Marks of tests that take longer, and options that run them: a tier's option runs those of the shorter tiers too."""
 
-LONGEST = ("test_whole_run.py", "test_cli.py", "test_zoo.py", "test_foreign_folder.py", "test_exit_statuses.py")
+LONGEST = (
+    "test_codecs.py",
+    "test_end_to_end.py",
+    "test_whole_run.py",
+    "test_zoo.py",
+    "test_foreign_folder.py",
+    "test_exit_statuses.py",
+    "test_cli.py",
+)
 """Files that begin first, so that no process is left alone with one of them in the end."""
 
 
@@ -38,7 +50,8 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect the tests of tiers that were not asked for, so that a skip means that something is missing.
 
-    What needs real sequences or other people's tools is thorough: the quick tier asks for nothing but the install.
+    What needs real sequences or other people's tools is thorough: the quick tier asks for nothing but the install. One
+    test of it asks for the folder late, and is skipped without it.
     """
     asked = [place for place, tier in enumerate(TIERS) if config.getoption(f"--{tier}")]
     left_out = TIERS[max(asked) + 1 :] if asked else TIERS

@@ -108,7 +108,10 @@ def test_bad_distributions_are_reported_and_the_rest_works(tmp_path: Path) -> No
         ("import sys\nimport numpy\nsys.modules.pop('numpy')\nimport numpy.linalg", 2),
     ],
 )
-def test_a_plugin_that_imports_a_shared_package_is_asked_again(tmp_path: Path, imports: str, times: int) -> None:
+def test_a_plugin_that_imports_a_shared_package_is_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imports: str, times: int
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     log = tmp_path / "imported"
     told = f"import os\nopen({str(log)!r}, 'a').write(os.environ.get('OPENBLAS_NUM_THREADS', 'as it was') + '\\n')\n"
     install_source(tmp_path, "mine", "1", told + imports + hook_module())
