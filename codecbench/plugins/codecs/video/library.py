@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from functools import cache
 from types import ModuleType
@@ -63,7 +65,8 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
     context.color_range, context.colorspace = _FULL_RANGE, _BT601
     context.options = encoder.settings(params)
     try:
-        context.open()
+        with _priority_kept():
+            context.open()
     except (av.FFmpegError, ValueError) as error:
         what = f"{encoder.name} cannot be opened for {width}x{height}"
         if encoder.hardware:  # FFmpeg's own words, which repeat every option, say less than what is missing
@@ -73,6 +76,21 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
             ) from error
         raise Unsupported(f"{what}: {error}") from error
     return context
+
+
+@contextmanager
+def _priority_kept() -> Iterator[None]:
+    """The calling thread has its scheduling of before.
+
+    SVT-AV1 makes it real-time where it may (as root): whatever it does and starts from then on would take the processor
+    from everything else on the machine. The encoder's own threads stay so: under load, SVT-AV1 4.1 can wait for itself
+    for ever where they are not.
+    """
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, priority)
 
 
 def open_decoder(encoder: Encoder, header: Header) -> VideoCodecContext:

@@ -61,6 +61,13 @@ def test_sixty_frames_wait_for_nothing(codec_class: Any, channels: int) -> None:
     assert decoder.flush() == []
 
 
+@EVERY_CODEC
+def test_nobody_becomes_real_time(codec_class: Any) -> None:
+    """SVT-AV1 makes its caller so where it runs as root, and thereby all that its caller starts later."""
+    codec_class.create().encoder(30).push(GRAY[0])
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
 @PREDICTING
 def test_look_ahead_holds_pictures_back_and_says_so(codec_class: Any) -> None:
     codec = codec_class.create(latency="any")
