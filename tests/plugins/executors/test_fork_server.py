@@ -121,6 +121,7 @@ def test_the_folder_of_the_socket_goes_with_the_server_of_a_killed_program(tmp_p
     assert [path for folder in tmp_path.glob("pymp-*") for path in (folder, *folder.iterdir())] == []
 
 
+@pytest.mark.thorough
 def test_a_server_that_ends_leaves_the_socket_of_another_in_the_same_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -144,14 +144,22 @@ def sound(folder: Path, plan: Plan) -> bool:
 
 
 def flips(path: Path, count: int, seed: int) -> Iterator[int]:
-    """Write copies of a file with one bit changed each, and give the bit; the file is whole again at the end."""
+    """Change one bit of a file after another, and give the bit; the file is whole again at the end.
+
+    It is changed where it lies: a file that is emptied and written again waits for the disk.
+    """
     content = path.read_bytes()
     for position in np.random.default_rng(seed).integers(0, 8 * len(content), count).tolist():
-        broken = bytearray(content)
-        broken[position // 8] ^= 1 << position % 8
-        path.write_bytes(bytes(broken))
+        at, bit = divmod(position, 8)
+        _write_at(path, at, content[at] ^ 1 << bit)
         yield position
-    path.write_bytes(content)
+        _write_at(path, at, content[at])
+
+
+def _write_at(path: Path, at: int, value: int) -> None:
+    with open(path, "r+b") as file:
+        file.seek(at)
+        file.write(bytes([value]))
 
 
 def noticed_by_resuming(folder: Path, plan: Plan, caplog: pytest.LogCaptureFixture) -> bool:
