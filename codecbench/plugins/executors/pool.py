@@ -243,13 +243,16 @@ class WorkerPool:
         return self._watch_gone(slot, now)
 
     def _watch_gone(self, slot: _Slot, now: float) -> Finished | None:
-        """A worker that left with status 0 in the middle of a task is no death to pebble, but it is one."""
+        """A worker that left with status 0 in the middle of a task is no death to pebble, but it is one.
+
+        One that declined the task, see `perform`, has left before the task began; pebble may be slow to say so.
+        """
         if runs(slot.pid):
             slot.gone_since = None
         elif slot.gone_since is None:
             slot.gone_since = now
         elif now - slot.gone_since > 1.0:
-            return self._end(slot, "crashed", _death(0), discard=True)
+            return self._restarted(slot, _death(0))
         return None
 
     def _meet(self, slot: _Slot, now: float) -> None:

@@ -404,6 +404,16 @@ def test_a_worker_that_cannot_be_restored_ends(executor) -> None:  # type: ignor
     assert state_after.limits[resource.RLIMIT_NOFILE] != (64, 64)
 
 
+def test_a_worker_that_ends_unseen_before_it_begins_a_task_is_replaced(
+    executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a busy machine, where pebble looks after its workers late."""
+    monkeypatch.setattr(PoolManager, "update_workers", lambda _: None)
+    done = outcomes(executor, alone("lower", lower_for_good), alone("after", pid))
+    assert done["after"].status == "ok", done["after"].reason
+    assert done["after"].value != done["lower"].value
+
+
 def test_a_worker_that_cannot_be_started_is_started_again(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
