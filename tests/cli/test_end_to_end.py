@@ -72,7 +72,7 @@ def codecbench_evaluators():
 SMALL = """
 version: 1
 name: small
-sequences: [{use: synthetic, params: {stop: 10, width: 96, height: 72}}]
+sequences: [{use: synthetic, params: {stop: 10, scale: 0.15}}]
 codecs:
   - {use: jpeg, params: {quality: {grid: [10, 50, 90]}}}
   - {use: jpeg2000, params: {cr_percent: {grid: [80, 90, 97]}}}
