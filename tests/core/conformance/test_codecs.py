@@ -16,10 +16,7 @@ from codecbench.core.conformance.settings import setting_label
 from codecbench.core.conformance.suite import checks_of, films_of
 from codecbench.core.engine.registry import installed
 
-SLOW_STREAM_CHECKS = (
-    "bombs", "damaged", "deterministic", "flush", "future", "interleaved", "self_contained", "stateless", "threads",
-)  # fmt: skip
-"""Quick at h264 alone: the video codecs share the code behind the others."""
+SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "future", "self_contained")
 CHECKS_OF_EVERY_SETTING = ("params", "bytes", "shape", "lossless", "range")
 OTHER_BITSTREAMS = [{"qf": 2, "profile": "context"}]
 """Settings that have a bitstream of their own, and so are checked like a codec."""

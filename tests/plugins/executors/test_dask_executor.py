@@ -50,8 +50,12 @@ def on_dask(params: str = "", more: str = "") -> str:
 
 
 def test_local_and_dask_runs_find_the_same(bench: Bench) -> None:
-    hanging = matrix(grid("faulty", ["hang"]), "wandering, whole", on_dask(more=", timeout_s: 6"))
-    assert bench.run(hanging, "hanging").statuses == {"timed_out": 2}
+    hangs = {}
+    for name, run in (("local", "workers: 2, timeout_s: 6"), ("dask", on_dask(more=", timeout_s: 6"))):
+        hanging = bench.plan(matrix(grid("faulty", ["hang"]), "wandering, whole", run))
+        assert bench.run(hanging, f"hanging {name}").statuses == {"timed_out": 2}
+        hangs[name] = contents(bench.store(f"hanging {name}"), hanging)
+    assert hangs["dask"] == hangs["local"]
     codecs = f"{CODECS}, {grid('faulty', ['raise', 'segfault', 'noise'])}"
     evaluators = "wandering, whole, alone"
     local = bench.plan(matrix(codecs, evaluators))
