@@ -14,7 +14,7 @@ from codecbench import MatrixError, ParamsError, PluginError, RunResult
 MATRIX: dict[str, Any] = {
     "version": 1,
     "name": "python",
-    "sequences": [{"use": "synthetic", "params": {"stop": 2, "width": 96, "height": 72}}],
+    "sequences": [{"use": "synthetic", "params": {"stop": 2, "scale": 0.15}}],
     "codecs": ["raw", {"use": "jpeg", "params": {"quality": {"grid": [10, 50, 90]}}},
                {"use": "jpeg2000", "params": {"cr_percent": {"grid": [80, 90, 97]}}}],
     "evaluators": ["quality"],

@@ -68,6 +68,7 @@ def test_the_guide_shows_the_package_that_is_tested(name: str) -> None:
         assert file.read_text() in _page(name), file
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("call", ["npy"], indirect=True)
 def test_frames_of_a_dataset_reach_the_table(call: Call, tmp_path: Path, rng: np.random.Generator) -> None:
     frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)

@@ -18,7 +18,7 @@ MAX_PIXELS = 1 << 26
 
 
 def check_image(image: Image, channels: tuple[int, ...] = (1, 3)) -> Image:
-    """Return `image` as a C-contiguous array after checking it.
+    """Return `image` as a C-contiguous array that can be written to, after checking it: kernels are compiled for those.
 
     `channels` names the layouts that the caller takes: 1 for (H, W), 3 for (H, W, 3).
     Raises ImageError for anything that is not a uint8 array of an allowed layout with at least one pixel.
@@ -32,7 +32,7 @@ def check_image(image: Image, channels: tuple[int, ...] = (1, 3)) -> Image:
         raise ImageError(f"image has {count} channel(s); allowed here: {', '.join(map(str, channels))}")
     if image.size == 0:
         raise ImageError(f"image of shape {image.shape} has no pixels")
-    return np.ascontiguousarray(image)
+    return np.require(image, requirements=["C", "W"])
 
 
 def channel_count(image: Image) -> int:

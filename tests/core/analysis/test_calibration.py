@@ -40,6 +40,7 @@ def is_told(evidence: Evidence) -> bool:
     return evidence.p_beyond(SMALLEST) < 0.01
 
 
+@pytest.mark.thorough
 def test_the_grid_of_settings_does_not_order_a_codec_and_itself(rng: np.random.Generator) -> None:
     """A hundred pairs of grids of two, four and eight settings each, evenly spread or at random."""
     told = 0

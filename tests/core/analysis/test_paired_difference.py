@@ -26,6 +26,7 @@ def test_the_standard_error_is_that_of_the_process(rng: np.random.Generator, mem
     assert found == pytest.approx(1.0 / (1.0 - memory) / np.sqrt(1000), rel=0.12)
 
 
+@pytest.mark.thorough
 def test_a_difference_that_is_not_there_is_seldom_found(rng: np.random.Generator) -> None:
     for memory, most in ((0.0, 0.08), (0.5, 0.11)):
         chances = [against_nothing(autoregressive(rng, 400, memory)).p_value for _ in range(400)]

@@ -1,10 +1,12 @@
 """Every installed codec keeps the contract, at each of its example settings.
 
-Quick are all checks at a codec's first example, and at the others those whose answer the setting changes most.
+Quick are all checks at a codec's first example, and at the others those whose answer the setting changes most. Of
+codecs that differ in their library's function and settings alone, one has all checks.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,6 +20,9 @@ from codecbench.core.engine.registry import installed
 
 SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "future", "self_contained")
 CHECKS_OF_EVERY_SETTING = ("params", "bytes", "shape", "lossless", "range")
+ALIKE = {"jpegls": "avif", "jpegxl": "avif", "webp": "avif"}
+ALIKE |= {"av1": "h264", "ffv1": "h264", "hevc": "h264", "mjpeg": "h264", "vp9": "h264"}
+"""Codecs whose methods are those of another, which has all checks."""
 OTHER_BITSTREAMS = [{"qf": 2, "profile": "context"}]
 """Settings that have a bitstream of their own, and so are checked like a codec."""
 NAMES = [plugin.spec.name for plugin in installed().plugins("codec")]
@@ -39,8 +44,9 @@ def _cases() -> Iterator[Any]:
             for check in checks_of(shape_of(codec_class)):
                 if claims.get(check.name, True):
                     is_first = setting == codec_class.examples[0] or setting in OTHER_BITSTREAMS
-                    if codec_class.stateless:
-                        is_slow = check.name == "counting" or not (is_first or check.name in CHECKS_OF_EVERY_SETTING)
+                    if codec_class.stateless or name in ALIKE:
+                        has_all = is_first and name not in ALIKE and check.name != "counting"
+                        is_slow = not (has_all or check.name in CHECKS_OF_EVERY_SETTING)
                     else:
                         is_slow = not is_first or (name != "h264" and check.name in SLOW_STREAM_CHECKS)
                     marks = [pytest.mark.thorough] if is_slow else []
@@ -66,6 +72,15 @@ def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Che
 def test_a_codec_is_available_or_says_what_to_install(name: str) -> None:
     missing = installed().find("codec", name).missing
     assert missing is None or "pip install" in missing
+
+
+@pytest.mark.parametrize(("name", "other"), ALIKE.items())
+def test_codecs_that_are_alike_share_their_methods(name: str, other: str) -> None:
+    codec_class, base = installed().load("codec", name), installed().load("codec", other).__base__
+    assert codec_class.__base__ is base
+    assert base is not None
+    own = {member for member, value in vars(codec_class).items() if inspect.isfunction(value)}
+    assert own <= {"_arguments", "is_lossless"}
 
 
 def test_our_codecs_are_all_here() -> None:

@@ -135,6 +135,7 @@ def test_kernels_are_compiled_for_a_level_or_for_what_the_user_says(
     assert output(start(tmp_path, TARGET)) == expected
 
 
+@pytest.mark.thorough
 def test_a_kernel_may_call_itself_and_constants_in_a_call_cost_no_signature_of_their_own(tmp_path: Path) -> None:
     program = (
         "from locked import factorial, plus, raised; "

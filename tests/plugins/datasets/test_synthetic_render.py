@@ -107,6 +107,7 @@ def cluttered(rng):
     return panels
 
 
+@pytest.mark.thorough
 def test_nearest_panel_and_its_depth_are_those_of_traced_rays(rng):
     panels = cluttered(rng)
     renderer = Renderer(make_atlas(panels), CAMERA)

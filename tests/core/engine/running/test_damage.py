@@ -193,6 +193,7 @@ def test_no_flipped_bit_changes_a_table_silently(
         assert not unnoticed
 
 
+@pytest.mark.thorough
 def test_every_flipped_bit_of_bitstreams_is_noticed_where_they_are_read(folder: Path, plan: Plan) -> None:
     for number, job in enumerate(plan.jobs):
         path = Store(folder).coded_path(job.id)
