@@ -90,6 +90,7 @@ class Av1(VideoCodec[Av1Params]):
     """AV1 by SVT-AV1, decoded by dav1d."""
 
     name = "av1"
+    version = "2"
     params_type = Av1Params
     examples = ({}, {"crf": 20, "gop": 5}, {"latency": "any", "gop": 8})
     magic = b"VAV1"

@@ -32,9 +32,10 @@ class Encoder:
     codes by, with least and greatest value. usual: the rate and the preset where none is given. presets: none where
     it has no such thing. integral: whether `crf` has to be a whole number. intra_only: no picture refers to another.
     recovers: marks where intra refresh has made pictures whole. looks_ahead: whether it can hold pictures back to
-    code them better. least_side: smaller pictures are padded; with one block in a row x265 writes other bytes each
-    time, and below one it writes past its memory. hardware: what it needs of the machine, in words, where only opening
-    it tells that it is there.
+    code them better. asynchronous: whether it then hands packets over when its threads are done with them, at times
+    that depend on what else the machine does. least_side: smaller pictures are padded; with one block in a row x265
+    writes other bytes each time, and below one it writes past its memory. hardware: what it needs of the machine, in
+    words, where only opening it tells that it is there.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Encoder:
     recovers: bool = False
     looks_ahead: bool = True
     bounds_any: bool = True
+    asynchronous: bool = False
     least_side: int = 2
     hardware: str = ""
 
@@ -185,7 +187,8 @@ def _bitrate_only(params: VideoParams) -> Options:
 
 _SVT_AV1: Final = Encoder(
     "libsvtav1", "libdav1d", _svt_av1_options, {"crf": (1, 63), "qp": (1, 63), "bitrate_kbps": _ANY_BITRATE},
-    {"crf": 35, "preset": 8}, tuple(range(14)), ("yuv420p",), integral=True, bounds_any=False, least_side=64,
+    {"crf": 35, "preset": 8}, tuple(range(14)), ("yuv420p",), integral=True, bounds_any=False,
+    asynchronous=True, least_side=64,
 )  # fmt: skip
 
 ENCODERS: Final = {

@@ -17,6 +17,8 @@ from codecbench.plugins.codecs.video.params import VideoParams
 class VideoEncoder(StreamEncoder):
     """An encoder is opened for the first picture, whose shape the others share.
 
+    One that looks ahead in threads of its own gives all packets at the end, so that equal pictures give equal sessions.
+
     magic: four bytes that name the codec. sends_extradata: whether the decoder needs a header that the encoder keeps
     apart from its packets.
     """
@@ -29,6 +31,8 @@ class VideoEncoder(StreamEncoder):
         self._size = (0, 0)
         self._header = b""
         self._pushed = 0
+        self._keeps_all = params.latency == "any" and params.traits.asynchronous
+        self._kept: list[Packet] = []
 
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
         image = check_image(image)
@@ -41,10 +45,14 @@ class VideoEncoder(StreamEncoder):
         fill_frame(frame, planes_from_image(padded(image, *self._size), params.pixel_format))
         frame.pts = self._pushed
         self._pushed += 1
-        return self._packets(frame)
+        packets = self._packets(frame)
+        if not self._keeps_all:
+            return packets
+        self._kept += packets
+        return []
 
     def flush(self) -> list[Packet]:
-        return [] if self._context is None else self._packets(None)
+        return [] if self._context is None else self._kept + self._packets(None)
 
     def _open(self, image: Image) -> None:
         height, width = image.shape[:2]

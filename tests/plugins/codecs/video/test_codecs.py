@@ -82,11 +82,12 @@ def test_look_ahead_holds_pictures_back_and_says_so(codec_class: Any) -> None:
 
 @PREDICTING
 def test_verify_sees_a_stream_that_is_longer_than_the_look_ahead(codec_class: Any) -> None:
-    """Packets leave before the end, and none is lost there."""
+    """Packets leave before the end, but for those of `av1`, which all wait for it; none is lost there."""
     codec = codec_class.create(latency="any")
     encoder = codec.encoder(30)
     film = long_sequence(1)
-    assert sum(len(encoder.push(picture)) for picture in film.pictures) > 0
+    left_early = sum(len(encoder.push(picture)) for picture in film.pictures)
+    assert (left_early > 0) is (codec_class is not Av1)
     no_frame_is_lost_or_doubled(codec_class, codec.params, [film])
 
 
