@@ -65,7 +65,7 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
     context.color_range, context.colorspace = _FULL_RANGE, _BT601
     context.options = encoder.settings(params)
     try:
-        with _priority_kept():
+        with priority_kept():
             context.open()
     except (av.FFmpegError, ValueError) as error:
         what = f"{encoder.name} cannot be opened for {width}x{height}"
@@ -79,7 +79,7 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
 
 
 @contextmanager
-def _priority_kept() -> Iterator[None]:
+def priority_kept() -> Iterator[None]:
     """The calling thread has its scheduling of before.
 
     SVT-AV1 makes it real-time where it may (as root): whatever it does and starts from then on would take the processor
