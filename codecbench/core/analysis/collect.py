@@ -19,7 +19,7 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.engine.foreign_text import clean_value
-from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.declared import read_declared, reference_of
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
@@ -223,11 +223,6 @@ def _reference(name: str, plan: Plan, registry: Registry) -> str:
 def _listed(stored: dict[str, Any], name: str) -> list[dict[str, Any]]:
     found = stored.get(name)
     return [value for value in found if isinstance(value, dict)] if isinstance(found, list) else []
-
-
-def reference_of(registry: Registry, name: str) -> str:
-    """What a codec is to others."""
-    return str(registry.load("codec", name).reference)
 
 
 def open_nonempty_run(folder: Path) -> RunResult:

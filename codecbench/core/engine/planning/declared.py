@@ -13,6 +13,7 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
+from codecbench.core.engine.registry import Registry
 
 log = logging.getLogger("codecbench.results")
 
@@ -20,6 +21,11 @@ log = logging.getLogger("codecbench.results")
 def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
     """The meaning of a codec."""
     return {"reference": codec.reference}
+
+
+def reference_of(registry: Registry, name: str) -> str:
+    """What a codec is to others, where no plan says it; asked in a host, which need not load what reads results."""
+    return str(registry.load("codec", name).reference)
 
 
 def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:

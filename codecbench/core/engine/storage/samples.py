@@ -83,23 +83,47 @@ class MeasurementCheck:
 
 
 def parquet_from_samples(samples: list[Measurement]) -> bytes:
-    """Per-frame measurements as a Parquet file: metric, frame, stage, value, reason, in the given order."""
+    """Per-frame measurements as a Parquet file: metric, frame, stage, value, reason, in the given order.
+
+    The columns are made of buffers, because `pyarrow.array` imports pandas: half a second of every worker.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    text = pa.dictionary(pa.int32(), pa.string())
+    values = np.array([sample.value for sample in samples], np.float64)
     table = pa.table(
         {
-            "metric": pa.array([sample.metric for sample in samples]).cast(text),
-            "frame": pa.array([sample.frame for sample in samples], pa.int32()),
-            "stage": pa.array([sample.stage for sample in samples], pa.string()).cast(text),
-            "value": pa.array(np.array([sample.value for sample in samples]), pa.float64(), from_pandas=False),
-            "reason": pa.array([sample.reason for sample in samples], pa.string()).cast(text),
+            "metric": _text_column([sample.metric for sample in samples]),
+            "frame": _integer_column([sample.frame for sample in samples]),
+            "stage": _text_column([sample.stage for sample in samples]),
+            "value": pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)]),
+            "reason": _text_column([sample.reason for sample in samples]),
         }
     )
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return bytes(sink.getvalue())
+
+
+def _integer_column(values: list[int | None]) -> pyarrow.Array:
+    """Integers from 0, with None as null."""
+    import pyarrow as pa
+
+    filled = np.array([-1 if value is None else value for value in values], np.int32)
+    valid = np.packbits(filled >= 0, bitorder="little")
+    return pa.Array.from_buffers(pa.int32(), len(filled), [pa.py_buffer(valid), pa.py_buffer(filled)])
+
+
+def _text_column(values: list[str | None]) -> pyarrow.DictionaryArray:
+    """Each different text once, with None as null."""
+    import pyarrow as pa
+
+    places = {text: place for place, text in enumerate(dict.fromkeys(text for text in values if text is not None))}
+    words = [text.encode() for text in places]
+    ends = np.cumsum([0, *map(len, words)], dtype=np.int32)
+    dictionary = pa.StringArray.from_buffers(len(words), pa.py_buffer(ends), pa.py_buffer(b"".join(words)))
+    indices = _integer_column([None if text is None else places[text] for text in values])
+    return pa.DictionaryArray.from_arrays(indices, dictionary)
 
 
 def table_from_parquet(content: bytes) -> pyarrow.Table:
