@@ -19,7 +19,7 @@ from codecbench.core.conformance.suite import checks_of, films_of
 from codecbench.core.engine.registry import installed
 
 SLOW_STREAM_CHECKS = ("bombs", "damaged", "deterministic", "future", "self_contained")
-CHECKS_OF_EVERY_SETTING = ("params", "bytes", "shape", "lossless", "range")
+CHECKS_OF_EVERY_SETTING = ("params", "bytes", "lossless")
 ALIKE = {"jpegls": "avif", "jpegxl": "avif", "webp": "avif"}
 ALIKE |= {"av1": "h264", "ffv1": "h264", "hevc": "h264", "mjpeg": "h264", "vp9": "h264"}
 """Codecs whose methods are those of another, which has all checks."""
