@@ -23,7 +23,7 @@ from typing import Any, Final
 
 _LOADED: Final = (
     "cv2", "numba", "pyarrow.parquet", "scipy.optimize",
-    "codecbench.plugins.executors.isolation", "codecbench.plugins.executors.fork_server_setup",
+    "codecbench.plugins.executors.isolation", "codecbench.plugins.executors.fork_server_exit",
 )  # fmt: skip
 """What nearly every worker imports. None of these starts a thread when it is imported, so that forking is safe."""
 

@@ -51,14 +51,6 @@ def where_numba_came_from(_: object) -> str:
     return str(sys.modules["numba"].__file__)
 
 
-def processor_compiled_for(_: object) -> tuple[str, ...]:
-    from numba.core.registry import cpu_target
-
-    import codecbench.core.kernels.compiled  # noqa: F401 - as wherever a kernel is called
-
-    return tuple(cpu_target.target_context.codegen().magic_tuple())
-
-
 def write_pid_and_hang(path: object) -> None:
     Path(str(path)).write_text(str(os.getpid()))
     ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter locked
@@ -94,11 +86,6 @@ def test_modules_of_the_folder_where_the_program_starts_are_not_loaded(tmp_path:
         [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
     assert done.stdout.strip().endswith("numba/__init__.py"), done.stderr
-
-
-def test_workers_compile_for_the_processor_that_their_program_compiles_for() -> None:
-    """Else each would compile every kernel again, and its results might differ in the last bit."""
-    assert value(processor_compiled_for) == processor_compiled_for(None)
 
 
 def kill_program(folder: Path) -> list[psutil.Process]:
