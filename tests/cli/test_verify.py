@@ -68,6 +68,7 @@ def test_a_sound_codec_passes_every_check() -> None:
         assert check.proves in done.output
 
 
+@pytest.mark.thorough
 def test_what_a_codec_does_not_claim_is_skipped_with_the_reason() -> None:
     done = verify("jpeg_qf", "--settings", "qf=20 color=gray", "--only", "lossless", "--only", "params")
     assert done.exit_code == 0
@@ -150,6 +151,7 @@ def test_after_a_check_that_hung_no_other_is_waited_for(tmp_path: Path) -> None:
     assert "skip  shape           not run, because bytes hung" in done.stdout
 
 
+@pytest.mark.thorough
 def test_json_says_what_the_lines_say(tmp_path: Path) -> None:
     place = with_broken(tmp_path, "LosesARow")
     assert place.call("verify", "broken", "png", "--only", "shape", "--json", "results.json").status == 1

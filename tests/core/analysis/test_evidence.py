@@ -42,7 +42,7 @@ def drifting(rng: np.random.Generator, trials: int, count: int, correlation: flo
     return np.asarray(lfilter([1.0], [1.0, -correlation], steps, axis=1)[:, 300:])
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("correlation", [*(pytest.param(r, marks=pytest.mark.thorough) for r in (0.0, 0.5)), 0.9])
 def test_neighbours_that_depend_on_each_other_are_not_counted_twice(correlation: float) -> None:
     """At a level of 1 %, 715 frames without a difference show one in about 1 % of trials, and not in most."""
     rng = np.random.default_rng(5)

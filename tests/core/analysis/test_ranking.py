@@ -104,7 +104,9 @@ def test_rows_are_in_order_of_their_places_and_then_of_scores(rng: np.random.Gen
     assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.recommended.curve
 
 
-@pytest.mark.parametrize("trial", range(20))
+@pytest.mark.parametrize(
+    "trial", [0, 1, 2, *(pytest.param(trial, marks=pytest.mark.thorough) for trial in range(3, 20))]
+)
 def test_equal_codecs_under_other_names_are_never_ordered(trial: int) -> None:
     """Runs that differ by chance alone, as from another machine."""
     rng = np.random.default_rng(trial)

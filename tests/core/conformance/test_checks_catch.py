@@ -19,11 +19,21 @@ from codecbench.pytesting import CodecSuite
 
 CHECK = {check.name: check for check in CHECKS}
 SOUND: dict[Shape, Any] = {"pictures": Raw, "stream": broken_streams.Delta, "features": Corners}
-SLOW = ("bombs", "damaged", "cut")
 DEFECTS = {**broken_codecs.BROKEN, **broken_streams.BROKEN, **broken_features.BROKEN}
 
 
-@pytest.mark.parametrize(("codec_class", "check"), DEFECTS.items(), ids=lambda value: getattr(value, "__name__", value))
+@pytest.mark.parametrize(
+    ("codec_class", "check"),
+    [
+        pytest.param(
+            codec_class,
+            check,
+            id=f"{codec_class.__name__}-{check}",
+            marks=[pytest.mark.thorough] if codec_class is broken_codecs.Hangs else [],
+        )
+        for codec_class, check in DEFECTS.items()
+    ],
+)
 def test_a_broken_codec_is_caught(codec_class: Any, check: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage, "_TIMEOUT_S", 1.0 if codec_class is broken_codecs.Hangs else 300.0)
     setting = {"offset": 3} if shape_of(codec_class) == "pictures" else {}
@@ -37,7 +47,7 @@ def test_a_broken_codec_is_caught(codec_class: Any, check: str, monkeypatch: pyt
     ("shape", "check"),
     [
         pytest.param(shape, check, id=f"{shape}-{check.name}",
-                     marks=[pytest.mark.thorough] if shape == "features" and check.name in SLOW else [])
+                     marks=[pytest.mark.thorough] if shape == "features" else [])
         for shape in SOUND for check in checks_of(shape)
     ],
 )  # fmt: skip

@@ -49,7 +49,9 @@ def bench(tmp_path: Path) -> SearchBench:
     return SearchBench(tmp_path)
 
 
-@pytest.mark.parametrize("target", [10, 11, 100, 333, 609, 610])
+@pytest.mark.parametrize(
+    "target", [10, 333, *(pytest.param(size, marks=pytest.mark.thorough) for size in (11, 100, 609, 610))]
+)
 def test_at_finds_the_nearest_size_there_is(bench: SearchBench, target: int) -> None:
     (found,) = bench.run(matrix(ENTRY % f"at: {{weight_bytes: {target}}}"), weigh)
     nearest = min(range(201), key=lambda level: abs(math.log(10 + 3 * level) - math.log(target)))
@@ -116,6 +118,7 @@ def test_trials_are_the_cells_of_a_sweep(bench: SearchBench) -> None:
     assert len(bench.computed) == 201 - found.trials
 
 
+@pytest.mark.thorough
 def test_a_search_that_was_stopped_goes_on_and_computes_nothing_twice(bench: SearchBench) -> None:
     text = matrix(ENTRY % "at: {weight_bytes: 100}")
     whole = SearchBench(bench.folder / "whole")
@@ -176,6 +179,7 @@ def test_a_value_that_turns_is_told(bench: SearchBench) -> None:
     assert "not monotone" not in bench.run(matrix(ENTRY % "at: {weight_bytes: 250}", run="seed: 1"), weigh)[0].words
 
 
+@pytest.mark.thorough
 def test_a_value_that_turns_while_it_falls_is_told(bench: SearchBench) -> None:
     def bumped(cell: Cell) -> float:
         level = float(cell.codec.params["level"])
@@ -299,6 +303,7 @@ def test_several_parameters_are_sampled_to_the_cheapest_that_will_do(bench: Sear
     assert 60 <= spent[cheapest.setting] < 75
 
 
+@pytest.mark.thorough
 def test_rounds_of_a_search_never_take_back_what_was_planned(bench: SearchBench) -> None:
     planned: list[set[str]] = []
     for _ in range(6):

@@ -103,7 +103,7 @@ def test_waiting_times_are_those_of_a_queue_with_one_server(load: float) -> None
     assert waited_s.mean() == pytest.approx(load * service_s / (2.0 * (1.0 - load)), rel=0.08)
 
 
-@pytest.mark.parametrize("packets", [1, 4, 16])
+@pytest.mark.parametrize("packets", [4, *(pytest.param(count, marks=pytest.mark.thorough) for count in (1, 16))])
 def test_a_picture_of_many_packets_is_lost_more_often(packets: int) -> None:
     count, loss = 8000, 0.03
     found = sent(Constant.create(rate_kbps=1e6, loss=loss), [1000 * packets] * count)

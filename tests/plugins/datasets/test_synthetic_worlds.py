@@ -125,7 +125,7 @@ def test_ratios_move_by_equal_factors_and_the_rest_by_equal_steps():
 
 
 @EVERY_WORLD
-@pytest.mark.parametrize("severity", [0.0, 1.0])
+@pytest.mark.parametrize("severity", [0.0, pytest.param(1.0, marks=pytest.mark.thorough)])
 def test_paths_are_rigid_smooth_and_close_their_loop(world, severity):
     preset = WORLDS[world]
     conditions = preset.at(severity)

@@ -76,6 +76,7 @@ def test_each_worker_has_the_variables_and_the_umask_of_its_time(monkeypatch: py
             os.umask(before)
 
 
+@pytest.mark.thorough
 def test_modules_of_the_folder_where_the_program_starts_are_not_loaded(tmp_path: Path) -> None:
     (tmp_path / "numba.py").write_text("raise SystemExit('this is not numba')\n")
     program = (
@@ -108,6 +109,7 @@ def kill_program(folder: Path) -> list[psutil.Process]:
     return started
 
 
+@pytest.mark.thorough
 def test_a_killed_program_leaves_no_process_even_where_a_worker_is_in_c(tmp_path: Path) -> None:
     gone, left = psutil.wait_procs(kill_program(tmp_path), timeout=300)
     assert not left
@@ -139,6 +141,7 @@ def test_a_server_that_ends_leaves_the_socket_of_another_in_the_same_folder(
     assert value(variable) == "there"
 
 
+@pytest.mark.thorough
 def test_workers_start_where_the_folder_for_temporary_files_has_a_long_name(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 30)
     folder.mkdir()

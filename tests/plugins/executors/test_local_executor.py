@@ -201,7 +201,7 @@ def test_a_segfault_names_its_signal_and_where_it_was(executor: LocalExecutor) -
     assert "segfault" in found.traceback
 
 
-@pytest.mark.parametrize("status", [0, 3])
+@pytest.mark.parametrize("status", [0, pytest.param(3, marks=pytest.mark.thorough)])
 def test_a_worker_that_exits_crashed(executor: LocalExecutor, status: int) -> None:
     found = beside_others(executor, Task("bad", leave, status))
     assert found.status == "crashed"
@@ -221,6 +221,7 @@ def test_an_allocation_past_the_cap_fails_and_one_below_does_not(executor: Local
     assert "MemoryError" in found.reason or "allocate" in found.reason
 
 
+@pytest.mark.thorough
 def test_a_worker_with_leaked_memory_is_replaced_before_the_next_task() -> None:
     executor = LocalExecutor()
     executor.start(1, prepare)
@@ -268,6 +269,7 @@ def test_a_result_that_does_not_pickle_costs_its_task_alone(executor: LocalExecu
     assert found.reason
 
 
+@pytest.mark.thorough
 def test_exclusive_tasks_run_alone_on_one_core(executor: LocalExecutor) -> None:
     tasks = [Task(str(n), report_affinity, None, exclusive=n in (2, 3)) for n in range(5)]
     found = outcomes(executor, *tasks)
@@ -317,6 +319,7 @@ def test_temporary_files_go_with_the_process_that_left_them(
     assert not rests(tmp_path)
 
 
+@pytest.mark.thorough
 def test_what_a_killed_coordinator_left_is_swept_and_what_is_in_use_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -347,6 +350,7 @@ def in_company(name: str, number: int) -> Task:
     return Task(f"{name} {number}", pid, None, exclusive=True, company=(name,) if name else ())
 
 
+@pytest.mark.thorough
 def test_a_worker_serves_one_company(executor) -> None:  # type: ignore[no-untyped-def]
     names = ["", "a", "", "a", "b", "c", "d", "e", "", "a"]  # one more than there are places for workers
     tasks = [in_company(name, number) for number, name in enumerate(names)]
@@ -404,6 +408,7 @@ def test_a_worker_that_cannot_be_restored_ends(executor) -> None:  # type: ignor
     assert state_after.limits[resource.RLIMIT_NOFILE] != (64, 64)
 
 
+@pytest.mark.thorough
 def test_a_worker_that_ends_unseen_before_it_begins_a_task_is_replaced(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -414,6 +419,7 @@ def test_a_worker_that_ends_unseen_before_it_begins_a_task_is_replaced(
     assert done["after"].value != done["lower"].value
 
 
+@pytest.mark.thorough
 def test_a_worker_that_cannot_be_started_is_started_again(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -451,6 +457,7 @@ def wait_and_die(path: str) -> None:
     say_and_die(path)
 
 
+@pytest.mark.thorough
 def test_a_worker_that_is_lost_with_its_server_is_not_blamed(executor: LocalExecutor, tmp_path: Path) -> None:
     for name, function in {"innocent": say_and_sleep, "culprit": wait_and_die}.items():
         executor.submit(Task(name, function, str(tmp_path / "trace")))
@@ -462,6 +469,7 @@ def test_a_worker_that_is_lost_with_its_server_is_not_blamed(executor: LocalExec
     assert beside_others(executor, Task("next", double, 4)).value == 8
 
 
+@pytest.mark.thorough
 def test_a_task_that_has_begun_is_not_begun_again(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -151,6 +151,7 @@ def test_a_hang_is_an_error_and_the_child_is_gone() -> None:
     assert time.monotonic() - started < 30
 
 
+@pytest.mark.thorough
 def test_a_package_that_does_not_import_is_unsupported(stand_in: Path) -> None:
     (stand_in / "pyorbslam3.py").write_text("raise ImportError('libEGL.so.1: cannot open shared object file')")
     with pytest.raises(Unsupported, match=r"libEGL.so.1.*apt-get install libgl1 libegl1"):

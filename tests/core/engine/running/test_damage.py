@@ -206,6 +206,7 @@ def test_every_flipped_bit_of_bitstreams_is_noticed_where_they_are_read(folder: 
             pytest.fail(f"bit {bit} was not noticed")
 
 
+@pytest.mark.thorough
 def test_every_flipped_bit_of_a_note_of_who_encoded_is_noticed(folder: Path, plan: Plan) -> None:
     for number, job in enumerate(plan.jobs):
         path = Store(folder).coded_path(job.id).with_suffix(".code")
@@ -289,6 +290,7 @@ def reshaped(folder: Path, change: Callable[[dict[str, object]], object]) -> tup
     return path, json.dumps({"checksum": digest(body), **body}).encode()
 
 
+@pytest.mark.thorough
 @OTHER_SHAPES
 def test_a_record_of_another_shape_is_damage_though_its_checksum_is_right(
     change: Callable[[dict[str, object]], object], words: str, folder: Path
