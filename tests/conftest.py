@@ -44,7 +44,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Whole folders are tested in several processes; single files, and benchmarks, in this one."""
     paths = [Path(str(argument).split("::")[0]) for argument in config.args]
     alone = any(not path.is_dir() or "benchmarks" in path.parts for path in paths)
-    return 0 if alone else min(4, (os.cpu_count() or 1) + 1)  # many tests wait for the processes that they start
+    return 0 if alone else min(4, os.cpu_count() or 1)  # one more each would only collect the tests once more
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
