@@ -1,4 +1,4 @@
-"""The README's licence section names every copyleft package that an installation or an extra brings with it."""
+"""The page on licenses names every copyleft package that an installation or an extra brings with it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from project import ROOT
+from project import DOCS, ROOT
 
 COPYLEFT = re.compile(r"\b[AL]?GPL|\bGNU\b|\bMPL\b|Mozilla|\bEPL\b|\bCDDL\b")
-SECTION = (ROOT / "README.md").read_text().split("## Licence")[1]
+PAGE = (DOCS / "licenses.md").read_text()
 EXTRAS = sorted(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
 
 
-def licence(package: Distribution) -> str:
-    """What a distribution says of its licence, in its several fields; long texts by their first line."""
+def license_of(package: Distribution) -> str:
+    """What a distribution says of its license, in its several fields; long texts by their first line."""
     metadata = package.metadata
     stated = [metadata.get("License-Expression") or "", (metadata.get("License") or "").partition("\n")[0]]
     return " ".join(stated + [line for line in metadata.get_all("Classifier") or [] if line.startswith("License")])
@@ -44,17 +44,17 @@ def test_every_copyleft_package_is_named(extra: str) -> None:
     seen: dict[tuple[str, frozenset[str]], Distribution] = {}
     installed_with("codecbench", frozenset([extra]), seen)
     assert len(seen) > 20
-    copyleft = {name for (name, _), package in seen.items() if COPYLEFT.search(licence(package))}
+    copyleft = {name for (name, _), package in seen.items() if COPYLEFT.search(license_of(package))}
     assert "evo" in copyleft
-    assert {name for name in copyleft if f"| {name} |" not in SECTION} == set()
+    assert {name for name in copyleft if f"| {name} |" not in PAGE} == set()
 
 
 def test_what_wheels_carry_is_named_where_their_metadata_is_silent() -> None:
     """PyAV calls itself BSD; the libraries in its wheels are GPL builds."""
-    assert "av (PyAV)" in SECTION
+    assert "av (PyAV)" in PAGE
 
 
-def test_gpl_packages_are_imported_where_the_readme_says() -> None:
+def test_gpl_packages_are_imported_where_the_page_says() -> None:
     importing: dict[str, set[str]] = {"av": set(), "evo": set(), "pyorbslam3": set()}
     for path in (ROOT / "codecbench").rglob("*.py"):
         text = path.read_text()
