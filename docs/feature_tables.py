@@ -9,6 +9,7 @@ FOLDER is in the layout of TUM. All see the frames in gray. Errors are medians o
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ import numpy as np
 from run_tables import CODING, SETTING, Column, machine, rows_of
 from slam_runs import error_m, path_of, system_of
 
+from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.codec import AnyCodec, decoder_of, encoder_of
 from codecbench.core.contracts.features import Features
@@ -111,6 +113,22 @@ def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
             for row in rows_of(run, sequence.name)
         ],
     )
+
+
+def answer(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
+    """How much more or less rate than JPEG each codec takes for equal localization, the least first."""
+    ranking = next(found for found in rankings(run) if found.column.name == "localization.located_auc.mean")
+    (sequence,) = run.plan.sequences
+    rows = []
+    for ranked in ranking.ranked:
+        found = ranking.evidence(ranked.curve, "jpeg")
+        if found and "jpeg" in ranked.bd_rates and not ranked.bd_rates["jpeg"].reason:
+            ends = (found.mean, found.mean + found.reach(0.95), found.mean - found.reach(0.95))
+            rate, least, most = (f"{100.0 * math.expm1(-end):+.0f} %" for end in ends)
+            better = "yes" if "jpeg" in ranked.ahead_of else "not shown"
+            rows.append([f"`{ranked.curve.partition(' ')[0]}`", rate, f"{least} to {most}", better])
+    yield f"Rate beside JPEG for equal localization, {ranking.units} frames of the {sequence.name} (TUM RGB-D):\n"
+    yield table(heads, sorted(rows, key=lambda row: int(row[1].split()[0])))
 
 
 def rows(sequence: FrameSequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:

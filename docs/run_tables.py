@@ -133,29 +133,19 @@ BD_RATES["features kept"] = CODING["features kept"].name
 
 def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
     """How much more rate each curve takes than the anchor for the same quality, in percent, sequence by sequence."""
-    rates = _bd_rates(run, 1)
+    rates = _bd_rates(run)
     shown = [head for head in heads if head in BD_RATES]
     curves = sorted({key for found in rates.values() for key in found})
     rows = [[key[0], key[1], *(rates[head].get(key, "–") for head in shown)] for key in curves]
     yield table(heads, rows)
 
 
-def rates_side_by_side(run: RunResult, heads: Heads) -> Iterator[str]:
-    """The same of the sequences in the heads, one row a curve: by PSNR, by SSIM, and by features kept."""
-    rates = _bd_rates(run, 0)
-    rows = []
-    for curve in sorted({curve for found in rates.values() for _, curve in found}):
-        cells = [" / ".join(found.get((sequence, curve), "–") for found in rates.values()) for sequence in heads[1:]]
-        rows.append([curve, *cells])
-    yield table(heads, rows)
-
-
-def _bd_rates(run: RunResult, decimals: int) -> dict[str, dict[tuple[str, str], str]]:
+def _bd_rates(run: RunResult) -> dict[str, dict[tuple[str, str], str]]:
     """By quality, then by sequence and curve: percent beside the anchor, as shown."""
     columns = {column.name: column for column in run.headlines("quality", "task")}
     return {
         head: {
-            key: "–" if rate.reason else f"{rate.percent:+.{decimals}f}"
+            key: "–" if rate.reason else f"{rate.percent:+.1f}"
             for key, rate in bd_rates(run, columns[name], resamples=0).items()
         }
         for head, name in BD_RATES.items()

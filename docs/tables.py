@@ -22,6 +22,7 @@ import decision_tables
 import feature_tables
 import link_tables
 import multilevel_table
+import newcomer
 import run_tables
 import slam_faults
 import slam_tables
@@ -87,8 +88,14 @@ BLOCKS = {
         "docs/multilevel.md", "run", "context", ("sequence", "codec", "PSNR", "SSIM", "features kept"),
         run_tables.rates_beside_anchor,
     ),
-    "method": Block(
-        "README.md", "run", "context", ("codec", "office", "photographs", "street"), run_tables.rates_side_by_side
+    "answer": Block(
+        "README.md", "run", "features", ("codec", "rate", "95 % interval", "significantly better"),
+        feature_tables.answer,
+    ),
+    "newcomer-run": Block("README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(cells: .*)")),
+    "newcomer-tests": Block("README.md", "printed", "newcomer", (), newcomer.ended("bin/pytest", r"=+ ([^=]*) =+\s*$")),
+    "newcomer-try": Block(
+        "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"(Judged by.*?)\n\n")
     ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "slam": Block(

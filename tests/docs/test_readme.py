@@ -1,4 +1,4 @@
-"""What the README says first is what the pages behind it show."""
+"""README.md is short, its numbers come from commands, and its commands are there; docs/index.md lists every page."""
 
 from __future__ import annotations
 
@@ -6,50 +6,60 @@ import re
 import shlex
 
 import click
+import yaml
 from project import DOCS, ROOT
 
 from codecbench.cli import cli
 
 README = (ROOT / "README.md").read_text()
+INDEX = (DOCS / "index.md").read_text()
+PAGE = r"\]\(([\w/-]+\.md)\)"
+NAMES = r"JPEG 2000|H\.264|ORB-SLAM3|Python 3\.11|Apache-2\.0|GPL-3"
+"""What has a digit and is no measurement."""
 
 
-def block(page: str, name: str) -> list[list[str]]:
-    """The cells of a marked block's rows."""
-    (text,) = re.findall(rf"<!-- {name}: begin -->(.*?)<!-- {name}: end -->", (DOCS / page).read_text(), re.DOTALL)
-    lines = [line for line in text.splitlines() if line.startswith("| ")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:] if not line.startswith("|---")]
+def test_every_number_is_in_a_block_that_a_command_made() -> None:
+    """Outside of blocks, commands, links and names of codecs a digit is a claim that nothing makes again."""
+    own = re.sub(
+        r"<!-- ([\w-]+): begin -->.*?<!-- \1: end -->|```.*?```|`[^`]*`|\]\([^)]*\)", "", README, flags=re.DOTALL
+    )
+    assert "Two commands" in own
+    assert [line for line in re.sub(NAMES, "", own).splitlines() if re.search(r"\d|%", line)] == []
 
 
-def test_the_finding_is_the_verdict_s() -> None:
-    """Taken at 0.2 bit a pixel are WebP and JPEG 2000 by the two tasks, AVIF at 0.5 and 1, and nowhere JPEG."""
-    taken = {(row[1], row[2].strip("`").split(" ")[0]) for row in block("verdict.md", "tasks-decided")}
-    assert {codec for rate, codec in taken if rate == "0.2 bit/px"} == {"webp", "jpeg2000"}
-    assert {codec for rate, codec in taken if rate != "0.2 bit/px"} == {"avif"}
-    assert "WebP and JPEG 2000 are ahead at 0.2 bit a pixel and AVIF at 0.5 and 1" in README
+def test_it_is_read_in_three_minutes() -> None:
+    assert len(README.split()) <= 900
+    assert len(INDEX.split()) <= 200
 
 
-def test_what_memory_saves_is_the_page_s() -> None:
-    rows = [row for row in block("video.md", "streams-ordered") if row[2] in ("h264", "av1", "hevc")]
-    saved = [-int(row[3].removesuffix(" %")) for row in rows if row[0] == "localisation AUC"]
-    least, most = re.findall(r"take (\d+) to (\d+) % less rate than JPEG", README)[0]
-    assert (min(saved), max(saved)) == (int(least), int(most))
-
-
-def test_the_first_screen_is_short() -> None:
-    """A sentence, the finding with its figure and two commands come before anything else."""
-    first = README.split("## Your own recording")[0]
-    assert first.count("![") == 1
-    assert len(first.splitlines()) < 40
-    assert "|---" not in first
+def test_the_picture_comes_before_the_two_commands_and_these_before_a_recording() -> None:
+    headings = re.findall(r"^## (.*)$", README, re.MULTILINE)
+    assert headings == ["Two commands", "Your own recording", "What it has", "What it is not", "Where to go on"]
+    assert README.index("![") < README.index("## Two commands")
+    assert len(re.findall(r"^python3 -m venv ", README, re.MULTILINE)) == 2
 
 
 def test_every_command_is_one_that_the_command_line_takes() -> None:
     """Its name, options and values; what it names need not be there."""
-    commands = set(re.findall(r"(?:`|bin/)codecbench ((?:--confine )?[a-z-]+(?: [^`\n&]+)?)", README))
-    assert {"try PATH", "run examples/first.yaml", "verify-run BUNDLE"} <= commands
+    commands = set(re.findall(r"(?:`|bin/)codecbench ([a-z-]+(?: [^`\n&]+)?)", README))
+    assert {"try PATH", "run examples/first.yaml", "report runs/first"} <= commands
     for words in commands:
-        name, *rest = shlex.split(words.removeprefix("--confine "))
+        name, *rest = shlex.split(words)
         context = click.Context(cli)
         command = cli.get_command(context, name)
         assert command is not None, words
-        command.make_context(name, rest, parent=context)
+        if rest:
+            command.make_context(name, rest, parent=context)
+
+
+def test_the_index_lists_every_page_in_the_order_of_the_navigation() -> None:
+    def pages(entry: object) -> list[str]:
+        if isinstance(entry, str):
+            return [entry]
+        return [page for each in (entry.values() if isinstance(entry, dict) else entry) for page in pages(each)]  # type: ignore[attr-defined]
+
+    navigation = pages(yaml.safe_load((ROOT / "mkdocs.yml").read_text().partition("plugins:")[0])["nav"])
+    assert ["index.md", *re.findall(PAGE, INDEX)] == [
+        page for page in navigation if not page.startswith("reference/") or page == "reference/index.md"
+    ]
+    assert {str(page.relative_to(DOCS)) for page in DOCS.glob("**/*.md")} == set(navigation)

@@ -24,6 +24,7 @@ import codecbench
 from codecbench.plugins.codecs.multilevel import Multilevel
 
 sys.path.insert(0, str(DOCS))
+import newcomer
 import run_tables
 from tables import BLOCKS
 
@@ -161,7 +162,7 @@ def test_every_marked_block_has_a_generator_with_its_columns() -> None:
     for name, page in marked.items():
         heads = [line for line in block(page, name).splitlines() if line.startswith("| ")]
         rules = block(page, name).count("\n|---")
-        assert rules >= 1, name
+        assert bool(rules) == bool(known[name]["columns"]), name
         assert heads.count("| " + " | ".join(known[name]["columns"]) + " |") == rules, name
 
 
@@ -192,12 +193,34 @@ def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) 
 
 
 def test_the_method_is_judged_at_the_paper_s_setting_and_at_its_best() -> None:
-    """In the README's table, whose rows are also those of the page."""
-    rows = {row[0] for row in table_rows(block(ROOT / "README.md", "method"))}
+    rows = {row[1] for row in table_rows(block(DOCS / "multilevel.md", "rates-beside-jpeg"))}
     assert {"multilevel", "multilevel profile=context effort=best", "jpeg2000"} <= rows
     assert "multilevel group=4 color=ycbcr420 scan=coefficient table=flat" in rows
-    page = {row[1] for row in table_rows(block(DOCS / "multilevel.md", "rates-beside-jpeg"))}
-    assert rows == page
+
+
+def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tmp_path: Path) -> None:
+    """The README's own commands, in order, with outputs as they are, cut down."""
+    outputs = [
+        "rows\ncells: 89 ok\nreport: page\n",
+        "page\n",
+        "..\n=== 7 passed in 9.00s ===\n",
+        "",
+        "found\n\n\nJudged by PSNR.\njpeg holds.\n\nrows\n",
+    ]
+    said = newcomer.commands((ROOT / "README.md").read_text(), Path("/recordings/mine"))
+    assert said[-1] == ".venv/bin/codecbench try mine"
+    assert said[:3] == newcomer.commands((ROOT / "README.md").read_text(), None)
+    entries = [
+        {"command": command, "seconds": 62.4, "output": output, "on": "2 cores"}
+        for command, output in zip(said, outputs, strict=True)
+    ]
+    (tmp_path / "newcomer.json").write_text(json.dumps(entries))
+    tables("--root", root, "--printed", f"newcomer={tmp_path / 'newcomer.json'}")
+    shown = {name: block(root / "README.md", f"newcomer-{name}") for name in ("run", "tests", "try")}
+    assert "It took 1 min 2 s on 2 cores" in shown["run"]
+    assert "```text\ncells: 89 ok\nreport: page\n```" in shown["run"]
+    assert "```text\n7 passed in 9.00s\n```" in shown["tests"]
+    assert "```text\nJudged by PSNR.\njpeg holds.\n```" in shown["try"]
 
 
 @pytest.mark.thorough
