@@ -109,31 +109,3 @@ def printed(text: str, heads: Heads) -> Iterator[str]:
     if not (rows := [row for row in rows if row != head]):
         raise SystemExit(f"nothing printed is a row of {len(heads)} columns: {head}")
     yield table(heads, []) + "\n".join(rows)
-
-
-def campaigns(text: str, heads: Heads) -> Iterator[str]:
-    """Time, inputs and branch edges of each decoder's fuzzing, from what tests/fuzz/fuzz_decoders.py printed."""
-    coverage: dict[str, tuple[int, ...]] = {}
-    found = re.findall(
-        r"coverage of (\w+) for (\d+) s\n.*?DONE +cov: (\d+).*?number_of_executed_units: +(\d+)", text, re.DOTALL
-    )
-    for codec, *numbers in found:
-        time_s, edges, inputs = map(int, numbers)
-        coverage[codec] = (time_s, inputs, edges)
-    mutation = {
-        codec: (int(time_s), int(inputs))
-        for codec, time_s, inputs in re.findall(
-            r'"codec": "(\w+)",\s+"seconds": (\d+),.*?"inputs": (\d+),', text, re.DOTALL
-        )
-    }
-    rows = [[f"`{codec}`", _listed(coverage.get(codec)), _listed(mutation.get(codec))] for codec in coverage | mutation]
-    both = (list(coverage.values()), list(mutation.values()))
-    together = [_listed((sum(row[0] for row in rows), sum(row[1] for row in rows))) for rows in both]
-    yield table(heads, [*rows, ["together", *together]])
-
-
-def _listed(numbers: tuple[int, ...] | None) -> str:
-    """`1,371 s, 1,222,097, 494`: seconds first, then counts."""
-    if numbers is None:
-        return "–"
-    return ", ".join([f"{numbers[0]:,} s", *(f"{number:,}" for number in numbers[1:])])

@@ -162,52 +162,6 @@ def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:
     yield table(heads, rows)
 
 
-WORLDS = {
-    "tracked %": Column("trajectory.tracked_fraction.median", 100.0),
-    "worst start %": Column("trajectory.tracked_fraction.min", 100.0),
-    "loops": Column("trajectory.loops_closed.min"),
-    "maps": Column("trajectory.maps.max"),
-    "ATE cm": Column("trajectory.ate_rmse_m.median", 100.0),
-    "success": Column("trajectory.success.mean"),
-}
-
-
-def worlds(run: RunResult, heads: Heads) -> Iterator[str]:
-    """What tracking makes of every world, raw and coded, one row a world and codec setting that has run."""
-    rows = []
-    for entry in run.plan.sequences:
-        for row in rows_of(run, entry.name):
-            setting = " ".join(str(row[name]) for name in SETTING).strip()
-            if np.isfinite(float(row.get(WORLDS["maps"].name, np.nan))):
-                rows.append([entry.name, entry.frames, setting, *(WORLDS[head].shown(row) for head in heads[3:])])
-    yield table(heads, rows)
-
-
-BREAKING = {
-    "succeed": WORLDS["success"],
-    "tracked %": WORLDS["tracked %"],
-    "ATE cm": WORLDS["ATE cm"],
-    "kbit/s": Column("trajectory.sent_rate_kbps.median"),
-}
-
-
-def breaking(run: RunResult, heads: Heads) -> Iterator[str]:
-    """Raw frames, the last setting that a search found to hold, and the first of which no run succeeds, by sequence."""
-    holding = {found.sequence: found.setting for found in run.plan.searches if found.state == "found"}
-    rows = []
-    for entry in run.plan.sequences:
-        coded, raw = [], []
-        for row in rows_of(run, entry.name):
-            (coded if row["setting"] else raw).append(row)
-        coded.sort(key=lambda row: -float(row[BREAKING["kbit/s"].name]))
-        holds = next((row for row in coded if row["setting"] == holding.get(entry.name)), None)
-        breaks = next((row for row in coded if row[BREAKING["succeed"].name] == 0.0), None)
-        for what, row in (("raw", raw[0]), ("holds", holds), ("breaks", breaks)):
-            setting = "–" if row is None else f"{row['codec']} {row['setting']}".strip()
-            rows.append([entry.name, what, setting, *(BREAKING[head].shown(row) for head in heads[3:])])
-    yield table(heads, rows)
-
-
 def rows_of(run: RunResult, sequence: str) -> list[Row]:
     wide = run.wide
     return [{str(k): v for k, v in row.items()} for row in wide[wide["sequence"] == sequence].to_dict("records")]

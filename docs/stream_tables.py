@@ -1,4 +1,4 @@
-"""The tables of stills and streams side by side."""
+"""How long streams take to join, and codecs in order of their tasks."""
 
 from __future__ import annotations
 
@@ -13,20 +13,9 @@ from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
 ANCHORS: Final = ("jpeg", "h264")
-STREAMS: Final = {
-    "kbit/s": Column("stream.bitrate_kbps.mean"),
-    **{head: CODING[head] for head in ("bit/px", "PSNR dB", "SSIM", "features kept")},
-    "localisation AUC": Column("localization.located_auc.mean"),
-    "map points found": Column("localization.tracked_inliers.mean"),
-    "relative pose AUC": Column("relative_pose.pose_auc_10deg.mean"),
-    "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
-    "frames held back": Column("stream.delay_frames.mean"),
-}
-
-
 JOINING: Final = {
-    "kbit/s": STREAMS["kbit/s"],
-    "PSNR dB": STREAMS["PSNR dB"],
+    "kbit/s": Column("stream.bitrate_kbps.mean"),
+    "PSNR dB": CODING["PSNR dB"],
     "largest frame, bytes": Column("stream.largest_frame_bytes.mean"),
     "joining, frames": Column("stream.joining_frames.mean"),
     "worst, frames": Column("stream.joining_worst_frames.mean"),
@@ -37,21 +26,8 @@ def joining(run: RunResult, heads: Heads) -> Iterator[str]:
     """How long a receiver waits for whole pictures, and at what price."""
     (sequence,) = run.plan.sequences
     yield f"{sequence.frames} frames at 30 Hz, joined at twenty of the first half:\n"
-    shown = {**STREAMS, **JOINING}
     rows = rows_of(run, sequence.name)
-    yield table(heads, [[row[head] if head in SETTING else shown[head].shown(row) for head in heads] for row in rows])
-
-
-def every_setting(run: RunResult, heads: Heads) -> Iterator[str]:
-    """Rate, quality and tasks of every setting."""
-    (sequence,) = run.plan.sequences
-    rows = [
-        [row[head] if head in SETTING else STREAMS[head].shown(row) for head in heads]
-        for row in rows_of(run, sequence.name)
-    ]
-    yield f"{sequence.frames} frames at 30 Hz:\n"
-    yield table(heads, rows)
-    yield "![Localisation over the rate, one line a codec](images/video.svg)"
+    yield table(heads, [[row[head] if head in SETTING else JOINING[head].shown(row) for head in heads] for row in rows])
 
 
 def order(run: RunResult, heads: Heads) -> Iterator[str]:

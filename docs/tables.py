@@ -20,12 +20,10 @@ from typing import Any, Literal
 import benchmark_tables
 import decision_tables
 import feature_tables
-import link_tables
 import multilevel_table
 import newcomer
 import run_tables
 import slam_faults
-import slam_tables
 import stream_tables
 import task_tables
 
@@ -54,7 +52,6 @@ BESIDE = (
 )
 DECIDED = ("at", "take", "value", "better than", "or", "not at that rate", "order foretold")
 TIMES = "docs/performance.md"
-WORLDS = "docs/worlds.md"
 BLOCKS = {
     "features-by-task": Block(
         "docs/pictures-or-features.md", "run", "features", ("codec", "setting", *feature_tables.TASKS),
@@ -71,13 +68,6 @@ BLOCKS = {
     "tasks-decided": Block("docs/verdict.md", "run", "decide", ("task", *DECIDED), decision_tables.every_task),
     "sequences-decided": Block(
         "docs/verdict.md", "run", "decide", ("sequence", *DECIDED), decision_tables.every_sequence
-    ),
-    "streams": Block(
-        "docs/video.md", "run", "video", ("codec", "setting", *stream_tables.STREAMS), stream_tables.every_setting
-    ),
-    "streams-ordered": Block(
-        "docs/video.md", "run", "video",
-        ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
     ),
     "streams-joining": Block(
         "docs/video.md", "run", "joining", ("codec", "setting", *stream_tables.JOINING), stream_tables.joining
@@ -113,40 +103,11 @@ BLOCKS = {
         ("metric", "localisation AUC", "map points found", "relative pose AUC", "correct matches"),
         task_tables.followers,
     ),
-    "ablations": Block(
-        "docs/slam.md", "run", "slam_ablations",
-        ("sequence", "options", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
-        slam_tables.ablations,
-    ),
-    "anchor": Block(
-        "docs/slam.md", "run", "slam_anchor",
-        ("sequence", "codec", "backend", "starts", "tracked %", "error, median, mm", "range", "loops, fewest"),
-        slam_tables.anchor,
-    ),
-    "rates": Block(
-        "docs/slam.md", "run", "slam_rates",
-        (
-            "sequence", "Hz", "starts", "tracked %", "error, median, mm", "worst", "keyframes", "maps, most",
-            "loops, fewest",
-        ),
-        slam_tables.rates,
-    ),
     "gaps": Block("docs/slam.md", "printed", "faults", slam_faults.GAPS, benchmark_tables.printed),
     "faults": Block("docs/slam.md", "printed", "faults", slam_faults.FAULTS, benchmark_tables.printed),
-    "worlds": Block(
-        WORLDS, "run", "worlds", ("world and severity", "frames", "codec", *run_tables.WORLDS), run_tables.worlds
-    ),
-    "breaking": Block(
-        WORLDS, "run", "breaking", ("world and severity", "what", "setting", *run_tables.BREAKING), run_tables.breaking
-    ),
-    "links": Block(
-        "docs/link.md", "run", "link",
-        ("link", "sequence", "take", "least error [m]", "least rate: error [m]", "highest rate: error [m]"),
-        link_tables.choices,
-    ),
     "conditions": Block(
-        WORLDS, "printed", "conditions", ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"),
-        benchmark_tables.printed,
+        "docs/worlds.md", "printed", "conditions",
+        ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"), benchmark_tables.printed,
     ),
     "features-by-rate": Block(
         "docs/pictures-or-features.md", "printed", "features",
@@ -183,12 +144,6 @@ BLOCKS = {
     "frame_memory": Block(
         TIMES, "printed", "memory",
         ("sequence", "frames", "keyframes made", "left", "points made", "arrays", "a frame"), benchmark_tables.printed,
-    ),
-    "runs": Block(TIMES, "printed", "runs", ("command", "time"), benchmark_tables.printed),
-    "scale": Block("docs/scaling.md", "printed", "scale", ("what", "measured"), benchmark_tables.printed),
-    "fuzz": Block(
-        "docs/reliability.md", "printed", "fuzz",
-        ("decoder", "`coverage`: time, inputs, branch edges", "`mutation`: time, inputs"), benchmark_tables.campaigns,
     ),
     "largest": Block(
         "docs/reliability.md", "printed", "largest", ("decoder", "image", "bytes", "time", "memory"),

@@ -1,14 +1,9 @@
-"""Whole-process timings as Markdown tables.
-
-`python tests/benchmarks/processes.py` prints medians of rounds in turn; with `--time "COMMAND ..."`, which may be
-repeated, it prints how long each of these took, once, by the clock.
-"""
+"""Whole-process timings as a Markdown table: medians of rounds in turn, by `python tests/benchmarks/processes.py`."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import shlex
 import statistics
 import subprocess
 import sys
@@ -97,25 +92,11 @@ def slam_ms(frames: int) -> tuple[float, float]:
     return mean, float(np.median([frame.elapsed_ms for frame in run.frames]))
 
 
-def whole_commands(commands: list[str]) -> None:
-    """Print a row a command: minutes and seconds by the clock. Raises CalledProcessError for one that fails."""
-    print("| command | time |\n|---|---:|", flush=True)
-    for command in commands:
-        begun = time.perf_counter()
-        subprocess.run(shlex.split(command), stdout=subprocess.DEVNULL, check=True)
-        minutes, seconds = divmod(round(time.perf_counter() - begun), 60)
-        print(f"| `{command}` | {minutes} min {seconds} s |", flush=True)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--frames", type=int, default=120)
-    parser.add_argument("--time", action="append", metavar="COMMAND", help="time this command instead; repeatable")
     chosen = parser.parse_args()
-    if chosen.time:
-        whole_commands(chosen.time)
-        return
     print("| what | measured |\n|---|---:|")
     for name, seconds in starts(chosen.rounds).items():
         print(f"| `{name}` | {1000 * seconds:.0f} ms |", flush=True)

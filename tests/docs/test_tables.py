@@ -11,7 +11,6 @@ import subprocess
 import sys
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,8 +24,6 @@ from codecbench.plugins.codecs.multilevel import Multilevel
 
 sys.path.insert(0, str(DOCS))
 import newcomer
-import run_tables
-from tables import BLOCKS
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("**/*.md"))]
 SMALL = "{use: synthetic, name: %s, params: {stop: 2, width: 96, height: 72, seed: %d}}"
@@ -166,24 +163,6 @@ def test_every_marked_block_has_a_generator_with_its_columns() -> None:
         assert heads.count("| " + " | ".join(known[name]["columns"]) + " |") == rules, name
 
 
-def test_campaigns_of_fuzzing_become_a_table(root: Path, tmp_path: Path) -> None:
-    """From what libFuzzer and the mutating fuzzer print, cut down."""
-    log = tmp_path / "fuzz.txt"
-    log.write_text(
-        "coverage of png for 40 s\n#2\tINITED cov: 12 ft: 13\n#900\tDONE   cov: 66 ft: 90 corp: 9/1Kb\n"
-        "stat::number_of_executed_units: 1900\ncoverage of raw for 20 s\n#9\tDONE   cov: 26 ft: 9\n"
-        'stat::number_of_executed_units: 23312\n{\n "codec": "png",\n "seconds": 60,\n "cpu_seconds": 55,\n'
-        ' "seed": 1,\n "inputs": 14166,\n "pool": 3\n}\n'
-    )
-    tables("--root", root, "--printed", f"fuzz={log}")
-    rows = table_rows(block(root / "docs" / "reliability.md", "fuzz"))[1:]
-    assert rows == [
-        ["`png`", "40 s, 1,900, 66", "60 s, 14,166"],
-        ["`raw`", "20 s, 23,312, 26", "–"],
-        ["together", "60 s, 25,212", "60 s, 14,166"],
-    ]
-
-
 def test_rows_that_a_command_printed_become_a_table(root: Path, tmp_path: Path) -> None:
     printed = tmp_path / "processes.txt"
     printed.write_text("begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n")
@@ -236,45 +215,6 @@ def test_sizes_of_the_multilevel_codec_are_measured_on_pictures(root: Path, tmp_
         sizes = [sum(len(codec.encode(picture)) for picture in pictures) for codec in (one, two)]
         assert row[heads.index("KiB")] == f"{sizes[0] / 2048:.1f}"
         assert row[heads.index("two levels")] == f"{100 * (sizes[1] / sizes[0] - 1):+.1f} %"
-
-
-def test_the_table_of_breaking_points_shows_what_holds_and_what_breaks() -> None:
-    rates = {"": 900.0, "ratio=10": 90.0, "ratio=40": 22.0, "ratio=80": 11.0, "ratio=640": 2.0}
-    rows = [
-        {
-            "sequence": sequence, "codec": "jpeg2000" if setting else "raw", "setting": setting,
-            "trajectory.success.mean": success, "trajectory.tracked_fraction.median": 0.9,
-            "trajectory.ate_rmse_m.median": np.nan if success == 0.0 else 0.01,
-            "trajectory.sent_rate_kbps.median": rates[setting],
-        }
-        for sequence, successes in (("far", (1.0, 1.0, 0.5, 0.0, 0.0)), ("never", (1.0, 0.75, 0.5, 0.5, 0.25)))
-        for setting, success in zip(rates, successes, strict=True)
-    ]  # fmt: skip
-    searches = [
-        SimpleNamespace(sequence="far", setting="ratio=10", state="found"),
-        SimpleNamespace(sequence="never", setting="ratio=10", state="unreachable"),
-    ]
-    sequences = [SimpleNamespace(name="far"), SimpleNamespace(name="never")]
-    run = SimpleNamespace(plan=SimpleNamespace(searches=searches, sequences=sequences), wide=pd.DataFrame(rows))
-    shown = table_rows("\n".join(run_tables.breaking(run, BLOCKS["breaking"].columns)))  # type: ignore[arg-type]
-    assert shown[0] == ["world and severity", "what", "setting", "succeed", "tracked %", "ATE cm", "kbit/s"]
-    assert shown[1:] == [
-        ["far", "raw", "raw", "1", "90", "1", "900"],
-        ["far", "holds", "jpeg2000 ratio=10", "1", "90", "1", "90"],
-        ["far", "breaks", "jpeg2000 ratio=80", "0", "90", "–", "11"],
-        ["never", "raw", "raw", "1", "90", "1", "900"],
-        ["never", "holds", "–", "–", "–", "–", "–"],
-        ["never", "breaks", "–", "–", "–", "–", "–"],
-    ]
-
-
-def test_commands_are_timed(tmp_path: Path) -> None:
-    program = ROOT / "tests" / "benchmarks" / "processes.py"
-    out = command(program, "--time", f"{sys.executable} -c pass", "--time", f"{sys.executable} --version")
-    heads, *rows = table_rows(out)
-    assert heads == ["command", "time"]
-    assert [row[0] for row in rows] == [f"`{sys.executable} -c pass`", f"`{sys.executable} --version`"]
-    assert all(re.fullmatch(r"\d+ min \d+ s", row[1]) for row in rows)
 
 
 def test_benchmarks_become_tables(root: Path, tmp_path: Path) -> None:

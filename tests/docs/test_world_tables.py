@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from project import DOCS, EXAMPLES
+from project import DOCS
 
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
@@ -28,18 +27,6 @@ def test_the_page_shows_what_severity_moves_today() -> None:
     for world in WORLDS.values():
         for name in moved(world.calm, world.hard):
             assert f"| `{name}` |" in PAGE, f"{name} is not explained"
-
-
-BREAKING = re.findall(r"world: (\w+)", (EXAMPLES / "breaking.yaml").read_text())
-
-
-@pytest.mark.parametrize("world", BREAKING)
-def test_the_page_shows_a_setting_that_breaks_where_raw_frames_hold(world: str) -> None:
-    rows = re.findall(rf"^\| {world}-0.5 \| (raw|breaks) \| (.+?) \| ([\d.]+) \|", PAGE, re.MULTILINE)
-    (_, _, raw), (_, setting, broken) = rows
-    assert setting.startswith("jpeg2000 ratio=")
-    assert float(raw) > 0.5
-    assert float(broken) == 0.0
 
 
 def test_the_contact_sheet_is_there_and_small() -> None:

@@ -1,6 +1,6 @@
 """Many cells and many samples. The short forms check that all is there; the long forms (--slow) hold times and memory.
 
-They log the rows of the table in docs/scaling.md, which docs/tables.py takes from what was printed:
+They log what they measure:
 pytest tests/core/engine/running/test_scale.py --slow -n 0 -o log_cli=true -o log_cli_level=INFO
 """
 
