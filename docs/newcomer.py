@@ -75,7 +75,7 @@ def ended(command: str, shown: str) -> Callable[[str, tuple[str, ...]], Iterator
         (found,) = [entry for entry in json.loads(text) if command in entry["command"]]
         minutes, seconds = divmod(round(found["seconds"]), 60)
         (part,) = re.findall(shown, found["output"], re.DOTALL)
-        yield f"It took {minutes} min {seconds} s on {found['on']}, and ends with:\n"
+        yield f"It took {minutes} min {seconds} s on {found['on']}, and printed:\n"
         yield "\n".join(["```text", *(line.rstrip() for line in part.strip().splitlines()), "```"])
 
     return content
