@@ -22,6 +22,8 @@ from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
 
+from benchmark_tables import transcript
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -71,12 +73,12 @@ def machine() -> str:
 def ended(command: str, shown: str) -> Callable[[str, tuple[str, ...]], Iterator[str]]:
     """The part of a command's output that a pattern finds, after how long it took and where."""
 
-    def content(text: str, _: tuple[str, ...]) -> Iterator[str]:
+    def content(text: str, heads: tuple[str, ...]) -> Iterator[str]:
         (found,) = [entry for entry in json.loads(text) if command in entry["command"]]
         minutes, seconds = divmod(round(found["seconds"]), 60)
         (part,) = re.findall(shown, found["output"], re.DOTALL)
         yield f"It took {minutes} min {seconds} s on {found['on']}, and printed:\n"
-        yield "\n".join(["```text", *(line.rstrip() for line in part.strip().splitlines()), "```"])
+        yield from transcript(part, heads)
 
     return content
 
