@@ -40,12 +40,6 @@ CODING = {
     "counted Mops": Column("operations.source_total.encode.mean", 1e-6),
     "paper's model Mops": Column("operations.model_total.encode.mean", 1e-6),
 }
-SLAM = (
-    Column("trajectory.slam_ms_per_frame.median"),
-    Column("trajectory.keyframes.median"),
-    Column("trajectory.tracked_fraction.median"),
-    Column("trajectory.ate_rmse_m.median", 1e3),
-)
 SETTING = ("codec", "setting")
 MAIN, STILLS = "fr3_office_100", "kodak"
 """The sequences of examples/real.yaml that are set beside each other: a video, and photographs."""
@@ -150,16 +144,6 @@ def _bd_rates(run: RunResult) -> dict[str, dict[tuple[str, str], str]]:
         }
         for head, name in BD_RATES.items()
     }
-
-
-def slam_times(run: RunResult, heads: Heads) -> Iterator[str]:
-    """Time, keyframes and error of the SLAM on raw frames, one row an evaluator's setting."""
-    rows = []
-    for entry in run.plan.sequences:
-        (row,) = (row for row in rows_of(run, entry.name) if row["codec"] == "raw")
-        values = [column.shown(row) for column in SLAM]
-        rows.append([entry.name, entry.frames, *values])
-    yield table(heads, rows)
 
 
 def rows_of(run: RunResult, sequence: str) -> list[Row]:

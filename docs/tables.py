@@ -88,10 +88,6 @@ BLOCKS = {
         "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"(Judged by.*?)\n\n")
     ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
-    "slam": Block(
-        TIMES, "run", "slam_office", ("sequence", "frames", "ms a frame", "keyframes", "tracked", "ATE mm"),
-        run_tables.slam_times,
-    ),
     "known": Block(
         "docs/task-metrics.md", "run", "tasks",
         ("metric", "quality 30", "quality 25", "difference [95 %]", "p", "smallest shown", "frames",
