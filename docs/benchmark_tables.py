@@ -109,8 +109,3 @@ def printed(text: str, heads: Heads) -> Iterator[str]:
     if not (rows := [row for row in rows if row != head]):
         raise SystemExit(f"nothing printed is a row of {len(heads)} columns: {head}")
     yield table(heads, []) + "\n".join(rows)
-
-
-def transcript(text: str, _: Heads) -> Iterator[str]:
-    """What a command printed, as it is."""
-    yield "\n".join(["```text", *(line.rstrip() for line in text.strip().splitlines()), "```"])

@@ -22,8 +22,6 @@ from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
 
-from benchmark_tables import transcript
-
 ROOT = Path(__file__).parents[1]
 
 
@@ -81,6 +79,11 @@ def ended(command: str, shown: str) -> Callable[[str, tuple[str, ...]], Iterator
         yield from transcript(part, heads)
 
     return content
+
+
+def transcript(text: str, _: tuple[str, ...]) -> Iterator[str]:
+    """What a command printed, as it is."""
+    yield "\n".join(["```text", *(line.rstrip() for line in text.strip().splitlines()), "```"])
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ BLOCKS = {
     ),
     "gaps": Block("docs/slam.md", "printed", "faults", slam_faults.GAPS, benchmark_tables.printed),
     "faults": Block("docs/slam.md", "printed", "faults", slam_faults.FAULTS, benchmark_tables.printed),
-    "link-room": Block("docs/link.md", "printed", "link_room", (), benchmark_tables.transcript),
+    "link-room": Block("docs/link.md", "printed", "link_room", (), newcomer.transcript),
     "conditions": Block(
         "docs/worlds.md", "printed", "conditions",
         ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"), benchmark_tables.printed,
