@@ -62,7 +62,7 @@ def followed(folder: Path, recording: Path | None) -> Iterator[dict[str, object]
 
 
 def machine() -> str:
-    """`2 cores of an AMD EPYC, Python 3.13, 2026-11-27`."""
+    """`2 cores (AMD EPYC), Python 3.13.0, 2026-11-27`."""
     cpu = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     model = cpu[1] if cpu else platform.machine()
     return f"{os.cpu_count()} cores ({model}), Python {platform.python_version()}, {date.today()}"
