@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import benchmark_tables
-import decision_tables
 import feature_tables
 import multilevel_table
 import newcomer
@@ -50,7 +49,6 @@ BESIDE = (
     "Kodak: bit/px",
     "Kodak: features kept",
 )
-DECIDED = ("at", "take", "value", "better than", "or", "not at that rate", "order foretold")
 TIMES = "docs/performance.md"
 BLOCKS = {
     "features-by-task": Block(
@@ -60,14 +58,6 @@ BLOCKS = {
     "features-order": Block(
         "docs/pictures-or-features.md", "run", "features",
         ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
-    ),
-    "order-decided": Block(
-        "docs/verdict.md", "run", "decide", ("task", "place", "codec", "group", "rate beside jpeg", "better than"),
-        decision_tables.order,
-    ),
-    "tasks-decided": Block("docs/verdict.md", "run", "decide", ("task", *DECIDED), decision_tables.every_task),
-    "sequences-decided": Block(
-        "docs/verdict.md", "run", "decide", ("sequence", *DECIDED), decision_tables.every_sequence
     ),
     "streams-joining": Block(
         "docs/video.md", "run", "joining", ("codec", "setting", *stream_tables.JOINING), stream_tables.joining
