@@ -35,8 +35,9 @@ def main() -> None:
 
 def commands(readme: str, recording: Path | None) -> list[str]:
     """The lines of the code blocks that name no language."""
-    blocks = re.findall(r"^```\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)
-    lines = [line for block in blocks if recording or " PATH\n" not in block for line in block.splitlines()]
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)
+    blocks = [block for language, block in fenced if not language and (recording or " PATH\n" not in block)]
+    lines = [line for block in blocks for line in block.splitlines()]
     return [re.sub(r" PATH$", f" {recording.name}", line) if recording else line for line in lines]
 
 

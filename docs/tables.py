@@ -73,7 +73,7 @@ BLOCKS = {
         feature_tables.answer,
     ),
     "newcomer-run": Block("README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(cells: .*)")),
-    "newcomer-tests": Block("README.md", "printed", "newcomer", (), newcomer.ended("bin/pytest", r"=+ ([^=]*) =+\s*$")),
+    "newcomer-tests": Block("README.md", "printed", "newcomer", (), newcomer.ended("bin/pytest", r"(\d+ passed.*)")),
     "newcomer-try": Block(
         "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"(Judged by.*?)\n\n")
     ),

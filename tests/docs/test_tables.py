@@ -182,7 +182,7 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tm
     outputs = [
         "rows\ncells: 89 ok\nreport: page\n",
         "page\n",
-        "..\n=== 7 passed in 9.00s ===\n",
+        "..\n7 passed, 1 skipped in 9.00s\n",
         "",
         "found\n\n\nJudged by PSNR.\njpeg holds.\n\nrows\n",
     ]
@@ -198,7 +198,7 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tm
     shown = {name: block(root / "README.md", f"newcomer-{name}") for name in ("run", "tests", "try")}
     assert "It took 1 min 2 s on 2 cores" in shown["run"]
     assert "```text\ncells: 89 ok\nreport: page\n```" in shown["run"]
-    assert "```text\n7 passed in 9.00s\n```" in shown["tests"]
+    assert "```text\n7 passed, 1 skipped in 9.00s\n```" in shown["tests"]
     assert "```text\nJudged by PSNR.\njpeg holds.\n```" in shown["try"]
 
 
