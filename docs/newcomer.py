@@ -17,9 +17,11 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from datetime import date
+from itertools import chain
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -83,8 +85,9 @@ def ended(command: str, shown: str) -> Callable[[str, tuple[str, ...]], Iterator
 
 
 def transcript(text: str, _: tuple[str, ...]) -> Iterator[str]:
-    """What a command printed, as it is."""
-    yield "\n".join(["```text", *(line.rstrip() for line in text.strip().splitlines()), "```"])
+    """What a command printed, with long lines broken as a terminal breaks them, so that no page cuts them."""
+    lines = [textwrap.wrap(line, 90, subsequent_indent="  ") or [""] for line in text.strip().splitlines()]
+    yield "\n".join(["```text", *chain(*lines), "```"])
 
 
 if __name__ == "__main__":
