@@ -102,6 +102,11 @@ def median_ms(benchmark: dict[str, Any]) -> float:
     return 1e3 * float(benchmark["stats"]["median"])
 
 
+def below_heading(text: str, heads: Heads) -> Iterator[str]:
+    """The Markdown that a command printed, without the heading above it."""
+    yield text.strip().partition("\n\n")[2]
+
+
 def printed(text: str, heads: Heads) -> Iterator[str]:
     """The rows of a table with as many columns that a command printed, among whatever else it said."""
     rows = [row for row in re.findall(r"\| .* \|$", text, re.MULTILINE) if row.count(" | ") == len(heads) - 1]

@@ -91,7 +91,10 @@ BLOCKS = {
     ),
     "gaps": Block("docs/slam.md", "printed", "faults", slam_faults.GAPS, benchmark_tables.printed),
     "faults": Block("docs/slam.md", "printed", "faults", slam_faults.FAULTS, benchmark_tables.printed),
-    "link-room": Block("docs/link.md", "printed", "link_room", (), newcomer.transcript),
+    "link-room": Block(
+        "docs/link.md", "printed", "link_room",
+        ("setting", r"rate \[kbit/s\]", r"error \[m\]", "verdict", "limited by"), benchmark_tables.below_heading,
+    ),
     "conditions": Block(
         "docs/worlds.md", "printed", "conditions",
         ("world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"), benchmark_tables.printed,
