@@ -13,17 +13,18 @@ from codecbench.paper import facts
 from codecbench.paper.measured import Measured
 
 
-def contradictions(runs: list[Measured]) -> Iterator[tuple[str, str, str]]:
-    """Title, what the paper says against what its numbers imply, and our measurement, one at a time.
+def contradictions(runs: list[Measured]) -> Iterator[tuple[str, str, list[str]]]:
+    """Title, what the paper says against what its numbers imply, and our measurements, one claim at a time.
 
     Trajectories are those of all runs, everything else is of the first.
     """
     for title, statement, measure in _CLAIMS:
         asked = runs if measure is _success else runs[:1]
-        yield title, statement, " ".join(dict.fromkeys(measure(measured) for measured in asked))
+        lines = dict.fromkeys(line for measured in asked for line in measure(measured))
+        yield title, statement, list(lines) or ["nothing of it in these runs"]
 
 
-def _dct(measured: Measured) -> str:
+def _dct(measured: Measured) -> list[str]:
     found = []
     for sequence in measured.sequences[:1]:
         for codec in ("jpeg_qf", "multilevel"):
@@ -34,10 +35,10 @@ def _dct(measured: Measured) -> str:
             )
             if not np.isnan(mults):
                 found.append(f"{codec} counts {mults:,.0f} multiplications and {adds:,.0f} additions in its DCT")
-    return "; ".join(found) + (": one kernel, one cost a plane." if found else "Not counted in this run.")
+    return found
 
 
-def _slightly(measured: Measured) -> str:
+def _slightly(measured: Measured) -> list[str]:
     sequence = measured.sequences[0]
     totals = {
         (codec, way): measured.value(sequence, measured.setting(codec, qf=5), f"operations.source_total.{way}.mean")
@@ -45,13 +46,13 @@ def _slightly(measured: Measured) -> str:
         for way in ("encode", "decode")
     }
     if any(np.isnan(value) for value in totals.values()):
-        return "Not counted in this run."
+        return []
     ratios = [totals["multilevel", way] / totals["jpeg_qf", way] for way in ("encode", "decode")]
     counted = f"Counted in the kernels at QF 5 on {escaped(sequence)}"
-    return f"{counted}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding."
+    return [f"{counted}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding"]
 
 
-def _search(measured: Measured) -> str:
+def _search(measured: Measured) -> list[str]:
     found = []
     for sequence in measured.sequences[:1]:
         for qf in (5.0, 100.0):
@@ -60,10 +61,10 @@ def _search(measured: Measured) -> str:
                 tests = measured.value(sequence, setting, f"operations.source_comparisons.decode/{search}_search.mean")
                 if not np.isnan(tests):
                     found.append(f"QF {qf:g} {search}: {tests:,.0f} comparisons a frame")
-    return "; ".join(found) + "." if found else "Search decoding was not counted in this run."
+    return found
 
 
-def _header(measured: Measured) -> str:
+def _header(measured: Measured) -> list[str]:
     found = []
     for qf in (5.0, 20.0, 100.0):
         with_header = measured.setting("multilevel", qf=qf, levels=1, decoding="header")
@@ -75,10 +76,10 @@ def _header(measured: Measured) -> str:
                     f"QF {qf:g} on {escaped(sequence)}: {sizes[0]:.1f} KiB with the table of tuples, "
                     f"{sizes[1]:.1f} KiB without"
                 )
-    return "; ".join(found) + "." if found else "Search decoding was not run."
+    return found
 
 
-def _levels(measured: Measured) -> str:
+def _levels(measured: Measured) -> list[str]:
     found = []
     for qf in (5.0, 20.0, 100.0):
         single, double = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
@@ -87,10 +88,10 @@ def _levels(measured: Measured) -> str:
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
                 found.append(f"QF {qf:g} on {escaped(sequence)}: two levels change the size by {change:+.1f} %")
-    return "; ".join(found) + "." if found else "Two levels were not run."
+    return found
 
 
-def _ssim(measured: Measured) -> str:
+def _ssim(measured: Measured) -> list[str]:
     found = []
     for sequence in measured.sequences:
         for qf in (5.0, 10.0, 15.0, 20.0):
@@ -100,10 +101,10 @@ def _ssim(measured: Measured) -> str:
             ]
             if not np.isnan(ours).any():
                 found.append(f"QF {qf:g} on {escaped(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
-    return "; ".join(found) + "." if found else "Not measured in this run."
+    return found
 
 
-def _success(measured: Measured) -> str:
+def _success(measured: Measured) -> list[str]:
     found = []
     raw = measured.setting("raw")
     for sequence in measured.sequences:
@@ -120,10 +121,10 @@ def _success(measured: Measured) -> str:
                 found.append(
                     f"{where}: {100 * value:.0f} % of runs at QF {qf:g} succeed, loops closed {loops:.0f} (median)"
                 )
-    return "; ".join(found) + "." if found else "No trajectory was run at these QF."
+    return found
 
 
-def _rounding(measured: Measured) -> str:
+def _rounding(measured: Measured) -> list[str]:
     """Recomputed from the paper's own sizes; nothing of ours enters."""
     slips = []
     for name, label in (("table1_jpeg", "Table 1"), ("table2_jpeg2000", "Table 2"), ("table3_multilevel", "Table 3")):
@@ -136,25 +137,20 @@ def _rounding(measured: Measured) -> str:
                     slips.append(
                         f"{label} frame {row['frame']:.0f} at {which:g}: {stated:g} % stated, {implied:.1f} % implied"
                     )
-    return f"{len(slips)} cells do not follow from their own sizes: " + "; ".join(slips) + "."
+    return slips
 
 
-def _real_jpeg(measured: Measured) -> str:
+def _real_jpeg(measured: Measured) -> list[str]:
     column = measured.run.columns.get("quality.psnr_gray_db.mean")
     rates = {} if column is None else bd_rates(measured.run, column)
-    found = [
-        f"{escaped(curve)} on {escaped(sequence)}: {rate}"
+    return [
+        f"BD-rate against libjpeg-turbo, PSNR of gray, {escaped(curve)} on {escaped(sequence)}: {rate}"
         for (sequence, curve), rate in rates.items()
         if curve.startswith("multilevel")
     ]
-    return (
-        "BD-rate against libjpeg-turbo, PSNR of gray: " + "; ".join(found) + "."
-        if found
-        else "libjpeg was not run beside it."
-    )
 
 
-_CLAIMS: Final[tuple[tuple[str, str, Callable[[Measured], str]], ...]] = (
+_CLAIMS: Final[tuple[tuple[str, str, Callable[[Measured], list[str]]], ...]] = (
     (
         "The same DCT has two costs",
         "Table 4 charges 112 additions a block, Table 6 charges 56. 64 multiplications and 56 additions a "
@@ -201,7 +197,7 @@ _CLAIMS: Final[tuple[tuple[str, str, Callable[[Measured], str]], ...]] = (
         _rounding,
     ),
     (
-        "JPEG as it is practised",
+        "JPEG as it is practiced",
         "The paper's JPEG column is not what libjpeg produces at equal quality.",
         _real_jpeg,
     ),

@@ -19,7 +19,7 @@ CITATION: Final = (
 )
 
 RAW_RMSE: Final = 0.22114
-"""Figure 7, no unit given; the only sensible reading is metres, both trajectories in the first frame's coordinates."""
+"""Figure 7, no unit given; the only sensible reading is meters, both trajectories in the first frame's coordinates."""
 
 SUCCEEDS_UP_TO: Final = {"jpeg_qf": ("qf", 15.0), "jpeg2000": ("cr_percent", 97.0), "multilevel": ("qf", 75.0)}
 """The hardest setting at which the paper's trajectory holds, by our codec's name."""

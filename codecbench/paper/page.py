@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from codecbench.core.analysis.limits import POOLED, Limit, limits
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import RunResult, successes
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.report.figures import draw_all
 from codecbench.core.report.tables import escaped, foreign_table
@@ -23,7 +23,7 @@ _DEVIATIONS = (
     "paper does not say how it codes them.",
     "PSNR and SSIM depend on the frames: the paper scores frames 1132 and 2398, which are not on this page's "
     "sequences.",
-    "JPEG with a quantisation factor: the paper's sizes barely fall with QF (153 to 140 KB), which no entropy "
+    "JPEG with a quantization factor: the paper's sizes barely fall with QF (153 to 140 KB), which no entropy "
     "coder of JPEG produces; ours are what baseline JPEG files of these coefficients weigh.",
     "JPEG 2000 at equal compression ratio: these frames compress better than the paper's, so PSNR is higher at "
     "the same ratio.",
@@ -42,11 +42,11 @@ def write_page(runs: list[RunResult], path: Path) -> list[Path]:
     measured = [Measured(run) for run in runs]
     folder = path.parent / f"{path.stem}-figures"
     figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
-    parts = [*_introduction(runs), *quality_tables(measured[0]), *operation_tables(measured[0])]
-    parts += _limits_introduction(runs)
+    parts = [*_introduction(runs), *_contradictions(measured), *_frames(runs)]
+    parts += [*quality_tables(measured[0]), *operation_tables(measured[0]), *_limits_introduction(runs)]
     for of_run in measured:
         parts += _trajectories(of_run)
-    parts += [*_figures(figures, path), *_contradictions(measured), *_closing()]
+    parts += [*_figures(figures, path), *_closing()]
     write_file(path, "\n".join(parts).encode())
     return [path, *figures]
 
@@ -65,6 +65,9 @@ def _introduction(runs: list[RunResult]) -> Iterator[str]:
         "Nothing is tuned to the paper's figures. Where its numbers cannot be reached or contradict themselves, this "
         "page says so.\n"
     )
+
+
+def _frames(runs: list[RunResult]) -> Iterator[str]:
     yield "## Frames\n"
     rows = [
         [
@@ -72,7 +75,7 @@ def _introduction(runs: list[RunResult]) -> Iterator[str]:
             entry.name,
             entry.dataset.name,
             entry.frames,
-            "gray" if entry.channels == 1 else "colour",
+            "gray" if entry.channels == 1 else "color",
             entry.fingerprint[:12],
         ]
         for run in runs
@@ -103,9 +106,9 @@ def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
-        "A run succeeds where, from the first map on, at least 90 % of what the raw codec's runs track is tracked, "
-        "and the error is at most twice theirs (medians over the same starts); frames before the first map are judged "
-        "apart. A setting holds where the 95 % Wilson interval of its success rate lies above one half; the limit is "
+        "A run succeeds if its first map comes at most 30 frames later than with raw frames, if from then on it tracks "
+        "at least 90 % of what raw frames' runs track, and if its error is at most twice theirs (medians over all "
+        "starts). A setting holds if the 95 % Wilson interval of its success rate lies above one half. The limit is "
         "the least rate down to which every setting holds.\n"
     )
 
@@ -116,30 +119,28 @@ def _trajectories(measured: Measured) -> Iterator[str]:
     untracked = [str(name) for name, most in tracked.items() if most == 0.0]
     if untracked:
         yield f"Too short for a first map, with every codec and with raw frames: {escaped(', '.join(untracked))}.\n"
-    for column in run.headlines("success"):
+    for columns in successes(run):
         rows = [
             [sequence, curve, *_limit(limit), _paper(curve)]
-            for (sequence, curve), limit in limits(run, [column]).items()
+            for (sequence, curve), limit in limits(run, columns).items()
             if sequence not in (POOLED, *untracked)
         ]
         if not rows:
             continue
-        evaluator = column.evaluator.title
+        evaluator = columns[0].evaluator.title
         yield f"### {run.plan.name}, {escaped(evaluator)}\n"
-        yield foreign_table(
-            ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "next", "the paper"], rows
-        )
+        heads = ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "below it", "in the paper down to"]
+        yield foreign_table(heads, rows)
         yield from _errors(measured, evaluator)
 
 
 def _limit(limit: Limit) -> list[object]:
     if limit.reason:
         return [limit.reason, None, "", ""]
-    lowest, after = limit.lowest, limit.next
-    ends = f"{after.point or 'its setting'}: {after.verdict} ({after})" if after else "none"
+    lowest = limit.lowest
     if lowest is None:
-        return ["–", None, "", ends]
-    return [lowest.point or "its setting", lowest.rate, str(lowest), ends]
+        return ["–", None, "", limit.after_words()]
+    return [lowest.point or "its setting", lowest.rate, str(lowest), limit.after_words()]
 
 
 def _paper(curve: str) -> str:
@@ -187,8 +188,9 @@ def _figures(figures: list[Path], page: Path) -> Iterator[str]:
 
 def _contradictions(measured: list[Measured]) -> Iterator[str]:
     yield "## Where the paper contradicts itself\n"
-    for number, (title, statement, measurement) in enumerate(contradictions(measured), start=1):
-        yield f"{number}. **{title}.** {statement}\n\n    *Measured:* {measurement}\n"
+    for number, (title, statement, measurements) in enumerate(contradictions(measured), start=1):
+        yield f"{number}. **{title}.** {statement} Found:\n"
+        yield "\n".join(f"    - {measurement}" for measurement in measurements) + "\n"
 
 
 def _closing() -> Iterator[str]:

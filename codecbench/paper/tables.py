@@ -20,7 +20,7 @@ _CLASSES = ("mults", "adds", "bit_ops", "comparisons", "shifts", "reads", "write
 
 def quality_tables(measured: Measured) -> Iterator[str]:
     """Tables 1, 2 and 3: size, quality, compression ratio and time, at the paper's settings, on every sequence."""
-    yield "## Table 1: JPEG with a quantisation factor\n"
+    yield "## Table 1: JPEG with a quantization factor\n"
     yield _sized(measured, "jpeg_qf", "qf", facts.table("table1_jpeg"), {})
     yield "## Table 2: JPEG 2000\n"
     yield _sized(measured, "jpeg2000", "cr_percent", facts.table("table2_jpeg2000"), {})

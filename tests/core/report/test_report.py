@@ -139,6 +139,7 @@ def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunRes
         assert f"## Table {number}" in text
     assert "| 5 | ours, synthetic |" in text
     assert len(re.findall(r"^\d+\. \*\*", text, re.MULTILINE)) == 9
+    assert text.count("### small, trajectory\n") == 1  # though two of its metrics say whether a run succeeds
     for image in re.findall(r"\]\((.*?\.svg)\)", text):
         assert (tmp_path / image).exists()
     # The formulas with the paper's conventions give the paper's totals on a frame of the paper's size.
