@@ -51,7 +51,10 @@ _HATCHES: Final = ("", "////", "....", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
-    """Draw every figure for which the run has data into `folder`, and give the path of each."""
+    """Draw every figure that shows a difference into `folder`, and give the path of each.
+
+    None is drawn of a metric that is the same for all codecs of a sequence, and of paths where there is only the truth.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):
         for name, figure in _figures(run):
@@ -65,8 +68,9 @@ def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Pat
 def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
     over_rate = [view for view in curve_views(run) if view.x == run.rate]
     for entry in run.plan.sequences:
+        rows = run.wide[run.wide["sequence"] == entry.name]
         for view in over_rate:
-            figure = curve_figure(run, entry, view)
+            figure = curve_figure(run, entry, view) if len(rows) == 1 or rows[view.y.name].nunique() > 1 else None
             if figure is not None:
                 yield _file_name(entry.name, "rate", view.y.metric.name, view.y.evaluator.label), figure
     yield from map_figures(run)
@@ -143,10 +147,15 @@ def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
     """For each sequence and codec, small multiples over its settings, first repeat."""
     for view in map_views(run):
         groups: dict[tuple[str, str, str], list[Drawn]] = {}
+        with_path = set()
         for drawn in view.drawings:
             cell = drawn.result.cell
             groups.setdefault((cell.sequence.name, cell.codec.name, cell.evaluator.label), []).append(drawn)
+            if any(line.stroke != "truth" for line in drawn.drawing.lines):
+                with_path.add(cell.sequence.name)
         for (sequence, codec, label), members in groups.items():
+            if sequence not in with_path:
+                continue
             title = f"{sequence}: {codec} {label}".strip()
             yield _file_name(sequence, view.name, codec, label), _multiples(title, members)
 

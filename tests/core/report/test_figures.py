@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from measured_runs import cell_result, run_of
 
-from codecbench.core.report.figures import curve_figure
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.figures import curve_figure, draw_all
 from codecbench.core.report.views import curve_views, styles_of
 
 
-def drawn(drifts: dict[str, list[tuple[float, float]]], repeats: int = 1):  # type: ignore[no-untyped-def]
-    """The axes of drift over bits, for codecs with (bits, drift) of each setting, in the order of their settings."""
+def run_with(drifts: dict[str, list[tuple[float, float]]], repeats: int = 1) -> RunResult:
+    """A run of codecs with (bits, drift) of each setting, in the order of their settings."""
     cells = []
     for codec, settings in drifts.items():
         for q, (bits, drift) in enumerate(settings):
@@ -20,7 +24,12 @@ def drawn(drifts: dict[str, list[tuple[float, float]]], repeats: int = 1):  # ty
             for repeat in range(repeats):
                 own = {("drift", ""): [drift * (1 + 0.1 * repeat)]}
                 cells.append(cell_result(codec, float(q), "track", own=own, repeat=repeat))
-    run = run_of(*cells)
+    return run_of(*cells)
+
+
+def drawn(drifts: dict[str, list[tuple[float, float]]], repeats: int = 1) -> tuple[RunResult, Axes]:
+    """The axes of drift over bits, and the run."""
+    run = run_with(drifts, repeats)
     (view,) = (view for view in curve_views(run) if view.y.metric.name == "drift" and view.x == run.rate)
     figure = curve_figure(run, run.plan.sequences[0], view)
     assert figure is not None
@@ -63,3 +72,9 @@ def test_the_baseline_is_a_level_line_with_a_band_and_takes_no_room() -> None:
     _, alone = drawn({"raw": [(24.0, 0.5)]})
     assert alone.get_xlim()[0] < 24.0 < alone.get_xlim()[1]
     plt.close("all")
+
+
+@pytest.mark.parametrize(("last", "figures"), [(2.0, 0), (1.0, 1)])
+def test_a_metric_that_is_the_same_for_all_codecs_is_not_drawn(tmp_path: Path, last: float, figures: int) -> None:
+    run = run_with({"raw": [(24.0, 2.0)], "plain": [(1.0, 2.0), (2.0, last)]})
+    assert len([path for path in draw_all(run, tmp_path) if "drift" in path.name]) == figures
