@@ -46,5 +46,8 @@ def plot(run: Path, out: Path | None, format_: str) -> None:
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.figures import draw_all
 
+    path = None
     for path in draw_all(open_nonempty_run(run), out or run / "report", format_):
         click.echo(str(path))
+    if path is None:
+        click.echo("no figure: the run has no path, and no rate with a metric that differs between codecs")
