@@ -47,7 +47,7 @@ _NAME_LETTERS: Final = 40
 """What is left of a longer name, before a digest of the whole."""
 
 _FEWEST_TICKS: Final = 3
-_HATCHES: Final = ("", "////", "....", "xxxx")
+_HATCHES: Final = ("", "////", "||||", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
