@@ -9,7 +9,6 @@ FOLDER is in the layout of TUM. All see the frames in gray. Errors are medians o
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.engine.registry import installed
+from codecbench.core.report.formatting import signed_percent
 from codecbench.core.report.tables import table
 from codecbench.plugins.codecs.orb_features.codec import OrbFeatures
 from codecbench.plugins.datasets.tum import Tum
@@ -116,19 +116,17 @@ def every_setting(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
 
 
 def answer(run: RunResult, heads: tuple[str, ...]) -> Iterator[str]:
-    """How much more or less rate than JPEG each codec takes for equal localization, the least first."""
+    """How much more or less rate than JPEG each codec takes for equal localization, by rate; of several settings."""
     ranking = next(found for found in rankings(run) if found.column.name == "localization.located_auc.mean")
     (sequence,) = run.plan.sequences
     rows = []
     for ranked in ranking.ranked:
         found = ranking.evidence(ranked.curve, "jpeg")
-        if found and "jpeg" in ranked.bd_rates and not ranked.bd_rates["jpeg"].reason:
-            ends = (found.mean, found.mean + found.reach(0.95), found.mean - found.reach(0.95))
-            rate, least, most = (f"{100.0 * math.expm1(-end):+.0f} %" for end in ends)
+        if found and len(ranked.settings[sequence.name]) > 1:
             better = "yes" if "jpeg" in ranked.ahead_of else "not shown"
-            rows.append([f"`{ranked.curve.partition(' ')[0]}`", rate, f"{least} to {most}", better])
-    yield f"Rate beside JPEG for equal localization, {ranking.units} frames of the {sequence.name} (TUM RGB-D):\n"
-    yield table(heads, sorted(rows, key=lambda row: int(row[1].split()[0])))
+            rows.append([f"`{ranked.curve.partition(' ')[0]}`", signed_percent(found), better])
+    yield f"Rate vs. JPEG for equal localization, {ranking.units} frames of the {sequence.name} (TUM RGB-D):\n"
+    yield table(heads, rows)
 
 
 def rows(sequence: FrameSequence, frames: list[Image], starts: list[int], times: bool) -> Iterator[list[object]]:

@@ -7,8 +7,9 @@ from typing import Final
 
 from run_tables import CODING, SETTING, Column, rows_of
 
-from codecbench.core.analysis.ranking import Ranked, rankings
+from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.formatting import signed_percent
 from codecbench.core.report.tables import table
 
 Heads = tuple[str, ...]
@@ -31,16 +32,11 @@ def joining(run: RunResult, heads: Heads) -> Iterator[str]:
 
 
 def order(run: RunResult, heads: Heads) -> Iterator[str]:
-    """Codecs in order of each task, and what they save beside a still codec and beside a stream."""
+    """Codecs in order of each task, and what they save vs. a still codec and vs. a stream."""
     rows = []
     for ranking in rankings(run, brief=True):
         for ranked in ranking.ranked:
-            places = str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
-            saved = [_saved(ranked, anchor) for anchor in ANCHORS]
-            rows.append([ranking.column.label, places, ranked.curve, *saved, ", ".join(ranked.ahead_of) or "–"])
+            beside = [ranking.evidence(ranked.curve, anchor) for anchor in ANCHORS]
+            saved = ["–" if found is None else signed_percent(found) for found in beside]
+            rows.append([ranking.column.label, ranked.curve, *saved, ", ".join(ranked.ahead_of) or "–"])
     yield table(heads, rows)
-
-
-def _saved(ranked: Ranked, anchor: str) -> str:
-    found = ranked.bd_rates.get(anchor)
-    return "–" if found is None or found.reason else f"{found.percent:+.0f} %"

@@ -57,7 +57,7 @@ BLOCKS = {
     ),
     "features-order": Block(
         "docs/pictures-or-features.md", "run", "features",
-        ("task", "place", "codec", "rate beside jpeg", "rate beside h264", "better than"), stream_tables.order,
+        ("task", "codec", "rate vs. jpeg", "rate vs. h264", "better than"), stream_tables.order,
     ),
     "streams-joining": Block(
         "docs/video.md", "run", "joining", ("codec", "setting", *stream_tables.JOINING), stream_tables.joining
@@ -69,7 +69,7 @@ BLOCKS = {
         run_tables.rates_beside_anchor,
     ),
     "answer": Block(
-        "README.md", "run", "features", ("codec", "rate", "95 % interval", "significantly better"),
+        "README.md", "run", "features", ("codec", "rate vs. JPEG", "significantly better"),
         feature_tables.answer,
     ),
     "newcomer-run": Block("README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(cells: .*)")),

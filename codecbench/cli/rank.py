@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     "rates",
     type=click.FloatRange(min=0, min_open=True),
     multiple=True,
-    help="Say which codec to take at this rate, in the unit of tables (bit/px); may be given several times.",
+    help="Say which codec and setting to take at this rate, in the unit of tables (bit/px); repeatable.",
 )
 def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
-    """Say which codecs of the RUN folder are ahead, which cannot be told apart, and down to which rate each holds."""
+    """Say which codec of the RUN folder to take, what is undecided, and down to which rate each codec holds."""
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import verdicts, verdicts_at
 
@@ -45,11 +45,11 @@ def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
 )
 @click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
 def power(run: Path, power: float, format_: str) -> None:
-    """Say which differences the RUN folder could show, which verdicts stood, and how much more of it would tell.
+    """Say which differences the RUN folder could show, which are significant, and what would decide the others.
 
     For each two codecs: the smallest difference that would have been found, at the level of `codecbench rank`, in the
-    share POWER of cases. For each setting that can fail: from which success rate on so many runs would show that it
-    holds.
+    share POWER of cases; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For
+    each setting that can fail: from which success rate on so many runs would show that it holds.
     """
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import power_verdicts

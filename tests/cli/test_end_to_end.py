@@ -156,7 +156,8 @@ def test_a_run_that_was_killed_goes_on_and_computes_nothing_twice(place: Place, 
 
 
 def test_codecs_are_ranked(place: Place, run: str) -> None:
-    assert re.search(r"1 +jpeg2000 +a .* jpeg \(\d+ % less rate", succeeded(place, "rank", run))
+    said = succeeded(place, "rank", run)
+    assert re.search(r"take jpeg2000 \(cr_percent \d+–\d+\): \d+ % ± \d+ less rate than jpeg\.", said)
 
 
 def test_a_setting_is_chosen_for_a_link(place: Place, run: str) -> None:

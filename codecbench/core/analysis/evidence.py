@@ -50,6 +50,9 @@ class Evidence:
     variance: float
     freedom: float
     doubt: float = 0.0
+    count: int = 0
+    worth: float = math.nan
+    drifts: bool = False
 
     @property
     def p_value(self) -> float:

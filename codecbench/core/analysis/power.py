@@ -1,4 +1,4 @@
-"""What a run could decide: the smallest difference that it would have shown, and how much more of it would tell."""
+"""What a run could decide: the smallest difference that it would have shown, and what would decide the others."""
 
 from __future__ import annotations
 
@@ -6,28 +6,46 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.curve_values import SMALLEST, Of
-from codecbench.core.analysis.evidence import POWER, Evidence, student_quantile
+from codecbench.core.analysis.curve_values import SMALLEST
+from codecbench.core.analysis.evidence import FEWEST_FRAMES, POWER, Evidence, student_quantile
 from codecbench.core.analysis.limits import Standing, limits
-from codecbench.core.analysis.ranking import SIGNIFICANCE, Ranking, holm, rankings
+from codecbench.core.analysis.ranking import SIGNIFICANCE, Gap, Ranking, holm, rankings
 from codecbench.core.analysis.run_result import RunResult
 
-_MOST_TIMES: Final = 1000.0
-"""As much of a run as it has that is thought of to tell two codecs apart."""
+_MOST_TIMES: Final = 100.0
+"""A run may grow by this factor to decide a pair; how frames go on for longer is not known."""
+Kind = Literal["decided", "equal", "small", "settings", "samples", "sequences", "beyond"]
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """What would decide a pair of curves.
+
+    kind: nothing, because the pair is `decided`, `equal` within the smallest difference worth knowing at the level of
+    the ranking, or `small`, as the difference and all errors are below that; more `settings`, in the `gap`; more
+    `samples`, which are frames, repeats or sequences, about `more` of them if that is known; more `sequences`, because
+    those there are disagree; or `beyond`: not a hundredfold of the samples.
+    """
+
+    kind: Kind
+    more: int | None = None
+    gap: Gap | None = None
 
 
 @dataclass(frozen=True)
 class PairPower:
-    """Two curves by a column on a sequence, or over all (POOLED), and what so many frames or repeats could tell.
+    """Two curves by a column on a sequence, or over all (POOLED), and what so many frames or repeats could show.
 
     difference: log of how many times the rate of the first the second takes for the same quality. smallest: the
     difference that would be found, at the level of the ranking, in the share `power` of cases; NaN where none could be.
     p_value: adjusted for all pairs of the ranking (Holm). level: below which the least p-value of the ranking must be.
+    units: how many samples there are, which are `of`: frames, repeats, or sequences where these are the samples. gap,
+    disputed: as in the ranking.
     """
 
     column: Column
@@ -38,8 +56,10 @@ class PairPower:
     p_value: float
     level: float
     units: int
-    of: tuple[Of, ...]
+    of: tuple[str, ...]
     power: float
+    gap: Gap | None = None
+    disputed: bool = False
 
     @property
     def difference(self) -> float:
@@ -50,13 +70,32 @@ class PairPower:
         """Whether the ranking puts one before the other."""
         return self.p_value < SIGNIFICANCE
 
+    @property
+    def remedy(self) -> Remedy:
+        """What would decide the pair."""
+        size, found = abs(self.difference), self.evidence
+        if self.stands:
+            return Remedy("decided")
+        if size + found.reach(1.0 - self.level) < SMALLEST:
+            return Remedy("equal")
+        if math.isnan(found.variance):
+            few = self.of == ("frames",) and self.units < FEWEST_FRAMES
+            return Remedy("samples", FEWEST_FRAMES - self.units if few else None)
+        if max(size, found.doubt, math.sqrt(found.variance)) < SMALLEST:
+            return Remedy("small")
+        if self.gap is not None and (found.doubt >= abs(size - SMALLEST) or self.more_units is None):
+            return Remedy("settings", gap=self.gap)
+        if self.disputed:
+            return Remedy("sequences")
+        return Remedy("beyond") if self.more_units is None else Remedy("samples", self.more_units)
+
     @cached_property
     def smallest(self) -> float:
         return self._shown_by(1.0)
 
     @cached_property
     def more_units(self) -> int | None:
-        """How many more frames or repeats would tell, if they go on as they did; None where a thousandfold would not.
+        """How many more samples would decide, if they go on as they did; None if a hundredfold would not.
 
         0 where the verdict stands.
         """
@@ -129,16 +168,19 @@ def times(evidence: Evidence, factor: float, frames: bool = False) -> Evidence:
 
 def pair_powers(run: RunResult, power: float = POWER) -> list[PairPower]:
     """Every pair of curves of every ranking of a run; power: between 0 and 1."""
-    return [pair for ranking in rankings(run) for pair in _of_ranking(ranking, power)]
+    return [pair for ranking in rankings(run) for pair in powers_of(ranking, power)]
 
 
-def _of_ranking(ranking: Ranking, power: float) -> Iterator[PairPower]:
+def powers_of(ranking: Ranking, power: float = POWER) -> Iterator[PairPower]:
+    """Every pair of curves of a ranking; power: between 0 and 1."""
     adjusted = holm(np.array([evidence.p_beyond(SMALLEST) for *_, evidence in ranking.pairs]))
     level = SIGNIFICANCE / max(1, len(ranking.pairs))
+    units, of = (len(ranking.sequences), ("sequences",)) if ranking.too_few_on else (ranking.units, ranking.of)
     for (first, second, evidence), p_value in zip(ranking.pairs, adjusted, strict=True):
+        pair = (first, second)
         yield PairPower(
             ranking.column, ranking.sequence, first, second, evidence, float(p_value), level,
-            ranking.units, ranking.of, power,
+            units, of, power, ranking.gaps.get(pair), pair in ranking.disputed,
         )  # fmt: skip
 
 

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-import string
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference
 from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_pairs
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.analysis.verdicts import SequenceCurve, anchors_of, bd_rates_by_anchor, from_quality
+from codecbench.core.analysis.verdicts import anchors_of, from_quality
 
 SIGNIFICANCE: Final = 0.01
 """Chance that a ranking of codecs that are all alike puts any of them before another."""
@@ -29,37 +29,45 @@ NO_COMMON_RATE: Final = "no common rate to compare at"
 
 @dataclass(frozen=True)
 class Ranked:
-    """A codec's place. first, last: the places that it may have, from those that are told apart from it.
+    """A codec's place. first, last: the places that it may have, from those that differ significantly from it.
 
-    ahead_of: the curves that it is better than. group: letters; who shares one cannot be told apart. bd_rates: by
-    anchor, without an interval, for what may be claimed is in the other fields; none against itself. missing, values:
-    how many of its values are missing, of how many. score: how much better it is than the others on average, by least
-    squares over pairs; known less surely than places are. In a ranking at one rate, value is the column's mean there,
-    between settings, and settings, by sequence, the one that has this rate or the two around it.
+    ahead_of: the curves that it is significantly better than. missing, values: how many of its values are missing, of
+    how many. score: how much better it is than the others on average, as the log of a rate, by least squares over
+    pairs. settings: by sequence, names in order of rate; all, or in a ranking at one rate the one that has this rate or
+    the two around it. value: the column's mean at that rate, between settings; None in a ranking over all rates.
     """
 
     curve: str
     first: int
     last: int
     ahead_of: tuple[str, ...]
-    group: str
-    bd_rates: dict[str, BdRate]
     missing: int
     values: int
     score: float
+    settings: Mapping[str, tuple[str, ...]]
     value: float | None = None
-    settings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Two neighboring settings of a curve between which more would narrow the interval of a difference."""
+
+    curve: str
+    points: tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Ranking:
     """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
 
-    ranked: by place, first and last, then by score. left_out: curves without a place, and why. anchors: whom BD-rates
-    are against. rate: at which codecs are compared; None for all rates that they share. pairs: what is known of two
-    curves that share a rate, of the first over the second. rank_correlation: by sequence, Kendall's tau-b of the order
-    there and that of all other sequences together; empty for a single sequence. too_few_on: of several sequences those
-    that have too few frames or repeats to say how sure they are, so that sequences are the samples.
+    ranked: by value at the rate; over all rates by the rate vs. the first anchor, and where the two share none, by
+    score. left_out: curves without a place, and why. sequences: all that count. anchors: the curves that rates are
+    shown against. rate: at which codecs are compared; None for all rates that they share. pairs: of two curves that
+    share a rate, what is known of the first over the second. rank_correlation: by sequence, Kendall's tau-b of the
+    order there and that of all other sequences together, if both have a significant difference. too_few_on: of several
+    sequences those that have too few frames or repeats to say how sure they are, so that sequences are the samples.
+    gaps: of pairs whose settings are too far apart, so that this doubt is half of their difference or more, the widest
+    gap. disputed: pairs of which each is significantly better on some sequence.
     """
 
     column: Column
@@ -68,22 +76,42 @@ class Ranking:
     of: tuple[Of, ...]
     ranked: tuple[Ranked, ...]
     left_out: dict[str, str]
+    sequences: tuple[str, ...]
     anchors: tuple[str, ...]
     rate: float | None
     pairs: tuple[tuple[str, str, Evidence], ...]
     rank_correlation: dict[str, float]
     too_few_on: tuple[str, ...] = ()
+    gaps: Mapping[tuple[str, str], Gap] = field(default_factory=dict)
+    disputed: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def candidates(self) -> tuple[Ranked, ...]:
+        """The codecs that may be the best, by score; in a circle the one with the highest score.
+
+        The others are ruled out: by multiple comparisons with the best (Hsu 1984, doi:10.1214/aos/1176346732), with
+        Bonferroni's level in place of Dunnett's, as pairs depend on each other in unknown ways, or by `ahead_of`.
+        """
+        no_better: dict[str, list[float]] = defaultdict(list)  # one-sided p-values of those that seem better
+        for first, second, found in self.pairs:
+            chance = found.p_beyond(SMALLEST) / 2.0
+            no_better[first].append(chance if found.mean < 0.0 else 1.0)
+            no_better[second].append(chance if found.mean > 0.0 else 1.0)
+        order = sorted(self.ranked, key=lambda ranked: -ranked.score)
+        return tuple(
+            ranked for ranked in order
+            if ranked.first == 1 and all(p >= SIGNIFICANCE / len(ps) for ps in [no_better[ranked.curve]] for p in ps)
+        ) or (order[0],)  # fmt: skip
 
     @property
     def recommended(self) -> Ranked:
-        """The codec to take: of those than which none is told to be better (in a circle: of all) the highest score."""
-        unbeaten = [ranked for ranked in self.ranked if ranked.first == 1]
-        return max(unbeaten or self.ranked, key=lambda ranked: ranked.score)
+        """The codec to take: of those that may be the best the highest score."""
+        return self.candidates[0]
 
     @property
     def as_good(self) -> tuple[str, ...]:
-        """Other curves than which none is told to be better."""
-        return tuple(each.curve for each in self.ranked if each.first == 1 and each is not self.recommended)
+        """Other curves that may be the best."""
+        return tuple(each.curve for each in self.candidates[1:])
 
     def evidence(self, first: str, second: str) -> Evidence | None:
         """What is known of two curves: the log of how many times the first one's rate the second takes."""
@@ -93,15 +121,6 @@ class Ranking:
             if (other, one) == (first, second):
                 return replace(found, mean=-found.mean)
         return None
-
-    @property
-    def equal(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of curves that take the same rate within the smallest difference worth knowing."""
-        confidence = 1.0 - SIGNIFICANCE / max(1, len(self.pairs))
-        return tuple(
-            (first, second) for first, second, found in self.pairs
-            if abs(found.mean) + found.reach(confidence) < SMALLEST
-        )  # fmt: skip
 
     def not_compared(self, curve: str) -> tuple[str, ...]:
         """The ranked curves that share no rate with this one, of which nothing is known beside it."""
@@ -127,51 +146,45 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     found = []
     for column in columns:
         sequences = [entry.name for entry in run.plan.sequences]
-        rates = bd_rates_by_anchor(run, column, resamples=0)
         gathered = {name: curve_values(run, column, name) for name in sequences}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]
-        made = (_ranking(run, column, group, gathered, rates, at) for group in groups)
+        made = (_ranking(run, column, group, gathered, at) for group in groups)
         found += [ranking for ranking in made if len(ranking.ranked) > 1]
     return found
 
 
-_Rates = dict[str, dict[SequenceCurve, BdRate]]
-"""BD-rates by anchor."""
 _Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]
+_Pairs = dict[tuple[int, int], Evidence]
+"""By the positions of two curves."""
 
 
 def _ranking(
-    run: RunResult,
-    column: Column,
-    sequences: Sequence[str],
-    gathered: _Gathered,
-    rates: _Rates,
-    at: float | None,
+    run: RunResult, column: Column, sequences: Sequence[str], gathered: _Gathered, at: float | None
 ) -> Ranking:
     values = {name: gathered[name][0] for name in sequences}
     curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences}, at)
-    evidence = _evidence(curves, values, at)
-    matrices = _told_apart(len(curves), evidence)
-    placed = {curve: values[sequences[0]][curve].log_rates.tolist() for curve in curves}
-    anchors = anchors_of(placed, run.schema.anchors)
-    if "" in rates:  # each sequence has its own
-        rates = dict.fromkeys(anchors[:1], rates[""])
+    by_sequence = {name: _evidence_on(curves, of_curves, at) for name, of_curves in values.items()}
+    evidence = _over_sequences(by_sequence.values())
+    anchors = anchors_of({curve: values[sequences[0]][curve].points for curve in curves}, run.schema.anchors)
     any_curve = [next(iter(found.values())) for found in values.values() if found]
+    named = {pair: (curves[pair[0]], curves[pair[1]]) for pair in evidence}
+    unsettled = [pair for pair, found in evidence.items() if found.doubt >= 0.5 * abs(abs(found.mean) - SMALLEST)]
     return Ranking(
         column,
         sequences[0] if len(sequences) == 1 else POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
-        tuple(_placed(curves, values, matrices, rates, column, at)),
+        tuple(_placed(curves, values, evidence, anchors, column, at)),
         left_out,
-        tuple(rates),
+        tuple(sequences),
+        tuple(anchors),
         at,
-        tuple((curves[first], curves[second], found) for (first, second), found in evidence.items()),
-        _rank_correlation(curves, values, at),
-        tuple(name for name in sequences if _too_few(_evidence(curves, {name: values[name]}, at).values()))
-        if len(sequences) > 1
-        else (),
+        tuple((*named[pair], found) for pair, found in evidence.items()),
+        _rank_correlation(len(curves), by_sequence),
+        tuple(name for name, found in by_sequence.items() if _too_few(found.values())) if len(sequences) > 1 else (),
+        {named[pair]: _widest_gap(named[pair], pair, by_sequence, values, at) for pair in unsettled},
+        tuple(named[pair] for pair in evidence if _disputed([found[pair] for found in by_sequence.values()])),
     )
 
 
@@ -180,23 +193,51 @@ def _too_few(evidence: Iterable[Evidence]) -> bool:
     return all(math.isnan(found.variance) for found in evidence)
 
 
-def _rank_correlation(
-    curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None
-) -> dict[str, float]:
+def _disputed(evidence: list[Evidence]) -> bool:
+    """Whether each of two curves is significantly better on some sequence."""
+    level = SIGNIFICANCE / len(evidence)
+    return {-1.0, 1.0} <= {math.copysign(1.0, found.mean) for found in evidence if found.p_beyond(SMALLEST) < level}
+
+
+def _widest_gap(
+    names: tuple[str, str],
+    pair: tuple[int, int],
+    by_sequence: Mapping[str, _Pairs],
+    values: Mapping[str, Mapping[str, CurveValues]],
+    at: float | None,
+) -> Gap:
+    """On the sequence where settings leave the most doubt, the gap of the curve that leaves more of it."""
+    on = values[max(by_sequence, key=lambda name: by_sequence[name][pair].doubt)]
+    both = [on[name] for name in names]
+    low, high = max(curve.means[0] for curve in both), min(curve.means[-1] for curve in both)
+    if at is not None:
+        low = high = float(np.clip(np.mean([curve.mean_at(at) for curve in both]), low, high))
+    qualities = np.linspace(low, high, 33)
+    gaps = [np.abs(curve.gaps(qualities)) for curve in both]
+    worst = int(np.argmax([each.sum() for each in gaps]))
+    means = both[worst].means
+    widths = np.diff(means)
+    if len(gaps[worst]) == len(widths) - 1 and np.isfinite(gaps[worst]).all():
+        beside = np.r_[0.0, gaps[worst], 0.0]
+        widths = widths * np.maximum(beside[:-1], beside[1:])
+    inside = (means[:-1] < high) & (means[1:] > low)
+    place = int(np.argmax(widths * inside if inside.any() else widths))
+    return Gap(names[worst], (both[worst].points[place], both[worst].points[place + 1]))
+
+
+def _rank_correlation(count: int, by_sequence: Mapping[str, _Pairs]) -> dict[str, float]:
     """By sequence, Kendall's tau-b of its order and the others' (Kendall 1945, doi:10.1093/biomet/33.3.239)."""
-
-    def scores(names: list[str]) -> Array:
-        evidence = _evidence(curves, {name: values[name] for name in names}, at)
-        return _told_apart(len(curves), evidence).scores
-
-    if len(values) < 2 or len(curves) < 2:
+    if len(by_sequence) < 2:
         return {}
     from scipy.stats import kendalltau  # loads for half a second, and few runs have two sequences
 
-    return {
-        name: float(kendalltau(scores([name]), scores([other for other in values if other != name])).statistic)
-        for name in values
-    }
+    found = {}
+    for name, own in by_sequence.items():
+        others = _over_sequences(pairs for other, pairs in by_sequence.items() if other != name)
+        (better, scores), (better_there, scores_there) = (_significant(count, pairs) for pairs in (own, others))
+        if better.any() and better_there.any():
+            found[name] = float(kendalltau(scores, scores_there).statistic)
+    return found
 
 
 def _comparable(
@@ -234,15 +275,13 @@ def _comparable(
     }
 
 
-def _evidence(
-    curves: list[str], values: dict[str, dict[str, CurveValues]], at: float | None
-) -> dict[tuple[int, int], Evidence]:
-    """Of each pair of curves that can be compared on every sequence, by position: the mean over sequences."""
-    by_sequence = [_evidence_on(curves, of_curves, at) for of_curves in values.values()]
+def _over_sequences(by_sequence: Iterable[_Pairs]) -> _Pairs:
+    """Of each pair of curves that can be compared on every sequence: the mean over sequences."""
+    first, *others = by_sequence
     return {
-        pair: combined([found[pair] for found in by_sequence])
-        for pair in combinations(range(len(curves)), 2)
-        if all(pair in found for found in by_sequence)
+        pair: combined([own, *(found[pair] for found in others)])
+        for pair, own in first.items()
+        if all(pair in found for found in others)
     }
 
 
@@ -263,18 +302,11 @@ def _evidence_on(
     return {pair: replace(each, doubt=found.doubt) for (pair, found), each in zip(known.items(), evidence, strict=True)}
 
 
-@dataclass(frozen=True)
-class _Matrices:
-    """better: (N, N), whether the row is told to be better than the column. scores: (N,), least squares over pairs."""
-
-    better: NDArray[np.bool_]
-    scores: Array
-
-
-def _told_apart(count: int, evidence: dict[tuple[int, int], Evidence]) -> _Matrices:
+def _significant(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array]:
+    """(N, N), whether the row is significantly better than the column, and (N,) scores, by least squares."""
     better = np.zeros((count, count), dtype=bool)
     if not evidence:
-        return _Matrices(better, np.zeros(count))
+        return better, np.zeros(count)
     certain = holm(np.array([found.p_beyond(SMALLEST) for found in evidence.values()])) < SIGNIFICANCE
     design = np.zeros((len(evidence), count))
     for row, ((first, second), found) in enumerate(evidence.items()):
@@ -282,78 +314,46 @@ def _told_apart(count: int, evidence: dict[tuple[int, int], Evidence]) -> _Matri
         winner, loser = (first, second) if found.mean > 0 else (second, first)
         better[winner, loser] = certain[row]
     scores: Array = np.linalg.lstsq(design, np.array([found.mean for found in evidence.values()]), rcond=None)[0]
-    return _Matrices(better, scores)
+    return better, scores
 
 
 def _placed(
     curves: list[str],
     values: dict[str, dict[str, CurveValues]],
-    matrices: _Matrices,
-    rates: _Rates,
+    evidence: _Pairs,
+    anchors: Sequence[str],
     column: Column,
     rate: float | None,
 ) -> list[Ranked]:
-    better = matrices.better
+    better, scores = _significant(len(curves), evidence)
     first, last = 1 + better.sum(axis=0), len(curves) - better.sum(axis=1)
-    order = sorted(range(len(curves)), key=lambda at: (first[at], last[at], -matrices.scores[at], curves[at]))
-    apart = (better | better.T)[np.ix_(order, order)]
-    groups = joined_groups(apart)
+    shown = scores.copy()
+    if rate is not None:
+        shown = np.array([np.mean([of[curve].mean_at(rate) for of in values.values()]) for curve in curves])
+    elif anchors:
+        anchor = curves.index(anchors[0])
+        shown -= shown[anchor]
+        for (one, other), known in evidence.items():
+            if anchor in (one, other):
+                shown[one + other - anchor] = known.mean if other == anchor else -known.mean
+    order = sorted(range(len(curves)), key=lambda at: (-shown[at], -scores[at], curves[at]))
     placed = []
-    for place, at in enumerate(order):
-        curve = curves[at]
-        of_curve = [found[curve] for found in values.values()]
+    for at in order:
+        of_curve = {on: of[curves[at]] for on, of in values.items()}
         placed.append(
             Ranked(
-                curve,
+                curves[at],
                 int(first[at]),
                 int(last[at]),
                 tuple(curves[other] for other in order if better[at, other]),
-                "".join(_letter(number) for number, group in enumerate(groups) if place in group),
-                _beside(curve, list(values), rates),
-                sum(found.missing for found in of_curve),
-                sum(found.qualities.size for found in of_curve),
-                float(matrices.scores[at]),
-                None if rate is None else from_quality(_mean_at(of_curve, rate), column),
-                {} if rate is None else {on: found[curve].settings_at(rate) for on, found in values.items()},
+                sum(each.missing for each in of_curve.values()),
+                sum(each.qualities.size for each in of_curve.values()),
+                float(scores[at]),
+                {on: each.points if rate is None else each.settings_at(rate) for on, each in of_curve.items()},
+                None if rate is None else from_quality(float(shown[at]), column),
             )
         )
     return placed
-
-
-def _beside(curve: str, sequences: list[str], rates: _Rates) -> dict[str, BdRate]:
-    """The BD-rates of a curve over sequences, by anchor."""
-    found = {
-        anchor: _over_sequences([of_curves.get((name, curve)) for name in sequences])
-        for anchor, of_curves in rates.items()
-        if anchor != curve
-    }
-    return {anchor: rate for anchor, rate in found.items() if rate is not None}
-
-
-def _mean_at(of_curve: list[CurveValues], rate: float) -> float:
-    """The mean over sequences of the mean quality at a rate."""
-    return float(np.mean([found.mean_at(rate) for found in of_curve]))
-
-
-def _letter(number: int) -> str:
-    return string.ascii_lowercase[number] if number < 26 else f"({number + 1})"
-
-
-def _over_sequences(found: list[BdRate | None]) -> BdRate | None:
-    """The geometric mean of the factors in rate, with a reason where a sequence has none."""
-    present = [rate for rate in found if rate is not None]
-    if len(found) == 1 or not present:
-        return present[0] if present else None
-    numbers = [rate.percent for rate in present if not rate.reason]
-    if len(numbers) < len(found):
-        return replace(present[0], percent=float("nan"), interval=None,
-                       reason=f"only {len(numbers)} of {len(found)} sequences have one")  # fmt: skip
-    mean = 100.0 * (float(np.exp(np.mean(np.log1p(np.array(numbers) / 100.0)))) - 1.0)
-    return replace(present[0], percent=mean, interval=None)
-
-
-_MOST_STEPS: Final = 10_000
-"""Of the search for groups."""
 
 
 def holm(p_values: Array) -> Array:
@@ -367,43 +367,3 @@ def holm(p_values: Array) -> Array:
     factors = np.arange(len(order), 0, -1)
     adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * factors))
     return adjusted
-
-
-def joined_groups(apart: NDArray[np.bool_]) -> list[tuple[int, ...]]:
-    """The largest groups of which no two members are told apart, in order; everybody is in one or more.
-
-    apart: (N, N), symmetric, in order of place. Maximal cliques of the complement, by Bron and Kerbosch 1973,
-    doi:10.1145/362342.362367, with a pivot. There can be more of them than anybody could list: then the longest runs of
-    neighbours in order, which are at most N.
-    """
-    near = [set(np.flatnonzero(~row).tolist()) - {place} for place, row in enumerate(apart)]
-    found: list[tuple[int, ...]] = []
-    waiting: list[tuple[tuple[int, ...], set[int], set[int]]] = [((), set(range(len(near))), set())]
-    for _ in range(_MOST_STEPS):
-        if not waiting:
-            return sorted(found)
-        members, candidates, done = waiting.pop()
-        if not candidates and not done and members:
-            found.append(tuple(sorted(members)))
-        if not candidates:
-            continue
-        pivot = max(sorted(candidates | done), key=lambda place: len(near[place]))
-        for place in sorted(candidates - near[pivot]):
-            waiting.append(((*members, place), candidates & near[place], done & near[place]))
-            candidates.remove(place)
-            done.add(place)
-    return longest_runs(apart)
-
-
-def longest_runs(apart: NDArray[np.bool_]) -> list[tuple[int, ...]]:
-    """The longest runs of neighbours in order of which no two are told apart."""
-    found: list[tuple[int, ...]] = []
-    start = 0
-    for end in range(len(apart)):
-        first = start
-        while apart[first : end + 1, end].any():
-            first += 1
-        if first > start:
-            found.append(tuple(range(start, end)))
-            start = first
-    return [*found, tuple(range(start, len(apart)))]

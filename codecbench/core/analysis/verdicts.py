@@ -35,16 +35,14 @@ def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tup
     return [result.cell.codec.label for result in results], rows
 
 
-def bd_rates_by_anchor(
-    run: RunResult, column: Column, *, resamples: int = 200
-) -> dict[str, dict[SequenceCurve, BdRate]]:
+def bd_rates_by_anchor(run: RunResult, column: Column) -> dict[str, dict[SequenceCurve, BdRate]]:
     """`bd_rates` against each anchor by its curve; where the run has but one, by "" against each sequence's own."""
     curves: dict[str, list[str]] = defaultdict(list)
     for point in run.curves.values():
         curves[point.curve].append(point.point)
     several = anchors_of(curves, run.schema.anchors)
     named = several if len(several) > 1 else ("",)
-    return {anchor: bd_rates(run, column, anchor=anchor, resamples=resamples) for anchor in named}
+    return {anchor: bd_rates(run, column, anchor=anchor) for anchor in named}
 
 
 def bd_rates(run: RunResult, column: Column, *, anchor: str = "", resamples: int = 200) -> dict[SequenceCurve, BdRate]:

@@ -11,13 +11,18 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import POOLED, Limit, limits
-from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
+from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, judged_column, successes
-from codecbench.core.analysis.verdicts import bd_rates_by_anchor
-from codecbench.core.report.formatting import baseline_rate, sequences_are_samples, share_of_rate, where
+from codecbench.core.report.formatting import (
+    SURE,
+    baseline_rate,
+    less_rate,
+    sequences_are_samples,
+    share_of_rate,
+    where,
+)
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
@@ -124,10 +129,7 @@ def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
     what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
     basis = f"Judged {what}, {where(on)}"
     if ranking is not None:
-        basis += (
-            f", {ranking.units} {' and '.join(ranking.of)}; "
-            f"who is called better is so with {100 * (1 - SIGNIFICANCE):.0f} % confidence"
-        )
+        basis += f", {ranking.units} {' and '.join(ranking.of)}; better and worse are significant at {SURE}"
         if ranking.too_few_on:
             basis += f". {sequences_are_samples(ranking)}"
     placed = {} if ranking is None else {ranked.curve: ranked for ranked in ranking.ranked}
@@ -135,7 +137,7 @@ def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
     best_on = _best_on(found)
     said = []
     for curve in curves:
-        parts = [*_compared(run, column, ranking, placed.get(curve)), _spanned(run, on, curve, column)]
+        parts = [*_compared(run, ranking, placed.get(curve)), _spanned(run, on, curve, column)]
         if curve in best_on and len(placed[curve].ahead_of if curve in placed else ()) < len(placed) - 1:
             parts.insert(0, f"better than all others {best_on[curve]}")
         if ranking is not None and curve in ranking.left_out:
@@ -145,7 +147,7 @@ def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
 
 
 def _best_on(found: list[Ranking]) -> dict[str, str]:
-    """On which sequences a curve is told to be better than all others there, in words."""
+    """On which sequences a curve is significantly better than all others there, in words."""
     alone = [ranking for ranking in found if ranking.sequence != POOLED]
     names: dict[str, list[str]] = defaultdict(list)
     for ranking in alone:
@@ -189,7 +191,7 @@ def _reaching(form: str, values: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _compared(run: RunResult, column: Column, ranking: Ranking | None, ranked: Ranked | None) -> Iterator[str]:
+def _compared(run: RunResult, ranking: Ranking | None, ranked: Ranked | None) -> Iterator[str]:
     """What is known of a curve beside the others."""
     if ranking is None:
         yield "no other codec was measured at its rates" if len(_curves(run)) > 1 else "nothing to compare it with"
@@ -200,39 +202,20 @@ def _compared(run: RunResult, column: Column, ranking: Ranking | None, ranked: R
     behind = [name for name, other in others.items() if ranked.curve in other.ahead_of]
     beyond = ranking.not_compared(ranked.curve)
     level = [name for name in others if name not in (*ranked.ahead_of, *behind, *beyond)]
-    for words, names in (("better than", ranked.ahead_of), ("not told apart from", level), ("worse than", behind)):
+    for words, names in (
+        ("better than", ranked.ahead_of),
+        ("not significantly different from", level),
+        ("worse than", behind),
+    ):
         if names:
             all_of_them = len(names) == len(others) > 2
             yield f"{words} {f'all {len(names)} others' if all_of_them else ', '.join(names)}"
     if beyond:
         yield f"not compared with {', '.join(beyond)} ({NO_COMMON_RATE})"
     for anchor in ranking.anchors[:1]:
-        if anchor in level:
-            continue
-        yield from _beside(run, column, ranking, ranked, anchor)
-
-
-def _beside(run: RunResult, column: Column, ranking: Ranking, ranked: Ranked, anchor: str) -> Iterator[str]:
-    """How much rate it takes beside the anchor, with the interval where there is a single sequence."""
-    rate = ranked.bd_rates.get(anchor)
-    if rate is None or rate.reason:
-        return
-    if ranking.sequence != POOLED:
-        of_anchor = bd_rates_by_anchor(run, column)
-        rate = next((found[ranking.sequence, ranked.curve] for name, found in of_anchor.items()
-                     if name in ("", anchor) and (ranking.sequence, ranked.curve) in found), rate)  # fmt: skip
-    way = "less" if rate.percent < 0 else "more"
-    yield f"{abs(rate.percent):.0f} % {way} rate than {anchor} for the same{_sure(rate)}"
-
-
-def _sure(rate: BdRate) -> str:
-    if rate.interval is None:
-        return ""
-    low, high = rate.interval
-    if low * high <= 0:
-        return f" (95 %: {low:+.0f} to {high:+.0f} %)"
-    least, most = sorted((abs(low), abs(high)))
-    return f" (95 %: {least:.0f} to {most:.0f} %)"
+        found = ranking.evidence(ranked.curve, anchor)
+        if found and anchor in (*ranked.ahead_of, *behind):
+            yield less_rate(found, anchor)
 
 
 def _counted(count: int, noun: str) -> str:

@@ -4,28 +4,35 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
+from statistics import median
 from typing import Final
 
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
-from codecbench.core.analysis.evidence import POWER
+from codecbench.core.analysis.evidence import POWER, Evidence
 from codecbench.core.analysis.limits import POOLED, Limit, limits, pooled_rates
-from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers
+from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers, powers_of
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, successes
 from codecbench.core.analysis.verdicts import SequenceCurve
 from codecbench.core.report.tables import three_digits
 
 _NAMED: Final = 3
-"""So many sequences are named, and more are counted."""
+"""So many sequences or pairs are named, and more are counted."""
 SURE: Final = f"{100 * (1 - SIGNIFICANCE):.0f} % confidence"
-"""How sure a ranking is of whom it puts before whom."""
+"""The confidence at which a ranking calls differences significant."""
+_WIDE: Final = 50.0
+"""Percent points: an interval with a wider half is far from symmetric."""
+_LONGEST: Final = math.log(100.0)
+"""An interval that reaches from a hundredth to the hundredfold of a rate says nothing."""
+_SMALLEST: Final = f"{100.0 * np.expm1(SMALLEST):.2g} %"
 
 
 @dataclass(frozen=True)
@@ -43,7 +50,7 @@ def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
     """Which codec to take at a rate, in the unit that people are shown, by each task."""
     if run.rate is None:
         return []
-    return [_ranked(run, ranking) for ranking in rankings(run, at=rate / run.rate.factor)]
+    return [ranked_verdict(run, ranking) for ranking in rankings(run, at=rate / run.rate.factor)]
 
 
 def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
@@ -53,7 +60,7 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
     """
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
-        ranked[ranking.column].append(_ranked(run, ranking))
+        ranked[ranking.column].append(ranked_verdict(run, ranking))
     groups = [*ranked.values(), *(list(_held(run, columns)) for columns in successes(run))]
     return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
@@ -70,49 +77,75 @@ def _found(run: RunResult) -> Iterator[Verdict]:
         yield Verdict("searches", heads, rows, tuple(f"{found}." for found in run.plan.searches))
 
 
-def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
+def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
+    """The codec to take, what is undecided and what would decide it, below a row for each codec."""
     title = f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
-    if ranking.rate is None:
-        heads = [(f"rate beside {anchor}", anchor) for anchor in ranking.anchors] or [("rate", "")]
-        shown: dict[str, Callable[[Ranked], str]] = {head: partial(_rate, anchor) for head, anchor in heads}
-    else:
+    shown: dict[str, Callable[[Ranked], str]] = {}
+    if ranking.rate is not None:
         title += f", at {_spent(run, ranking.rate)}"
-        shown = {ranking.column.heading: partial(_value, ranking.column), "setting": setting_words}
-    named = ("place", "codec", "group", *shown, "better than")
+        shown[ranking.column.heading] = partial(_value, ranking.column)
+        shown["setting"] = lambda ranked: setting_words(ranked.settings) or "–"
+    for anchor in ranking.anchors:
+        shown[f"rate vs. {anchor}"] = partial(_beside, ranking, anchor)
     rows = tuple(
-        (_places(ranked), ranked.curve, ranked.group, *(cell(ranked) for cell in shown.values()),
-         ", ".join(_ahead_of(ranking, ranked.curve, other) for other in ranked.ahead_of) or "–")
+        (ranked.curve, *(cell(ranked) for cell in shown.values()),
+         ", ".join(f"{other} ({_beside(ranking, other, ranked)})" for other in ranked.ahead_of) or "–")
         for ranked in ranking.ranked
     )  # fmt: skip
-    taken = () if ranking.rate is None else (_taken(run, ranking),)
-    return Verdict(title, named, rows, (*taken, *_notes(ranking)), ranking.column)
+    heads = ("codec", *shown, "better than")
+    return Verdict(title, heads, rows, (_taken(run, ranking), *_undecided(ranking), *_notes(ranking)), ranking.column)
 
 
-def _ahead_of(ranking: Ranking, first: str, second: str) -> str:
-    """`jpeg (31 % less rate, 25 to 36)`: the rate that the first saves for the same quality, with its 95 % interval."""
-    found = ranking.evidence(first, second)
-    if found is None:
-        return second
-    reach = found.reach(0.95)
-    saved = [100.0 * (1.0 - np.exp(-value)) for value in (found.mean, found.mean - reach, found.mean + reach)]
-    return f"{second} ({saved[0]:.2g} % less rate, {saved[1]:.2g} to {saved[2]:.2g})"
+def signed_percent(found: Evidence, other: str = "") -> str:
+    """`-28 % ± 3 vs. jpeg`: how much more (+) or less (-) rate the first of two takes for equal quality, at 95 %."""
+    number, margin, interval = _percent(found)
+    return f"{number} %{margin}{other and f' vs. {other}'}{interval and f', {interval}'}"
+
+
+def less_rate(found: Evidence, other: str) -> str:
+    """`28 % ± 3 less rate than jpeg`, of the first of two curves."""
+    number, margin, interval = _percent(found)
+    way = "more" if number[0] == "+" else "less"
+    return f"{number[1:]} %{margin} {way} rate than {other}{interval and f' ({interval})'}"
+
+
+def _percent(found: Evidence) -> tuple[str, str, str]:
+    """The difference in rate, half the width of its interval in percent points, or the interval if that is wide."""
+    middle, reach = 100.0 * math.expm1(-found.mean), found.reach(0.95)
+    if reach > _LONGEST:
+        return _rounded(middle), "", "no interval"
+    low, high = (100.0 * math.expm1(move - found.mean) for move in (-reach, reach))
+    half = 0.5 * (high - low)
+    if half > _WIDE:
+        return _rounded(middle), "", f"{_rounded(low)} to {_rounded(high)} %"
+    digits = 0 if half >= 0.95 or half == 0.0 else min(3, math.ceil(-math.log10(half)))
+    return f"{middle:+.{digits}f}", f" ± {half:.{digits}f}", ""
+
+
+def _rounded(percent: float) -> str:
+    return f"{float(f'{percent:.3g}'):+.0f}"
+
+
+def _beside(ranking: Ranking, other: str, ranked: Ranked) -> str:
+    found = ranking.evidence(ranked.curve, other)
+    return "–" if found is None else signed_percent(found)
 
 
 def _taken(run: RunResult, ranking: Ranking) -> str:
-    """Which codec to take at the ranking's rate, and how sure that is."""
-    assert ranking.rate is not None
-    taken = ranking.recommended
-    setting = setting_words(taken)
-    parts = [f"At {_spent(run, ranking.rate)} take {taken.curve}{'' if setting == '–' else f' {setting}'}"]
-    if ranking.as_good:
-        parts[0] += f", or {', '.join(ranking.as_good)}, which cannot be told from it"
-    if taken.ahead_of:
-        every = len(taken.ahead_of) + 1 == len(ranking.ranked)
-        parts.append(f"it is better than {'every other: ' if every else ''}{', '.join(taken.ahead_of)}")
-    behind = [each.curve for each in ranking.ranked if each.first > 1 and each.curve not in taken.ahead_of]
-    if behind:
-        parts.append(f"others are better than {', '.join(behind)}")
-    return "; ".join(parts) + "."
+    """`At 0.2 bit/px take avif (quality 40–55): 28 % ± 3 less rate than jpeg.`"""
+    at = "Over all rates" if ranking.rate is None else f"At {_spent(run, ranking.rate)}"
+    taken, others = ranking.recommended, ranking.as_good
+    settings = setting_words(taken.settings)
+    known = ((ranking.evidence(taken.curve, anchor), anchor) for anchor in ranking.anchors if anchor not in others)
+    than = ", ".join(less_rate(found, anchor) for found, anchor in known if found is not None)
+    words = f"{at} take {taken.curve}{settings and f' ({settings})'}{than and f': {than}'}"
+    every = len(others) + 1 == len(ranking.ranked)
+    if others:
+        words += f"{';' if than else ','} or {'any other' if every and len(others) > 1 else ', '.join(others)}"
+    if ranking.too_few:
+        return f"{words}: no test is made of so few {' and '.join(ranking.of)}."
+    undecided = every and not any(ranked.ahead_of for ranked in ranking.ranked)
+    return f"{words}: no significant difference ({SURE})." if undecided else f"{words}."
 
 
 def _spent(run: RunResult, rate: float) -> str:
@@ -124,42 +157,84 @@ def _value(column: Column, ranked: Ranked) -> str:
     return "–" if ranked.value is None else f"{ranked.value * column.factor:.4g}"
 
 
-def setting_words(ranked: Ranked) -> str:
-    """The setting at the ranking's rate, or the two between which it lies; by sequence if they differ."""
-    by_words: dict[str, list[str]] = defaultdict(list)
-    for sequence, points in ranked.settings.items():
-        by_words[f"between {' and '.join(points)}" if len(points) > 1 else points[0]].append(sequence)
-    if len(by_words) > 1:
-        return "; ".join(f"{words} on {', '.join(sequences)}" for words, sequences in by_words.items())
-    return next(iter(by_words), "") or "–"
+def setting_words(by_sequence: Mapping[str, tuple[str, ...]]) -> str:
+    """`quality 40–55`: the range of settings over all sequences; empty for a codec whose only setting has no name."""
+    low, high = _ends([point for points in by_sequence.values() for point in points])
+    words = low if low.endswith(high) else f"{low}{'–' if high[0].isdigit() else ' to '}{high}"
+    return f"{words}, depending on the sequence" if len(set(by_sequence.values())) > 1 else words
 
 
-def _places(ranked: Ranked) -> str:
-    return str(ranked.first) if ranked.first == ranked.last else f"{ranked.first}–{ranked.last}"
+def _ends(points: Sequence[str]) -> tuple[str, str]:
+    """(`quality 40`, `55`): least and largest number of names such as `quality=55`, or the first and the last name."""
+    names, values = (list({point.rpartition("=")[at]: None for point in points}) for at in (0, 2))
+    if len(names) == 1:
+        with suppress(ValueError):
+            return f"{names[0]} {min(values, key=float)}".replace("=", " "), max(values, key=float)
+    return points[0].replace("=", " "), points[-1].replace("=", " ")
 
 
-def _rate(anchor: str, ranked: Ranked) -> str:
-    rate = ranked.bd_rates.get(anchor)
-    return "–" if rate is None or rate.reason else f"{rate.percent:+.0f} %"
+def _undecided(ranking: Ranking) -> Iterator[str]:
+    """What would decide between the codec to take and others that may be the best; other pairs are counted."""
+    taken = ranking.recommended.curve
+    opened: dict[frozenset[str], PairPower] = {}
+    for pair in powers_of(ranking):
+        if pair.remedy.kind == "equal":
+            yield f"{pair.first} and {pair.second} are equal within {_SMALLEST} of rate."
+        elif pair.remedy.kind != "decided":
+            opened[frozenset((pair.first, pair.second))] = pair
+    if ranking.too_few:
+        return
+    for name in ranking.as_good:
+        found, with_taken = ranking.evidence(name, taken), opened.pop(frozenset((name, taken)), None)
+        if found and with_taken:
+            yield f"{name} undecided ({signed_percent(found, taken)}): {remedy_words(with_taken)}."
+    if opened:
+        pairs = "other pair is" if len(opened) == 1 else "other pairs are"
+        yield f"{len(opened)} {pairs} undecided: `codecbench power` says what would decide."
+
+
+def remedy_words(pair: PairPower) -> str:
+    """What would decide a pair of curves."""
+    remedy, of = pair.remedy, " and ".join(pair.of)
+    if remedy.gap is not None:
+        return f"add settings of {remedy.gap.curve} between {' and '.join(_ends(remedy.gap.points))}"
+    if remedy.kind == "samples":
+        like = " like these" if pair.of == ("frames",) and remedy.more else ""
+        about = "" if remedy.more is None else f"about {_two_digits(remedy.more)} "
+        of = of.removesuffix("s") if remedy.more == 1 else of
+        return f"{about}more {of}{like}"
+    return {
+        "decided": "–",
+        "equal": "nothing",
+        "small": f"nothing, as less than {_SMALLEST} is not worth deciding",
+        "sequences": "more sequences, as these disagree",
+        "beyond": f"not by more {of}",
+    }[remedy.kind]
+
+
+def _two_digits(count: float) -> str:
+    return f"{float(f'{count:.2g}'):.0f}"
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
-    if not any(ranked.ahead_of for ranked in ranking.ranked):
-        few = f": so few {' and '.join(ranking.of)} cannot tell" if ranking.too_few else ""
-        yield f"No two of these codecs can be told apart with {SURE}{few}."
-    else:
-        yield "Codecs that share a letter cannot be told apart."
-    for first, second in ranking.equal:
-        yield f"{first} and {second} are equal within {100.0 * np.expm1(SMALLEST):.2g} % of rate."
     yield from _not_compared(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
-    if ranking.rank_correlation:
-        least = min(ranking.rank_correlation, key=lambda name: ranking.rank_correlation[name])
-        mean = sum(ranking.rank_correlation.values()) / len(ranking.rank_correlation)
+    found = [evidence for *_, evidence in ranking.pairs]
+    worth = [evidence.worth for evidence in found if math.isfinite(evidence.worth)]
+    if worth and "frames" in ranking.of:
+        yield f"{ranking.units} frames count as about {_two_digits(median(worth))} independent ones."
+    drifting = [f"{first} and {second}" for first, second, evidence in ranking.pairs if evidence.drifts]
+    if drifting:
         yield (
-            f"The order on a sequence is foretold by the others' with Kendall's tau {mean:.2f} on average, "
-            f"{ranking.rank_correlation[least]:.2f} on {least}."
+            f"The difference between {_some(drifting, 'pairs')} drifts over the whole sequence, "
+            "so its error may be larger."
+        )
+    if correlation := ranking.rank_correlation:
+        least = min(correlation, key=lambda name: correlation[name])
+        yield (
+            "Leave-one-sequence-out rank agreement (Kendall's tau): "
+            f"{sum(correlation.values()) / len(correlation):.2f} on average, {correlation[least]:.2f} on {least}."
         )
     for ranked in ranking.ranked:
         if ranked.missing:
@@ -168,42 +243,31 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
+def _some(names: list[str], noun: str) -> str:
+    """A few names, or how many more there are."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f", and {more} other {noun}," if more > 0 else "")
+
+
 def sequences_are_samples(ranking: Ranking) -> str:
     """Why a ranking over several sequences is less sure than those of each."""
     few, of = ranking.too_few_on, " and ".join(ranking.of)
-    if len(few) == len(ranking.rank_correlation):
+    if len(few) == len(ranking.sequences):
         who = "each sequence has"
     elif len(few) > _NAMED:
         who = f"{len(few)} sequences have"
     else:
         who = f"{' and '.join(few)} {'has' if len(few) == 1 else 'have'}"
-    return f"The sequences are the samples, as {who} too few {of} to say how sure"
-
-
-def beside_ranking(ranking: Ranking, first: str, second: str) -> str:
-    """Why a ranking does not put one of two curves before the other, though other figures do; empty where it does."""
-    places = {ranked.curve: ranked for ranked in ranking.ranked}
-    if first not in places or second not in places:
-        return ""
-    if second in places[first].ahead_of or first in places[second].ahead_of:
-        return ""
-    if second in ranking.not_compared(first):
-        return f"the ranking does not compare them: {NO_COMMON_RATE}"
-    if ranking.too_few:
-        return f"so few {' and '.join(ranking.of)} cannot tell them apart in the ranking"
-    return f"not told apart in the ranking, which asks for {SURE} over all pairs together"
+    return f"The sequences are the samples, as {who} too few {of} for an error of its own"
 
 
 def _not_compared(ranking: Ranking) -> Iterator[str]:
-    """Who shares no rate with whom, each pair once."""
-    said: set[str] = set()
+    """The codecs that share no rate, each pair once."""
+    named: set[str] = set()
     for ranked in ranking.ranked:
-        if others := [name for name in ranking.not_compared(ranked.curve) if name not in said]:
+        if others := [name for name in ranking.not_compared(ranked.curve) if name not in named]:
             yield f"{ranked.curve} was not compared with {', '.join(others)}: {NO_COMMON_RATE}."
-        said.add(ranked.curve)
-    for anchor in ranking.anchors:
-        if any(_rate(anchor, each) != "–" for each in ranking.ranked if anchor in ranking.not_compared(each.curve)):
-            yield f"The rate beside {anchor} is for equal values, which codecs may reach without a common rate."
+        named.add(ranked.curve)
 
 
 def where(sequence: str) -> str:
@@ -254,8 +318,8 @@ def baseline_rate(run: RunResult, sequence: str) -> tuple[str, float] | None:
     return raw[0] if raw else None
 
 
-_PAIR_HEADS = ("codecs", "difference", "smallest shown", "says", "would tell")
-_LIMIT_HEADS = ("setting", "runs that succeed", "told from", "says", "would tell")
+_PAIR_HEADS = ("codecs", "difference", "smallest shown", "says", "would decide")
+_LIMIT_HEADS = ("setting", "runs that succeed", "told from", "says", "would decide")
 
 
 def power_verdicts(run: RunResult, power: float = POWER) -> list[Verdict]:
@@ -271,47 +335,36 @@ def power_verdicts(run: RunResult, power: float = POWER) -> list[Verdict]:
 def _of_pairs(pairs: list[PairPower]) -> Verdict:
     first = pairs[0]
     of = " and ".join(first.of)
-    title = f"{where(first.sequence)}: {first.column.label}, {first.units} {of}, found {_often(first.power)}"
+    title = f"{where(first.sequence)}: {first.column.label}, {first.units} {of}, {_often(first.power)}"
     rows = tuple(
         (
-            f"{pair.first} over {pair.second}",
-            _amount(pair.difference),
-            "–" if math.isnan(pair.smallest) else _amount(pair.smallest),
+            f"{pair.first} vs. {pair.second}",
+            signed_percent(pair.evidence),
+            f"{100.0 * math.expm1(-pair.smallest):+.3g} %" if pair.smallest < _LONGEST else "–",
             _said(pair),
-            _more(pair.more_units, of),
+            remedy_words(pair),
         )
         for pair in pairs
     )
     stood = sum(pair.stands for pair in pairs)
-    sentences = [f"{stood} of {len(pairs)} differences stand at {first.level:.2g}, a share of 0.01 for each pair."]
+    sentences = [f"{stood} of {len(pairs)} differences are significant at {first.level:.2g}, 0.01 over all pairs."]
     return Verdict(title, _PAIR_HEADS, rows, tuple(sentences))
 
 
 def _often(power: float) -> str:
-    return f"in {100.0 * power:.3g} % of cases"
-
-
-def _amount(difference: float) -> str:
-    """How much more (+) or less rate the first takes for the same quality."""
-    return f"{100.0 * math.expm1(-difference):+.3g} %"
+    return f"found in {100.0 * power:.3g} % of cases"
 
 
 def _said(pair: PairPower) -> str:
     if pair.stands:
-        return f"{pair.first if pair.difference > 0 else pair.second} is ahead"
-    return "the same everywhere" if pair.difference == 0.0 and pair.evidence.variance == 0.0 else "cannot tell"
-
-
-def _more(more: int | None, of: str) -> str:
-    if more == 0:
-        return "–"
-    return f"more than a thousandfold {of}" if more is None else f"{more} more {of}"
+        return f"{pair.first if pair.difference > 0 else pair.second} is better"
+    return f"equal within {_SMALLEST}" if pair.remedy.kind == "equal" else "undecided"
 
 
 def _of_limits(found: list[LimitPower]) -> Verdict:
     first = found[0]
     label = " and ".join(column.label for column in first.columns)
-    title = f"{where(first.sequence)}: {label}, found {_often(first.power)}"
+    title = f"{where(first.sequence)}: {label}, {_often(first.power)}"
     rows = tuple(
         (
             f"{limit.curve} {limit.standing.point}".strip(),

@@ -11,7 +11,6 @@ import numpy as np
 from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import Limit, limits
-from codecbench.core.analysis.ranking import Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import json_value
 from codecbench.core.analysis.verdicts import (
@@ -24,7 +23,7 @@ from codecbench.core.analysis.verdicts import (
     spread,
 )
 from codecbench.core.contracts.view import Course, Lane
-from codecbench.core.report.formatting import beside_ranking, limit_words
+from codecbench.core.report.formatting import limit_words
 from codecbench.core.report.tables import caveats, three_digits
 from codecbench.core.report.views import PALETTE, STROKES, Map, bars_views, curve_views, map_views, styles_of
 
@@ -231,7 +230,6 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     last_heads = [f"{column.label} down to" for column in judged.limits]
     last_heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
-    ranked = {(found.column, found.sequence): found for found in rankings(run)}
     tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
     for entry in run.plan.sequences:
         wide = run.wide[run.wide["sequence"] == entry.name]
@@ -256,9 +254,9 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
             row += [limit_words(found[key], run.rate) if key in found else "–" for found in judged.limits.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
-        words = _in_words(entry.name, own, judged, run.rate, ranked)
+        words = _in_words(entry.name, judged.limits, run.rate)
         untold = _untold({key: found for key, found in judged.rates.items() if key not in told}, entry.name)
-        bd_heads = [f"BD-rate{f' beside {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
+        bd_heads = [f"BD-rate{f' vs. {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
         own_heads = [*heads, *bd_heads, *last_heads]
         tables.append(
             {"sequence": entry.name, "heads": own_heads, "rows": rows, "note": note, "words": words, "untold": untold}
@@ -282,22 +280,10 @@ def _untold(judged: dict[tuple[Column, str], dict[SequenceCurve, BdRate]], seque
     ]
 
 
-def _in_words(
-    sequence: str, own: str, judged: _Judged, rate: Column | None, ranked: dict[tuple[Column, str], Ranking]
-) -> list[str]:
-    """Who needs least rate on a sequence, for each thing held equal, and who holds down to the least."""
+def _in_words(sequence: str, limits_of: dict[Column, dict[SequenceCurve, Limit]], rate: Column | None) -> list[str]:
+    """The codec that passes down to the least rate on a sequence, for each success."""
     words = []
-    for (column, named), found in judged.rates.items():
-        anchor = named or own
-        here = {curve: bd for (name, curve), bd in found.items() if name == sequence and not bd.reason}
-        if here:
-            best = min(here, key=lambda curve: here[curve].percent)
-            ahead = here[best].percent < 0.0
-            text = f"{best} needs least rate: {here[best]} against {anchor}" if ahead else f"{anchor} needs least rate"
-            ranking = ranked.get((column, sequence))
-            doubt = beside_ranking(ranking, best, anchor) if ranking else ""
-            words.append(f"At equal {column.label}, {text}{f' ({doubt})' if doubt else ''}.")
-    for column, limited in judged.limits.items():
+    for column, limited in limits_of.items():
         held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and limit.lowest}
         if held and rate is not None:
             least = min(held, key=lambda curve: held[curve].rate)

@@ -9,7 +9,9 @@ import pytest
 from measured_runs import DRIFT, cell_result, run_of
 from scipy.signal import lfilter
 
-from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
+from codecbench.core.analysis.curve_values import SMALLEST
+from codecbench.core.analysis.evidence import Evidence, student_quantile
+from codecbench.core.analysis.ranking import Gap, Ranked, Ranking, holm, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 
@@ -66,20 +68,29 @@ def row(ranking: Ranking, curve: str) -> Ranked:
     return next(ranked for ranked in ranking.ranked if ranked.curve == curve)
 
 
+def test_holm_is_the_textbook_s() -> None:
+    """Four p-values times 4, 3, 2, 1 in order, and never less than one before."""
+    found = holm(np.array([0.01, 0.04, 0.03, 0.005]))
+    np.testing.assert_allclose(found, [0.03, 0.06, 0.06, 0.02])
+    np.testing.assert_allclose(holm(np.array([0.6, np.nan, 0.7])), [1.0, np.nan, 1.0])
+
+
 def test_codecs_that_differ_are_in_order(rng: np.random.Generator) -> None:
     cells = [cell for name, factor in (("plain", 1.0), ("good", 0.5), ("bad", 2.0)) for cell in
              starts(name, falling(factor, rng))]  # fmt: skip
     found = only(run_of(*cells))
     assert places(found) == {"good": (1, 1), "plain": (2, 2), "bad": (3, 3)}
     assert [ranked.curve for ranked in found.ranked] == ["good", "plain", "bad"]
-    assert [ranked.group for ranked in found.ranked] == ["a", "b", "c"]
     assert row(found, "good").ahead_of == ("plain", "bad")
     assert (found.anchors, found.units, found.of) == (("plain",), STARTS, ("repeats",))
-    assert row(found, "plain").bd_rates == {}
-    assert row(found, "good").bd_rates["plain"].percent == pytest.approx(-50.0, abs=8.0)
+    assert (found.recommended.curve, found.as_good) == ("good", ())
+    assert row(found, "good").settings == {"s": ("q=0.25", "q=0.5", "q=1.0", "q=2.0")}
+    evidence = found.evidence("good", "plain")
+    assert evidence is not None
+    assert evidence.mean == pytest.approx(np.log(2.0), abs=0.16)
 
 
-def test_codecs_in_between_share_a_letter_with_both(rng: np.random.Generator) -> None:
+def test_a_codec_in_between_may_be_the_best_and_the_worst(rng: np.random.Generator) -> None:
     shared = rng.normal(0.0, 0.1, STARTS)
     wobble = rng.normal(0.0, 1.0, STARTS)
     cells = starts("plain", lambda rate: np.exp(shared) / rate)
@@ -87,21 +98,56 @@ def test_codecs_in_between_share_a_letter_with_both(rng: np.random.Generator) ->
     cells += starts("between", lambda rate: 0.84 * np.exp(shared + wobble) / rate)
     found = only(run_of(*cells))
     assert row(found, "better").ahead_of == ("plain",)
-    assert row(found, "between").group == "ab"
+    assert {found.recommended.curve, *found.as_good} == {"better", "between"}
     assert places(found) == {"better": (1, 2), "between": (1, 3), "plain": (2, 3)}
 
 
-def test_rows_are_in_order_of_their_places_and_then_of_scores(rng: np.random.Generator) -> None:
+def test_rows_are_in_order_of_the_rate_that_they_show(rng: np.random.Generator) -> None:
+    """Without a common rate with the anchor, the score stands in its place; at a rate the value decides."""
     cells = [cell for name, factor in (("plain", 1.0), ("alias", 1.0), ("late", 0.4)) for cell in
              starts(name, falling(factor, rng, 0.3))]  # fmt: skip
     cells += starts("costly", falling(30.0, rng), rates=(2.0, 32.0, 64.0))
     cells += starts("aside", falling(1.0, rng), rates=(32.0, 64.0, 128.0))
-    found = only(run_of(*cells))
-    ordered = [(ranked.first, ranked.last, -ranked.score) for ranked in found.ranked]
-    assert ordered == sorted(ordered)
+    run = run_of(*cells)
+    found = only(run)
+    beside = [found.evidence(ranked.curve, "plain") for ranked in found.ranked]
+    shown = [evidence.mean for evidence in beside if evidence is not None]
+    assert len(shown) == 3
+    assert shown == sorted(shown, reverse=True)
     assert sorted(found.not_compared("aside")) == ["alias", "late", "plain"]
     assert found.not_compared("costly") == ()
     assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.recommended.curve
+    values = [ranked.value for ranked in rankings(run, at=1.0)[0].ranked]
+    assert values == sorted(values, key=float), "an error is best first"
+
+
+def ranking_of(rows: list[tuple[str, str, float, float]]) -> Ranking:
+    """Of pairs with a difference and a two-sided p-value that it is no more than the smallest, known exactly."""
+    names = list(dict.fromkeys(name for row in rows for name in row[:2]))
+    pairs = []
+    for first, second, mean, p_value in rows:
+        error = (abs(mean) - SMALLEST) / student_quantile(1.0 - p_value / 2.0, 1e9)
+        pairs.append((first, second, Evidence(mean, error**2, 1e9)))
+    scores = np.arange(len(names), 0, -1)
+    ranked = tuple(
+        Ranked(name, 1, len(names), (), 0, 1, float(score), {}) for name, score in zip(names, scores, strict=True)
+    )
+    column = run_of(cell_result("a", 1.0, "track", own={("drift", ""): [1.0]})).columns["track.drift.median"]
+    return Ranking(column, "s", 9, ("frames",), ranked, {}, ("s",), (), None, tuple(pairs), {})
+
+
+@pytest.mark.parametrize(("p_value", "as_good"), [(0.0099, ("c",)), (0.0101, ("b", "c"))])
+def test_a_codec_is_ruled_out_by_a_one_sided_test_at_its_share_of_the_level(
+    p_value: float, as_good: tuple[str, ...]
+) -> None:
+    """Of three codecs each is compared with two: half of 1 % for each comparison, one-sided."""
+    found = ranking_of([("a", "b", 0.3, p_value), ("a", "c", 0.3, 0.5), ("b", "c", 0.1, 0.5)])
+    assert (found.recommended.curve, found.as_good) == ("a", as_good)
+
+
+def test_in_a_circle_the_highest_score_is_taken() -> None:
+    found = ranking_of([("a", "b", 0.3, 1e-6), ("b", "c", 0.3, 1e-6), ("a", "c", -0.3, 1e-6)])
+    assert (found.recommended.curve, found.as_good) == ("a", ())
 
 
 @pytest.mark.parametrize(
@@ -114,7 +160,7 @@ def test_equal_codecs_under_other_names_are_never_ordered(trial: int) -> None:
     cells = [cell for name in names for cell in starts(name, falling(1.0, rng, 0.5))]
     found = only(run_of(*cells))
     assert set(places(found).values()) == {(1, 6)}
-    assert {ranked.group for ranked in found.ranked} == {"a"}
+    assert len(found.as_good) == 5
 
 
 def test_the_same_numbers_under_other_names_are_one_group(rng: np.random.Generator) -> None:
@@ -220,9 +266,8 @@ def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Ge
     assert places(together) == {"mine": (1, 1), "plain": (2, 2)}
     assert together.units == 24
     assert all(together.pairs[0][2].p_value < ranking.pairs[0][2].p_value for ranking in each)
-    bd_rate = row(together, "mine").bd_rates["plain"]
-    factors = [1 + row(ranking, "mine").bd_rates["plain"].percent / 100 for ranking in each]
-    assert 1 + bd_rate.percent / 100 == pytest.approx(np.prod(factors) ** (1 / 6))
+    means = [ranking.pairs[0][2].mean for ranking in each]
+    assert together.pairs[0][2].mean == pytest.approx(np.mean(means)), "the geometric mean of factors in rate"
     assert rankings(run_of(*cells), brief=True) == [together]
 
 
@@ -293,3 +338,32 @@ def test_the_order_on_a_sequence_agrees_with_that_of_the_others(rng: np.random.G
     assert together.rank_correlation["u"] == pytest.approx(-1.0)
     assert [together.rank_correlation[name] for name in "stv"] == pytest.approx([1.0, 1.0, 1.0])
     assert all(ranking.rank_correlation == {} for ranking in each)
+
+
+def test_rank_agreement_is_only_that_of_significant_orders(rng: np.random.Generator) -> None:
+    """On one of three sequences the codecs differ by chance alone."""
+    cells = [
+        cell
+        for sequence, gain, spread in (("s", 0.5, 0.01), ("t", 0.5, 0.01), ("v", 1.0, 0.5))
+        for name, factor in (("plain", 1.0), ("good", gain))
+        for cell in starts(name, falling(factor, rng, spread), sequence=sequence)
+    ]
+    assert rankings(run_of(*cells))[0].rank_correlation == pytest.approx({"s": 1.0, "t": 1.0})
+    assert rankings(run_of(*(cell for cell in cells if cell.cell.sequence.name != "t")))[0].rank_correlation == {}
+
+
+def test_sequences_that_disagree_and_the_widest_gap_are_named() -> None:
+    """What one saves on a sequence the other saves on another; of its settings two are far apart in quality."""
+    bent = {0.25: 1.0, 0.5: 2.0, 1.0: 9.0, 2.0: 10.0}
+    rng = np.random.default_rng(3)
+    cells = []
+    for sequence, factor in (("s", 0.5), ("t", 2.0)):
+        cells += starts("plain", falling(1.0, rng, 0.01), sequence=sequence)
+        cells += starts("mine", falling(factor, rng, 0.01), sequence=sequence)
+    together = rankings(run_of(*cells))[0]
+    assert together.disputed == (("plain", "mine"),)
+    cells = starts("plain", falling(1.0, rng, 0.01), rates=(0.25, 0.5, 0.75, 1.0, 1.5, 2.0))
+    cells += starts("mine", lambda rate: 4.8 / bent[rate] * np.exp(rng.normal(0.0, 0.01, STARTS)))
+    found = only(run_of(*cells))
+    assert found.disputed == ()
+    assert found.gaps == {("plain", "mine"): Gap("mine", ("q=0.5", "q=1.0"))}

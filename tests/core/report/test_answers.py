@@ -83,16 +83,15 @@ def test_without_a_task_codecs_are_compared_by_quality_and_that_is_said(rng: np.
     raw = cell_result("raw", 24.0, "look", {("bits", ""): [24.0] * 64, ("score", ""): [np.inf] * 64}, count=64)
     found = answers(run_of(raw, *cells))
     assert found.basis == (
-        "Judged by score alone, as no task was measured, s, 64 frames; who is called better is so with 99 % confidence."
+        "Judged by score alone, as no task was measured, s, 64 frames; "
+        "better and worse are significant at 99 % confidence."
     )
     said = sentences(found)
     assert list(said) == ["good", "plain", "bad"]
-    assert said["good"].startswith("good: better than plain, bad; 50 % less rate than plain for the same (95 %: ")
+    assert said["good"].startswith("good: better than plain, bad; 50.2 % ± 0.9 less rate than plain; ")
     assert said["good"].endswith("24.0 to 36.0 dB at 1/96 to 1/24 of raw's rate.".replace(".0", ""))
     assert said["plain"].startswith("plain: better than bad; worse than good; ")
-    assert said["bad"].startswith(
-        "bad: worse than good, plain; 99 % more rate than plain for the same (95 %: 98 to 100 %)"
-    )
+    assert said["bad"].startswith("bad: worse than good, plain; 99 % ± 4 more rate than plain; ")
 
 
 def test_the_rate_for_the_same_is_said_also_where_there_is_no_common_rate(rng: np.random.Generator) -> None:
@@ -100,7 +99,7 @@ def test_the_rate_for_the_same_is_said_also_where_there_is_no_common_rate(rng: n
     far = scored("far", 0.1, rng, rates=(0.03, 0.06, 0.12))
     between = scored("between", 0.5, rng, rates=(0.06, 0.12, 0.25, 0.5))
     said = sentences(answers(run_of(*scored("plain", 1.0, rng), *between, *far)))["far"]
-    assert "better than between, plain; 90 % less rate than plain for the same" in said
+    assert "better than between, plain; 89.9 % ± 0.2 less rate than plain; " in said
 
 
 def test_a_sequence_too_short_makes_sequences_the_samples_and_each_is_spoken_of(rng: np.random.Generator) -> None:
@@ -109,16 +108,18 @@ def test_a_sequence_too_short_makes_sequences_the_samples_and_each_is_spoken_of(
     short = [*scored("plain", 1.0, rng, sequence="few", count=6), *scored("good", 0.6, rng, sequence="few", count=6)]
     found = answers(run_of(*long, *short))
     assert found.basis.endswith(
-        "with 99 % confidence. The sequences are the samples, as few has too few frames to say how sure."
+        "at 99 % confidence. The sequences are the samples, as few has too few frames for an error of its own."
     )
-    assert sentences(found)["good"].startswith("good: better than all others on s alone; not told apart from plain; ")
-    assert sentences(found)["plain"].startswith("plain: not told apart from good; ")
+    assert sentences(found)["good"].startswith(
+        "good: better than all others on s alone; not significantly different from plain; "
+    )
+    assert sentences(found)["plain"].startswith("plain: not significantly different from good; ")
 
 
 def test_codecs_that_are_the_same_are_not_told_apart(rng: np.random.Generator) -> None:
     found = answers(run_of(*scored("plain", 1.0, rng), *scored("twin", 1.0, rng)))
-    assert "not told apart from twin" in sentences(found)["plain"]
-    assert sentences(found)["twin"] == "twin: not told apart from plain; 18 to 30 dB at 0.25 to 1 bpp."
+    assert "not significantly different from twin" in sentences(found)["plain"]
+    assert sentences(found)["twin"] == "twin: not significantly different from plain; 18 to 30 dB at 0.25 to 1 bpp."
 
 
 def test_a_codec_alone_is_described_and_compared_with_nothing(rng: np.random.Generator) -> None:

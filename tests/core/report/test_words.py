@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from measured_runs import cell_result, run_of
 
 from codecbench.cli.rank import show_found
+from codecbench.core.analysis.evidence import Evidence, student_quantile
+from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.table import CellResult
-from codecbench.core.report.formatting import verdicts, verdicts_at
-from codecbench.core.report.page_data import verdict_tables
+from codecbench.core.report.formatting import (
+    Verdict,
+    less_rate,
+    ranked_verdict,
+    setting_words,
+    signed_percent,
+    verdicts,
+    verdicts_at,
+)
 
 
 def tracked(codec: str, rate: float, held: list[float], drift: float, sequence: str = "s") -> list[CellResult]:
@@ -39,10 +50,9 @@ def example(sequence: str = "s") -> list[CellResult]:
 def test_a_run_is_decided_in_a_table_and_a_sentence_for_each_codec() -> None:
     ranking, held = verdicts(run_of(*example()))
     assert ranking.title == "s: drift, 5 repeats"
-    assert ranking.heads == ("place", "codec", "group", "rate beside plain", "better than")
-    assert [row[:3] for row in ranking.rows] == [("1", "mine", "a"), ("2", "plain", "b")]
-    assert ranking.rows[0][4] == "plain (75 % less rate, 74 to 77)"
-    assert ranking.sentences == ("Codecs that share a letter cannot be told apart.",)
+    assert ranking.heads == ("codec", "rate vs. plain", "better than")
+    assert ranking.rows == (("mine", "-75 % ± 1", "plain (-75 % ± 1)"), ("plain", "–", "–"))
+    assert ranking.sentences == ("Over all rates take mine (q 0.125–0.5): 75 % ± 1 less rate than plain.",)
     assert held.title == "s: held"
     assert held.sentences == (
         "mine q=0.25 holds at 1/96 of raw's rate, 0.25 bpp (5/5 runs, at least 57 % at 95 %); "
@@ -95,10 +105,13 @@ def test_several_sequences_come_together_first_and_alone_in_brief() -> None:
     assert "10/10 runs" in brief[1].sentences[0]
 
 
-def test_codecs_that_cannot_be_told_apart_are_said_to_be_so() -> None:
+def test_codecs_without_a_significant_difference_are_named_with_what_would_decide() -> None:
     cells = [*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001)]
     ranking, held = verdicts(run_of(*cells))
-    assert ranking.sentences == ("No two of these codecs can be told apart with 99 % confidence.",)
+    assert ranking.sentences == (
+        "Over all rates take mine (q 1.0), or plain: no significant difference (99 % confidence).",
+        "plain undecided (+2 % ± 3 vs. mine): about 2 more repeats.",
+    )
     assert held.sentences[0].startswith("plain: cannot tell of q=1.0 (2/2 runs; at least 2 more would tell)")
 
 
@@ -106,17 +119,21 @@ def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:
     run = run_of(*example("one"), *example("two"))
     together, one, _ = verdicts_at(run, 0.27)
     assert together.title == "all sequences together: drift, 10 repeats, at 0.27 bpp"
-    assert together.heads == ("place", "codec", "group", "drift [m]", "setting", "better than")
-    assert [row[:3] for row in one.rows] == [("1", "mine", "a"), ("2", "plain", "b")]
-    assert one.sentences[0] == "At 0.27 bpp take mine q=0.25; it is better than every other: plain."
-    assert together.sentences[0] == one.sentences[0]
-    assert (
-        "The order on a sequence is foretold by the others' with Kendall's tau 1.00 on average" in together.sentences[2]
+    assert together.heads == ("codec", "drift [m]", "setting", "rate vs. plain", "better than")
+    assert one.rows == (
+        ("mine", "0.9439", "q 0.25", "-76 % ± 2", "plain (-76 % ± 2)"), ("plain", "3.734", "q 0.25", "–", "–"),
+    )  # fmt: skip
+    assert one.sentences == ("At 0.27 bpp take mine (q 0.25): 76 % ± 2 less rate than plain.",)
+    assert together.sentences == (
+        "At 0.27 bpp take mine (q 0.25): 76 % ± 1 less rate than plain.",
+        "Leave-one-sequence-out rank agreement (Kendall's tau): 1.00 on average, 1.00 on one.",
     )
     assert verdicts_at(run, 7.0) == []
     alike = run_of(*tracked("plain", 1.0, [1.0, 1.0], 1.0), *tracked("mine", 1.0, [1.0, 1.0], 1.001))
     (undecided,) = verdicts_at(alike, 1.0)
-    assert undecided.sentences[0] == "At 1 bpp take mine q=1.0, or plain, which cannot be told from it."
+    assert (
+        undecided.sentences[0] == "At 1 bpp take mine (q 1.0), or plain: no significant difference (99 % confidence)."
+    )
 
 
 def level_over(codec: str, rates: tuple[float, ...], gain: float, count: int) -> list[CellResult]:
@@ -133,38 +150,80 @@ def test_codecs_without_a_common_rate_are_compared_by_the_rate_that_equal_values
     cells = level_over("plain", (4.0, 8.0, 16.0), 0.0, 64) + level_over("thrifty", (0.25, 0.5, 1.0), 24.0, 64)
     run = run_of(*cells, *level_over("between", (0.5, 2.0, 8.0), 12.0, 64))
     (ranking,) = verdicts(run)
-    assert ranking.rows[0][1:4] == ("thrifty", "a", "-94 %")
-    assert ranking.rows[0][4].startswith("between (75 % less rate")
-    assert "plain (94 % less rate" in ranking.rows[0][4]
-    assert ranking.sentences == ("Codecs that share a letter cannot be told apart.",)
+    assert ranking.rows == (
+        ("thrifty", "-93.8 % ± 0.2", "between (-75 % ± 1), plain (-93.8 % ± 0.2)"),
+        ("between", "-75 % ± 1", "plain (-75 % ± 1)"),
+        ("plain", "–", "–"),
+    )
+    assert ranking.sentences == ("Over all rates take thrifty (q 0.25–1.0): 93.8 % ± 0.2 less rate than plain.",)
 
 
 def test_codecs_that_share_no_values_either_have_no_rate_to_be_explained() -> None:
     cells = level_over("plain", (4.0, 8.0, 16.0), 0.0, 64) + level_over("between", (0.5, 2.0, 8.0), 0.0, 64)
     (ranking,) = verdicts(run_of(*cells, *level_over("coarse", (0.25, 0.5, 1.0), 0.0, 64)))
-    assert {row[1]: row[3] for row in ranking.rows}["coarse"] == "–"
-    assert any("was not compared with" in sentence for sentence in ranking.sentences)
-    assert not any(sentence.startswith("The rate beside") for sentence in ranking.sentences)
+    assert {row[0]: row[1] for row in ranking.rows}["coarse"] == "–"
+    assert "coarse was not compared with plain: no common rate to compare at." in ranking.sentences
+
+
+def evidence(less: float, half: float, **more: Any) -> Evidence:
+    """Of a codec that takes such a share of the other's rate, with an interval of so many logs on both sides."""
+    return Evidence(-float(np.log(less)), (half / student_quantile(0.975, 1e9)) ** 2, 1e9, **more)
 
 
 @pytest.mark.parametrize(
-    ("count", "gain", "sentence", "doubt"),
+    ("found", "words", "sentence"),
     [
-        (4, 6.0, "confidence: so few frames cannot tell.", "so few frames cannot tell them apart in the ranking"),
-        (
-            64,
-            0.2,
-            "confidence.",
-            "not told apart in the ranking, which asks for 99 % confidence over all pairs together",
-        ),
+        (evidence(0.72, 0.0417), "-28 % ± 3", "28 % ± 3 less rate than jpeg"),
+        (evidence(1.31, 0.00412), "+31.0 % ± 0.5", "31.0 % ± 0.5 more rate than jpeg"),
+        (evidence(0.5, 0.0), "-50 % ± 0", "50 % ± 0 less rate than jpeg"),
+        (evidence(0.5, 1.5), "-50 %, -89 to +124 %", "50 % less rate than jpeg (-89 to +124 %)"),
+        (evidence(0.5, 5.0), "-50 %, no interval", "50 % less rate than jpeg (no interval)"),
+        (Evidence(np.log(2.0), math.nan, 0.0), "-50 %, no interval", "50 % less rate than jpeg (no interval)"),
     ],
 )
-def test_a_saving_that_the_ranking_does_not_stand_by_says_so(
-    count: int, gain: float, sentence: str, doubt: str
-) -> None:
-    run = run_of(*(cell for name, more in (("plain", 0.0), ("mine", gain)) for cell in
-                   level_over(name, (0.25, 0.5, 1.0), more, count)))  # fmt: skip
-    (ranking,) = verdicts(run)
-    assert ranking.sentences == (f"No two of these codecs can be told apart with 99 % {sentence}",)
-    (table,), _ = verdict_tables(run)
-    assert table["words"][0].endswith(f"({doubt}).")
+def test_a_difference_is_a_signed_percent_of_rate_with_its_interval(found: Evidence, words: str, sentence: str) -> None:
+    assert (signed_percent(found), less_rate(found, "jpeg")) == (words, sentence)
+
+
+@pytest.mark.parametrize(
+    ("by_sequence", "words"),
+    [
+        ([("quality=40",)], "quality 40"),
+        ([("quality=55", "quality=40")], "quality 40–55"),
+        ([("quality=9", "quality=10"), ("quality=10",)], "quality 9–10, depending on the sequence"),
+        ([("effort=fast", "effort=best")], "effort fast to effort best"),
+        ([("levels=2 qf=5", "levels=2 qf=20")], "levels 2 qf 5–20"),
+        ([("",)], ""),
+    ],
+)
+def test_settings_are_named_in_short(by_sequence: list[tuple[str, ...]], words: str) -> None:
+    assert setting_words({str(place): points for place, points in enumerate(by_sequence)}) == words
+
+
+def undecided(**more: Any) -> Verdict:
+    """The verdict on frames of two alike codecs, with more known of their difference."""
+    run = run_of(*(cell for name in ("plain", "mine") for cell in level_over(name, (0.25, 0.5, 1.0), 0.2, 64)))
+    (ranking,) = rankings(run)
+    ((first, second, found),) = ranking.pairs
+    return ranked_verdict(run, replace(ranking, pairs=((first, second, replace(found, **more)),)))
+
+
+def test_how_many_frames_count_as_independent_and_drift_are_noted() -> None:
+    assert "64 frames count as about 13 independent ones." in undecided(worth=12.7).sentences
+    drift = "The difference between plain and mine drifts over the whole sequence, so its error may be larger."
+    assert drift in undecided(drifts=True).sentences
+    assert [words for words in undecided().sentences if "independent" in words or "drift" in words] == []
+
+
+def test_of_too_few_frames_no_test_is_made() -> None:
+    cells = [cell for name, gain in (("plain", 0.0), ("mine", 6.0)) for cell in
+             level_over(name, (0.25, 0.5, 1.0), gain, 4)]  # fmt: skip
+    (ranking,) = verdicts(run_of(*cells))
+    assert ranking.sentences == ("Over all rates take mine (q 0.25–1.0), or plain: no test is made of so few frames.",)
+
+
+def test_pairs_that_do_not_bear_on_the_best_are_counted() -> None:
+    cells = [cell for name, factor in (("plain", 1.0), ("alias", 1.01), ("best", 0.3)) for cell in
+             (cell for rate in (0.25, 0.5, 1.0) for cell in tracked(name, rate, HOLDS, factor / rate))]  # fmt: skip
+    ranking = verdicts(run_of(*cells))[0]
+    assert ranking.sentences[1] == "1 other pair is undecided: `codecbench power` says what would decide."
