@@ -190,7 +190,7 @@ def _undecided(ranking: Ranking) -> Iterator[str]:
             yield f"{name} undecided ({signed_percent(found, taken)}): {remedy_words(with_taken)}."
     if opened:
         pairs = "other pair is" if len(opened) == 1 else "other pairs are"
-        yield f"{len(opened)} {pairs} undecided: `codecbench power` says what would decide."
+        yield f"{len(opened)} {pairs} undecided: codecbench power says what would decide."
 
 
 def remedy_words(pair: PairPower) -> str:

@@ -226,4 +226,4 @@ def test_pairs_that_do_not_bear_on_the_best_are_counted() -> None:
     cells = [cell for name, factor in (("plain", 1.0), ("alias", 1.01), ("best", 0.3)) for cell in
              (cell for rate in (0.25, 0.5, 1.0) for cell in tracked(name, rate, HOLDS, factor / rate))]  # fmt: skip
     ranking = verdicts(run_of(*cells))[0]
-    assert ranking.sentences[1] == "1 other pair is undecided: `codecbench power` says what would decide."
+    assert ranking.sentences[1] == "1 other pair is undecided: codecbench power says what would decide."
