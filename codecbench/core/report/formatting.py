@@ -54,7 +54,7 @@ def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
 
 
 def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
-    """What the run decides: who is ahead by each task, then down to which rate each codec holds.
+    """What the run decides: which codec to take by each task, then down to which rate each codec holds.
 
     Each begins with all sequences together, where there are several; with `brief` that is all.
     """
@@ -160,7 +160,11 @@ def _value(column: Column, ranked: Ranked) -> str:
 def setting_words(by_sequence: Mapping[str, tuple[str, ...]]) -> str:
     """`quality 40–55`: the range of settings over all sequences; empty for a codec whose only setting has no name."""
     low, high = _ends([point for points in by_sequence.values() for point in points])
-    words = low if low.endswith(high) else f"{low}{'–' if high[0].isdigit() else ' to '}{high}"
+    words = (
+        low
+        if low in (high, f"{low.rpartition(' ')[0]} {high}")
+        else f"{low}{'–' if high[0].isdigit() else ' to '}{high}"
+    )
     return f"{words}, depending on the sequence" if len(set(by_sequence.values())) > 1 else words
 
 
@@ -201,8 +205,7 @@ def remedy_words(pair: PairPower) -> str:
     if remedy.kind == "samples":
         like = " like these" if pair.of == ("frames",) and remedy.more else ""
         about = "" if remedy.more is None else f"about {_two_digits(remedy.more)} "
-        of = of.removesuffix("s") if remedy.more == 1 else of
-        return f"{about}more {of}{like}"
+        return f"{about}more {of.removesuffix('s') if remedy.more == 1 else of}{like}"
     return {
         "decided": "–",
         "equal": "nothing",
@@ -226,10 +229,9 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{ranking.units} frames count as about {_two_digits(median(worth))} independent ones."
     drifting = [f"{first} and {second}" for first, second, evidence in ranking.pairs if evidence.drifts]
     if drifting:
-        yield (
-            f"The difference between {_some(drifting, 'pairs')} drifts over the whole sequence, "
-            "so its error may be larger."
-        )
+        more = f", and {len(drifting) - _NAMED} other pairs," if len(drifting) > _NAMED else ""
+        named = f"The difference between {', '.join(drifting[:_NAMED])}{more}"
+        yield f"{named} drifts over the whole sequence, so its error may be larger."
     if correlation := ranking.rank_correlation:
         least = min(correlation, key=lambda name: correlation[name])
         yield (
@@ -241,12 +243,6 @@ def _notes(ranking: Ranking) -> Iterator[str]:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
     for curve, reason in ranking.left_out.items():
         yield f"{curve} has no place: {reason}."
-
-
-def _some(names: list[str], noun: str) -> str:
-    """A few names, or how many more there are."""
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f", and {more} other {noun}," if more > 0 else "")
 
 
 def sequences_are_samples(ranking: Ranking) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -202,17 +202,6 @@ def _steps(values: np.ndarray, step: float) -> list[float | None]:
 _LEADS: Final = "on the Pareto front"
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """What is said of every curve: BD-rates at equal values of some columns, and limits of others.
-
-    rates: by column and anchor; "" is the only anchor, which each sequence has by itself.
-    """
-
-    rates: dict[tuple[Column, str], dict[SequenceCurve, BdRate]]
-    limits: dict[Column, dict[SequenceCurve, Limit]]
-
-
 def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     """A table for each sequence as the template takes it, and the names of the anchors of BD-rates, if any."""
     rates = {
@@ -220,17 +209,15 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
         for column in run.headlines("quality", "task")
         for anchor, found in bd_rates_by_anchor(run, column).items()
     }
-    judged = _Judged(
-        {key: found for key, found in rates.items() if found},
-        {column: limits(run, [column]) for column in run.headlines("success")},
-    )
+    rates = {key: found for key, found in rates.items() if found}
+    limits_of = {column: limits(run, [column]) for column in run.headlines("success")}
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
     heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
-    last_heads = [f"{column.label} down to" for column in judged.limits]
+    last_heads = [f"{column.label} down to" for column in limits_of]
     last_heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
-    tables, anchors = [], dict.fromkeys(anchor for _, anchor in judged.rates if anchor)
+    tables, anchors = [], dict.fromkeys(anchor for _, anchor in rates if anchor)
     for entry in run.plan.sequences:
         wide = run.wide[run.wide["sequence"] == entry.name]
         used, front = pareto_settings(wide, criteria)
@@ -239,10 +226,10 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
             curve = run.curves[record["codec"], record["setting"]].curve
             curves.setdefault(curve, []).append({**record, _LEADS: leads})
         own = next(iter(anchors_of(curves, run.schema.anchors)), "")
-        if not any(anchor for _, anchor in judged.rates) and own:
+        if not any(anchor for _, anchor in rates) and own:
             anchors[own] = None
         rows = []
-        told = {key: found for key, found in judged.rates.items() if _has_number(found, entry.name)}
+        told = {key: found for key, found in rates.items() if _has_number(found, entry.name)}
         for curve, records in curves.items():
             key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
@@ -251,17 +238,17 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
                 "anchor" if curve == (anchor or own) else str(found.get(key, "–"))
                 for (_, anchor), found in told.items()
             ]
-            row += [limit_words(found[key], run.rate) if key in found else "–" for found in judged.limits.values()]
+            row += [limit_words(found[key], run.rate) if key in found else "–" for found in limits_of.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
-        words = _in_words(entry.name, judged.limits, run.rate)
-        untold = _untold({key: found for key, found in judged.rates.items() if key not in told}, entry.name)
+        words = _in_words(entry.name, limits_of, run.rate)
+        untold = _untold({key: found for key, found in rates.items() if key not in told}, entry.name)
         bd_heads = [f"BD-rate{f' vs. {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
         own_heads = [*heads, *bd_heads, *last_heads]
         tables.append(
             {"sequence": entry.name, "heads": own_heads, "rows": rows, "note": note, "words": words, "untold": untold}
         )
-    return tables, " and ".join(anchors) if judged.rates else ""
+    return tables, " and ".join(anchors) if rates else ""
 
 
 def _has_number(found: dict[SequenceCurve, BdRate], sequence: str) -> bool:

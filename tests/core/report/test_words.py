@@ -190,6 +190,7 @@ def test_a_difference_is_a_signed_percent_of_rate_with_its_interval(found: Evide
     [
         ([("quality=40",)], "quality 40"),
         ([("quality=55", "quality=40")], "quality 40–55"),
+        ([("bias=-5", "bias=5")], "bias -5–5"),
         ([("quality=9", "quality=10"), ("quality=10",)], "quality 9–10, depending on the sequence"),
         ([("effort=fast", "effort=best")], "effort fast to effort best"),
         ([("levels=2 qf=5", "levels=2 qf=20")], "levels 2 qf 5–20"),
