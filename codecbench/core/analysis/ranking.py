@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference
-from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_pairs
+from codecbench.core.analysis.evidence import Evidence, combined
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import SequenceCurve, anchors_of, bd_rates_by_anchor, from_quality
@@ -253,14 +253,7 @@ def _evidence_on(
     pairs = {
         (i, j): difference(values[curves[i]], values[curves[j]], at) for i, j in combinations(range(len(curves)), 2)
     }
-    known = {pair: found for pair, found in pairs.items() if found is not None}
-    if not known:
-        return {}
-    independent = len({member for pair in known for member in pair}) - 1
-    changes = np.array([found.changes for found in known.values()])
-    of = next(iter(values.values())).of
-    evidence = evidence_of_pairs(changes, independent, of, SIGNIFICANCE / len(known))
-    return {pair: replace(each, doubt=found.doubt) for (pair, found), each in zip(known.items(), evidence, strict=True)}
+    return {pair: known.evidence(values[curves[pair[0]]].of) for pair, known in pairs.items() if known is not None}
 
 
 @dataclass(frozen=True)
