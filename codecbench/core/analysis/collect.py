@@ -115,7 +115,9 @@ def _result(
     """added: the metrics that no cell of this evaluator measured, so that only a comparison can give them."""
     outcome = _outcome(store, cell, record)
     if evaluator is not None and record.status == "ok":
-        measured = (*record.measurements, *_compared(evaluator, outcome, baseline, added))
+        beside = _compared(evaluator, outcome, baseline, added)
+        replaced = {(each.metric, each.stage) for each in beside}
+        measured = (*(each for each in record.measurements if (each.metric, each.stage) not in replaced), *beside)
         outcome = replace(outcome, measurements=(*measured, *_declared_later(cell, metrics, record, measured)))
     return CellResult(
         cell,
