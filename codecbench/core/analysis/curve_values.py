@@ -282,8 +282,7 @@ def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, un
     rates = np.repeat(means[:, None], units, axis=1)
     if judged is None:
         return rates
-    cells = {(each.cell.sequence.name, each.cell.codec.name, each.cell.codec.label): each
-             for each in run.of(run.rate.evaluator.title)}  # fmt: skip
+    cells = {each.row: each for each in run.of(run.rate.evaluator.title)}
     for place, key in enumerate(keys):
         if key in cells:
             own = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
@@ -318,5 +317,5 @@ def _of_frames(results: list[CellResult], column: Column) -> dict[Key, Array]:
     rows: dict[Key, list[Array]] = defaultdict(list)
     matrix = frame_matrix(results, column.metric.name, column.stage)[1]
     for result, values in zip(results, matrix, strict=True):
-        rows[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(values)
+        rows[result.row].append(values)
     return {key: np.mean(many, axis=0) for key, many in rows.items()}
