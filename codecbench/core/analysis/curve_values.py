@@ -17,7 +17,7 @@ from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
-from codecbench.core.analysis.verdicts import as_quality, frame_matrix, values_of_repeats
+from codecbench.core.analysis.verdicts import as_quality, frame_matrix, from_quality, values_of_repeats
 
 Array = NDArray[np.float64]
 Of = Literal["frames", "repeats"]
@@ -29,6 +29,8 @@ _SAME_RATE: Final = math.log(1.1)
 _ROUNDING: Final = 1e-9
 _ALIKE: Final = 0.25
 """Settings of two curves are the same if they are nearer than this share of the least step between settings."""
+_OUT_OF_ORDER: Final = 0.25
+"""Up to such a share of the differences between settings of a codec, by size, more rate may be worse."""
 _STEPS: Final = 33
 """Qualities at which two curves are compared."""
 
@@ -275,6 +277,33 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
     return curves, left_out
 
 
+def objection(run: RunResult, column: Column, curves: dict[str, CurveValues], left_out: dict[str, str]) -> str:
+    """Why a column is uninformative on a sequence; empty where it is not. curves, left_out: as by `curve_values`.
+
+    The baseline has to be better than the coarsest settings, and finer settings better than coarser ones. Only codecs
+    of several settings say anything of that, and quality, which is measured beside the raw frame, need not show it.
+    """
+    if not curves:
+        return "no setting has a value" if "no value" in left_out.values() else ""
+    baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.schema.baselines}
+    means = {curve: found.qualities.mean(axis=1) for curve, found in curves.items()}
+    swept = [mean for curve, mean in means.items() if len(mean) > 1 and curve not in baselines]
+    if not swept or column.metric.role == "quality":
+        return ""
+    steps = np.concatenate([(mean - mean[:, None])[np.triu_indices(len(mean), 1)] for mean in swept])
+    size = np.abs(steps).sum()
+    if size <= _ROUNDING * np.abs(np.concatenate(swept)).max():
+        return "all settings of a codec are alike"
+    raw, coarsest = [means[curve].mean() for curve in means if curve in baselines], np.median([m[0] for m in swept])
+    if raw and np.mean(raw) <= coarsest:
+        best, worst = (f"{from_quality(float(x), column) * column.factor:.3g}" for x in (np.mean(raw), coarsest))
+        return f"{' and '.join(sorted(baselines))} ({best}) is no better than the coarsest settings ({worst})"
+    wrong = -steps[steps < 0].sum() / size
+    return (
+        "" if wrong <= _OUT_OF_ORDER else f"finer settings are worse in {100 * wrong:.0f} % of the differences, by size"
+    )
+
+
 def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, units: int) -> Array:
     """(S, U) rates of settings at the judged frames, with each setting's mean rate; the same for all repeats."""
     assert run.rate is not None
@@ -282,8 +311,7 @@ def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, un
     rates = np.repeat(means[:, None], units, axis=1)
     if judged is None:
         return rates
-    cells = {(each.cell.sequence.name, each.cell.codec.name, each.cell.codec.label): each
-             for each in run.of(run.rate.evaluator.title)}  # fmt: skip
+    cells = {each.row: each for each in run.of(run.rate.evaluator.title)}
     for place, key in enumerate(keys):
         if key in cells:
             own = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
@@ -318,5 +346,5 @@ def _of_frames(results: list[CellResult], column: Column) -> dict[Key, Array]:
     rows: dict[Key, list[Array]] = defaultdict(list)
     matrix = frame_matrix(results, column.metric.name, column.stage)[1]
     for result, values in zip(results, matrix, strict=True):
-        rows[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(values)
+        rows[result.row].append(values)
     return {key: np.mean(many, axis=0) for key, many in rows.items()}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference
+from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference, objection
 from codecbench.core.analysis.evidence import Evidence, combined
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
@@ -73,10 +73,14 @@ class Ranking:
     pairs: tuple[tuple[str, str, Evidence], ...]
     rank_correlation: dict[str, float]
     too_few_on: tuple[str, ...] = ()
+    uninformative: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def recommended(self) -> Ranked:
-        """The codec to take: of those than which none is told to be better (in a circle: of all) the highest score."""
+        """The codec to take: of those than which none is told to be better (in a circle: of all) the highest score.
+
+        Raises ValueError where nobody is ranked, as the column is uninformative.
+        """
         unbeaten = [ranked for ranked in self.ranked if ranked.first == 1]
         return max(unbeaten or self.ranked, key=lambda ranked: ranked.score)
 
@@ -117,9 +121,10 @@ class Ranking:
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
     """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
 
-    A ranking over all of a single sequence is left out, as are those that would have less than two codecs. Nothing
-    where the run has no rate. brief: only the first of each column. at: the rate, in its metric's unit, at which codecs
-    are compared, linearly between the logarithms of their settings' rates; all rates that two codecs share, without it.
+    A ranking over all of a single sequence is left out, as are those that would have less than two codecs; not so where
+    the column is uninformative, which they say instead. Nothing where the run has no rate. brief: only the first of
+    each column. at: the rate, in its metric's unit, at which codecs are compared, linearly between the logarithms of
+    their settings' rates; all rates that two codecs share, without it.
     """
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
     if run.rate is None:
@@ -129,10 +134,16 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
         sequences = [entry.name for entry in run.plan.sequences]
         rates = bd_rates_by_anchor(run, column, resamples=0)
         gathered = {name: curve_values(run, column, name) for name in sequences}
+        mute = {name: reason for name, each in gathered.items() if (reason := objection(run, column, *each))}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]
-        made = (_ranking(run, column, group, gathered, rates, at) for group in groups)
-        found += [ranking for ranking in made if len(ranking.ranked) > 1]
+        for group in groups:
+            told = [name for name in group if name not in mute]
+            ranking = _ranking(run, column, told, gathered, rates, at)
+            if len(ranking.ranked) > 1 or not told:
+                why = {name: mute[name] for name in group if name in mute}
+                sequence = group[0] if len(group) == 1 else POOLED
+                found.append(replace(ranking, sequence=sequence, uninformative=why))
     return found
 
 
@@ -160,7 +171,7 @@ def _ranking(
     any_curve = [next(iter(found.values())) for found in values.values() if found]
     return Ranking(
         column,
-        sequences[0] if len(sequences) == 1 else POOLED,
+        POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
         tuple(_placed(curves, values, matrices, rates, column, at)),

@@ -17,7 +17,7 @@ from codecbench.core.analysis.limits import POOLED, Limit, limits
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, judged_column, successes
 from codecbench.core.analysis.verdicts import bd_rates_by_anchor
-from codecbench.core.report.formatting import baseline_rate, sequences_are_samples, share_of_rate, where
+from codecbench.core.report.formatting import baseline_rate, sequences_are_samples, share_of_rate, uninformative, where
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
@@ -123,13 +123,15 @@ def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
     ranking = next((each for each in found if each.sequence == on), None)
     what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
     basis = f"Judged {what}, {where(on)}"
-    if ranking is not None:
+    if ranking is not None and ranking.ranked:
         basis += (
             f", {ranking.units} {' and '.join(ranking.of)}; "
             f"who is called better is so with {100 * (1 - SIGNIFICANCE):.0f} % confidence"
         )
         if ranking.too_few_on:
             basis += f". {sequences_are_samples(ranking)}"
+    for sentence in () if ranking is None else uninformative(ranking):
+        basis += f". {sentence.removesuffix('.')}"
     placed = {} if ranking is None else {ranked.curve: ranked for ranked in ranking.ranked}
     curves = [*placed, *(curve for curve in _curves(run) if curve not in placed)]
     best_on = _best_on(found)

@@ -71,7 +71,12 @@ def _found(run: RunResult) -> Iterator[Verdict]:
 
 
 def _ranked(run: RunResult, ranking: Ranking) -> Verdict:
-    title = f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
+    title = f"{where(ranking.sequence)}: {ranking.column.label}"
+    if not ranking.ranked:
+        own = ranking.uninformative.get(ranking.sequence)
+        said = uninformative(ranking) if own is None else [f"Uninformative here: {own}."]
+        return Verdict(title, (), (), tuple(said), ranking.column)
+    title += f", {ranking.units} {' and '.join(ranking.of)}"
     if ranking.rate is None:
         heads = [(f"rate beside {anchor}", anchor) for anchor in ranking.anchors] or [("rate", "")]
         shown: dict[str, Callable[[Ranked], str]] = {head: partial(_rate, anchor) for head, anchor in heads}
@@ -152,6 +157,7 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     for first, second in ranking.equal:
         yield f"{first} and {second} are equal within {100.0 * np.expm1(SMALLEST):.2g} % of rate."
     yield from _not_compared(ranking)
+    yield from uninformative(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
     if ranking.rank_correlation:
@@ -168,6 +174,12 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
+def uninformative(ranking: Ranking) -> Iterator[str]:
+    """On which sequences the column ranks nobody, and why: a sentence each."""
+    for sequence, reason in ranking.uninformative.items():
+        yield f"{sequence}: {ranking.column.label} is uninformative here: {reason}."
+
+
 def sequences_are_samples(ranking: Ranking) -> str:
     """Why a ranking over several sequences is less sure than those of each."""
     few, of = ranking.too_few_on, " and ".join(ranking.of)
@@ -182,6 +194,8 @@ def sequences_are_samples(ranking: Ranking) -> str:
 
 def beside_ranking(ranking: Ranking, first: str, second: str) -> str:
     """Why a ranking does not put one of two curves before the other, though other figures do; empty where it does."""
+    if reason := ranking.uninformative.get(ranking.sequence):
+        return f"uninformative here: {reason}"
     places = {ranked.curve: ranked for ranked in ranking.ranked}
     if first not in places or second not in places:
         return ""
