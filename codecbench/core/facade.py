@@ -27,6 +27,7 @@ from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.report.answers import Answers, answers
+from codecbench.core.report.formatting import uninformative
 from codecbench.core.report.page import write_report
 from codecbench.core.report.tables import notes, short_table
 from codecbench.core.rounds.running import run_matrix
@@ -77,10 +78,13 @@ class Run(RunResult):
                 f"best({rate!r}): give a rate above 0{unit}, as a number, or nothing for a sentence a codec; "
                 "`wide` and `tidy` are the tables with every column"
             )
-        ranked = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
-        if not ranked:
-            raise ParamsError("nothing can be ranked at that rate: no two codecs have settings around it")
-        return ranked[0].recommended
+        found = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
+        for ranking in found:
+            if ranking.ranked:
+                return ranking.recommended
+        reasons = [reason for ranking in found for reason in uninformative(ranking)]
+        reason = reasons[0] if reasons else "no two codecs have settings around it"
+        raise ParamsError(f"nothing can be ranked at that rate: {reason}")
 
     def frames(self, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None) -> CodedSequence:
         """The frames of a codec setting beside what was decoded of them, from the bitstreams in the run folder.

@@ -1,24 +1,22 @@
 """Bjontegaard deltas that say when they mean nothing.
 
 Source: G. Bjontegaard, VCEG-M33, 2001 (the idea) and VCEG-AI11, 2008 (limits); interpolation by PCHIP
-(Fritsch and Carlson, doi:10.1137/0717021) or Akima (doi:10.1145/321607.321609) as in later practice.
+(Fritsch and Carlson, doi:10.1137/0717021) as in later practice.
 We deviate in one way: a pair of curves on which the number is not meaningful gets a reason, not a number.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from codecbench.core.analysis.evidence import drawn_blocks
 
-Method = Literal["pchip", "akima"]
-
-_LEAST_POINTS: Final = {"pchip": 3, "akima": 4}
-"""A curve of fewer points is not the shape that the method assumes."""
+_LEAST_POINTS: Final = 3
+"""A curve of fewer points is not the shape that the interpolation assumes."""
 
 LEAST_OVERLAP: Final = 0.25
 """Share of the shorter curve's quality range that both must cover; below it the ends decide everything."""
@@ -35,7 +33,6 @@ class BdRate:
     """
 
     percent: float
-    method: Method
     overlap: float
     reason: str = ""
     dropped: tuple[int, int] = (0, 0)
@@ -55,7 +52,6 @@ def bd_rate(
     test_rates: ArrayLike,
     test_qualities: ArrayLike,
     *,
-    method: Method = "pchip",
     hull: bool = False,
 ) -> BdRate:
     """Average rate difference of two rate-quality curves over the qualities that both reach.
@@ -77,16 +73,15 @@ def bd_rate(
     with np.errstate(invalid="ignore"):  # of infinite qualities, which are at fault
         spans = [np.ptp(curve.qualities) if len(curve.rates) else 0.0 for curve in curves]
         overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
-    reason = next(filter(None, (curve.fault(method) for curve in curves)), "") or _poor(overlap, low, high)
+    reason = next(filter(None, (curve.fault() for curve in curves)), "") or _poor(overlap, low, high)
     if reason:
-        return BdRate(float("nan"), method, overlap, reason, dropped, failures)
-    from scipy.interpolate import Akima1DInterpolator, PchipInterpolator  # load for half a second
+        return BdRate(float("nan"), overlap, reason, dropped, failures)
+    from scipy.interpolate import PchipInterpolator  # loads for half a second
 
-    interpolator = {"pchip": PchipInterpolator, "akima": Akima1DInterpolator}[method]
-    areas = [interpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
+    areas = [PchipInterpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
     anchor, test = (float(area(high) - area(low)) for area in areas)
     percent = 100.0 * (10.0 ** ((test - anchor) / (high - low)) - 1.0)
-    return BdRate(float(percent), method, overlap, "", dropped, failures)
+    return BdRate(float(percent), overlap, "", dropped, failures)
 
 
 def bd_rate_with_interval(
@@ -96,7 +91,6 @@ def bd_rate_with_interval(
     test_qualities: NDArray[np.float64],
     *,
     rng: np.random.Generator,
-    method: Method = "pchip",
     hull: bool = False,
     resamples: int = 1000,
     block: int = 1,
@@ -112,14 +106,14 @@ def bd_rate_with_interval(
     samples = {array.shape[1] for array in arrays}
     if len(samples) != 1:
         raise ValueError(f"all four arrays need the same samples; got {sorted(samples)} columns")
-    whole = bd_rate(*(array.mean(axis=1) for array in arrays), method=method, hull=hull)
+    whole = bd_rate(*(array.mean(axis=1) for array in arrays), hull=hull)
     count = samples.pop()
     if whole.reason or count < 3 or not resamples:
         return whole
     values = np.empty(resamples)
     for index in range(resamples):
         picks = drawn_blocks(rng, count, block)
-        values[index] = bd_rate(*(array[:, picks].mean(axis=1) for array in arrays), method=method, hull=hull).percent
+        values[index] = bd_rate(*(array[:, picks].mean(axis=1) for array in arrays), hull=hull).percent
     if np.isnan(values).mean() > 0.05:
         return whole
     low, high = np.nanpercentile(values, [2.5, 97.5])
@@ -140,16 +134,15 @@ class _Curve:
         keep = (self.qualities > best) | np.isnan(self.rates)
         return _Curve(self.side, self.rates[keep], self.qualities[keep], self.failures)
 
-    def fault(self, method: Method) -> str:
+    def fault(self) -> str:
         """Why no curve can be drawn through these points, or nothing."""
         if np.isnan(self.rates).any():
             return f"the {self.side} curve has a setting whose rate is not known"
         if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
             return f"the {self.side} curve has an infinite value (a lossless setting has no place on it)"
-        if len(self.rates) < _LEAST_POINTS[method]:
+        if len(self.rates) < _LEAST_POINTS:
             failed = f", {self.failures} failed" if self.failures else ""
-            usable = f"the {self.side} curve has {len(self.rates)} usable points{failed}"
-            return f"{usable}; {method} needs {_LEAST_POINTS[method]}"
+            return f"the {self.side} curve has {len(self.rates)} usable points{failed}; pchip needs {_LEAST_POINTS}"
         if (self.rates <= 0).any():
             return f"the {self.side} curve has a rate that is not positive"
         for index in range(1, len(self.rates)):

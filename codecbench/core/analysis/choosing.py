@@ -123,8 +123,8 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
     found: dict[_Setting, _Runs] = defaultdict(_Runs)
     for result in over_link:
         if result.status != "unsupported":
-            row = result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
-            _collect(found[*row, _way(result.cell.evaluator)], result, demand, encode_ms.get(row, 0.0))
+            setting = (*result.row, _way(result.cell.evaluator))
+            _collect(found[setting], result, demand, encode_ms.get(result.row, 0.0))
     if not found:
         links = links_of(run)
         there = f"it has {', '.join(links)}" if links else "no evaluator of it has a link"
@@ -183,7 +183,7 @@ def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
         timed = _with_need(result, "encoding")
         median = None if timed is None else result.summaries.get((timed.name, "", timed.aggregates[0]))
         if median is not None:
-            found[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(median)
+            found[result.row].append(median)
     if not found:
         raise NotMeasured(f"{run.folder}: no encoding was timed; add an evaluator that does, or leave the factor away")
     return {row: demand.device_factor * float(np.median(values)) for row, values in found.items()}
@@ -220,11 +220,7 @@ def _judged(run: RunResult, setting: _Setting, runs: _Runs, rate: float, way: st
     labels = dict.fromkeys(label for causes in runs.causes for label in causes)
     means = {label: float(np.mean([causes.get(label, 0.0) for causes in runs.causes])) for label in labels}
     return Candidate(
-        sequence,
-        point.curve,
-        point.point,
-        way,
-        rate,
+        sequence, point.curve, point.point, way, rate,
         Standing(point.point, rate, sum(enough), len(enough)) if enough else None,
         float(np.mean(runs.shares)) if runs.shares else math.nan,
         dict(sorted(means.items(), key=lambda pair: -pair[1])),
@@ -232,7 +228,7 @@ def _judged(run: RunResult, setting: _Setting, runs: _Runs, rate: float, way: st
         float(np.median(list(runs.errors_m.values()))) if runs.errors_m else math.nan,
         tuple(what for what, limit, measured in asked if limit is not None and not measured),
         runs.errors_m,
-    )
+    )  # fmt: skip
 
 
 _SIGNIFICANCE: Final = 0.05

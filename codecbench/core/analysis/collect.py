@@ -115,24 +115,16 @@ def _result(
     """added: the metrics that no cell of this evaluator measured, so that only a comparison can give them."""
     outcome = _outcome(store, cell, record)
     if evaluator is not None and record.status == "ok":
-        measured = (*record.measurements, *_compared(evaluator, outcome, baseline, added))
+        beside = _compared(evaluator, outcome, baseline, added)
+        replaced = {(each.metric, each.stage) for each in beside}
+        measured = (*(each for each in record.measurements if (each.metric, each.stage) not in replaced), *beside)
         outcome = replace(outcome, measurements=(*measured, *_declared_later(cell, metrics, record, measured)))
     return CellResult(
-        cell,
-        record.status,
-        record.reason,
-        outcome.measurements,
-        record.summaries,
-        metrics,
-        partial(_samples, store, record),
-        outcome.artifacts,
-        record.duration_s,
+        cell, record.status, record.reason, outcome.measurements, record.summaries, metrics,
+        partial(_samples, store, record), outcome.artifacts, record.duration_s,
         partial(_drawing, evaluator if record.status == "ok" else None, outcome),
-        record.code,
-        clean_value(record.worker),
-        record.notes,
-        record.traceback,
-    )
+        record.code, clean_value(record.worker), record.notes, record.traceback,
+    )  # fmt: skip
 
 
 def _measured(record: Record) -> set[str]:

@@ -71,45 +71,35 @@ def compare(
     patterns = list(metrics)
     first, second = ({series.key: series for series in snapshot.series} for snapshot in (before, after))
     same_machine = bool(before.machines) and set(before.machines) == set(after.machines)
-    meant = {key: _Declared.of(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])}
-    yardsticks = {(*key[:4], meaning.in_units_of) for key, meaning in meant.items() if meaning.in_units_of}
+    keys = dict.fromkeys([*first, *second])
+
+    def declared(key: Key, what: Literal["confirmed_by", "in_units_of"]) -> Key:
+        """The series that a series' metric names, by whichever snapshot knows."""
+        known = [getattr(series[key], what) for series in (second, first) if key in series]
+        return (*key[:4], next(filter(None, known), ""))
+
+    yardsticks = {unit for key in keys if (unit := declared(key, "in_units_of"))[4]}
 
     def judged(key: Key) -> Comparison:
         old, new = first.get(key), second.get(key)
         if old is None or new is None:
             missing = "not in the first run" if old is None else "not in the second run"
             return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
-        unit = (*key[:4], meant[key].in_units_of)
+        unit = declared(key, "in_units_of")
         scaled = [_scaled(series, known.get(unit)) for series, known in ((old, first), (new, second))]
         return _compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
 
     found = []
-    for key, meaning in meant.items():
+    for key in keys:
         name = f"{key[3]}.{key[4]}"
         if key in yardsticks or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
             continue
-        witness = (*key[:4], meaning.confirmed_by)
+        witness = declared(key, "confirmed_by")
         comparison = judged(key)
         if witness in first and witness in second:
             comparison = _confirmed(comparison, judged(witness))
         found.append(comparison)
     return found
-
-
-@dataclass(frozen=True)
-class _Declared:
-    """What a series' metric declares, from whichever snapshot knows."""
-
-    confirmed_by: str
-    in_units_of: str
-
-    @classmethod
-    def of(cls, old: Series | None, new: Series | None) -> _Declared:
-        known = [series for series in (new, old) if series is not None]
-        return cls(
-            next((series.confirmed_by for series in known if series.confirmed_by), ""),
-            next((series.in_units_of for series in known if series.in_units_of), ""),
-        )
 
 
 def _confirmed(claim: Comparison, witness: Comparison) -> Comparison:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.analysis.bjontegaard import LEAST_OVERLAP
 from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
-from codecbench.core.analysis.verdicts import as_quality, frame_matrix, values_of_repeats
+from codecbench.core.analysis.verdicts import as_quality, frame_matrix, from_quality, values_of_repeats
 
 Array = NDArray[np.float64]
 Of = Literal["frames", "repeats"]
@@ -27,6 +29,8 @@ _SAME_RATE: Final = math.log(1.1)
 _ROUNDING: Final = 1e-9
 _ALIKE: Final = 0.25
 """Settings of two curves are the same if they are nearer than this share of the least step between settings."""
+_OUT_OF_ORDER: Final = 0.25
+"""Up to such a share of the differences between settings of a codec, by size, more rate may be worse."""
 _STEPS: Final = 33
 """Qualities at which two curves are compared."""
 
@@ -91,17 +95,20 @@ class CurveValues:
         before, after = steps[:-1], steps[1:]
         return np.asarray(without * (cubes[:-1] + cubes[1:]) / (6.0 * before * after * (before + after)))
 
+    @cached_property
+    def moved(self) -> Array:
+        """(S, U) by how much each frame or repeat moves the log rate at each setting's quality."""
+        levels, places = np.unique(self.means, return_inverse=True)
+        slopes = np.gradient(self.inverse(levels), levels) if len(levels) > 1 else np.zeros(1)
+        of_rates = self.rates / self.rates.mean(axis=1, keepdims=True) - 1.0
+        of_qualities = self.qualities - self.qualities.mean(axis=1, keepdims=True)
+        return np.asarray(of_rates - slopes[places, None] * of_qualities)
+
     def changes(self, qualities: Array) -> Array:
         """(U,) by how much each frame or repeat moves the mean log rate at these qualities."""
         levels, places = np.unique(self.means, return_inverse=True)
-        nearest = np.eye(len(levels))
-        weights = np.array([np.interp(qualities, levels, row).mean() for row in nearest])
-        slopes = np.gradient(self.inverse(levels), levels) if len(levels) > 1 else np.zeros(1)
-        members = np.bincount(places)
-        of_rates = self.rates / self.rates.mean(axis=1, keepdims=True) - 1.0
-        of_qualities = self.qualities - self.qualities.mean(axis=1, keepdims=True)
-        moved = of_rates - slopes[places, None] * of_qualities
-        return np.asarray((weights / members)[places] @ moved)
+        weights = np.array([np.interp(qualities, levels, row).mean() for row in np.eye(len(levels))])
+        return np.asarray((weights / np.bincount(places))[places] @ self.moved)
 
     def contains(self, rate: float) -> bool:
         """Whether a rate lies between those of the settings, or is that of one."""
@@ -118,35 +125,46 @@ class CurveValues:
 
     def mean_at(self, rate: float) -> float:
         """The mean quality at a rate, between the two settings around it."""
-        if len(self.points) == 1:
-            return float(self.means[0])
+        rates, places = np.unique(self.log_rates, return_inverse=True)
+        means = np.bincount(places, self.means) / np.bincount(places)
+        if len(rates) == 1:
+            return float(means[0])
         from scipy.interpolate import PchipInterpolator  # loads for half a second
 
-        return float(PchipInterpolator(*_distinct(self.log_rates, self.means))(np.log(rate)))
+        return float(PchipInterpolator(rates, means)(np.clip(np.log(rate), rates[0], rates[-1])))
 
 
 @dataclass(frozen=True)
 class Difference:
     """What is known of two curves before frames or repeats are asked how sure it is.
 
-    mean: log of how many times the rate of the first the second takes. changes: (U,), of that mean. doubt: as there.
+    mean: log of how many times the rate of the first the second takes. changes: (U,), of that mean. alike: (M, U),
+    differences between settings of the two, which vary as the changes do. doubt and at_least: as in `Evidence`.
     """
 
     mean: float
     changes: Array
-    doubt: float
+    alike: Array
+    doubt: float = 0.0
+    at_least: bool = False
+
+    def evidence(self, of: Of) -> Evidence:
+        """How sure it is by these frames or repeats."""
+        asked = evidence_of_frames if of == "frames" else evidence_of_repeats
+        return replace(asked(self.changes, self.alike), doubt=self.doubt, at_least=self.at_least)
 
 
 def difference(first: CurveValues, second: CurveValues, at: float | None = None) -> Difference | None:
     """How much less rate the first takes at equal quality, on average over the qualities that both reach.
 
-    With `at`, at the quality that the two have at this rate on average. Where they share no quality, one may be better
-    at less rate: then the difference is between its cheapest setting and the other's best. None where neither holds.
+    With `at`, at the quality that the two have at this rate on average. If they share less than a quarter of the
+    qualities of either, by how much at least if one is better at no more rate. None if neither is.
     """
     if at is not None and not (first.contains(at) and second.contains(at)):
         return None
     low, high = max(first.means[0], second.means[0]), min(first.means[-1], second.means[-1])
-    if low > high:
+    span = min(np.ptp(first.means), np.ptp(second.means))
+    if low > high or (at is None and high - low < LEAST_OVERLAP * span):
         return _dominance(first, second)
     if at is not None:
         qualities = np.clip([0.5 * (first.mean_at(at) + second.mean_at(at))], low, high)
@@ -154,7 +172,11 @@ def difference(first: CurveValues, second: CurveValues, at: float | None = None)
         qualities = np.linspace(low, high, _STEPS) if high > low else np.array([low])
     mean = float(np.mean(second.inverse(qualities) - first.inverse(qualities)))
     changes = second.changes(qualities) - first.changes(qualities)
-    return Difference(mean, mean + changes, _doubt(first, second, qualities))
+    apart = np.abs(first.means[:, None] - second.means)
+    nearest = {(one, int(np.argmin(row))) for one, row in enumerate(apart)}
+    nearest |= {(int(np.argmin(column)), other) for other, column in enumerate(apart.T)}
+    alike = np.array([second.moved[other] - first.moved[one] for one, other in sorted(nearest)])
+    return Difference(mean, mean + changes, alike, _doubt(first, second, qualities))
 
 
 def _doubt(first: CurveValues, second: CurveValues, qualities: Array) -> float:
@@ -175,20 +197,29 @@ def _doubt(first: CurveValues, second: CurveValues, qualities: Array) -> float:
 
 
 def _dominance(first: CurveValues, second: CurveValues) -> Difference | None:
-    """The difference of two curves of which one is always better, if it is so at less rate too.
+    """The difference of two curves of which one is better at no more rate, whatever the other spends.
 
-    Its size is that of the rates at which this is known. What has to be shown is that the quality is better: frames
-    vary as the cube root of their quality does, so that what is better on every frame counts, by however much on each.
+    Each setting of the other is compared with the dearest of the better curve that costs no more, if there is one; the
+    pair that is least sure decides. The size is by how much less rate the best quality of the other is exceeded as
+    surely. Frames vary as the cube root of their quality does, so that what is better on every frame counts, by however
+    much on each.
     """
-    if first.means[0] < second.means[0]:
-        turned = _dominance(second, first)
-        return None if turned is None else Difference(-turned.mean, -turned.changes, turned.doubt)
-    saved = float(second.log_rates[-1] - first.log_rates[0])
-    better = np.cbrt(first.qualities[0] - second.qualities[-1])
-    if saved < -_ROUNDING or better.mean() <= 0.0:
-        return None
-    size = max(saved, 2.0 * SMALLEST)
-    return Difference(size, size * better / better.mean(), 0.0)
+    for better, worse, sign in ((first, second, 1.0), (second, first, -1.0)):
+        affordable = np.searchsorted(better.log_rates, worse.log_rates + _ROUNDING, side="right") - 1
+        rivals = np.flatnonzero(affordable >= 0)
+        if not len(rivals):
+            continue
+        gains = np.cbrt(better.qualities[:, None] - worse.qualities)
+        means = gains.mean(axis=2)
+        sure = means / np.maximum(gains.std(axis=2), _ROUNDING)
+        decides = min(zip(affordable[rivals], rivals, strict=True), key=lambda pair: sure[pair])
+        if sure[decides] <= 0.0:
+            continue
+        cheapest = int(np.argmax(sure[:, -1] >= sure[decides]))
+        size = sign * max(float(worse.log_rates[-1] - better.log_rates[cheapest]), _ROUNDING)
+        scaled = size / means[decides] * gains
+        return Difference(size, scaled[decides], scaled.reshape(-1, gains.shape[2]), at_least=True)
+    return None
 
 
 def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
@@ -246,6 +277,33 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
     return curves, left_out
 
 
+def objection(run: RunResult, column: Column, curves: dict[str, CurveValues], left_out: dict[str, str]) -> str:
+    """Why a column is uninformative on a sequence; empty where it is not. curves, left_out: as by `curve_values`.
+
+    The baseline has to be better than the coarsest settings, and finer settings better than coarser ones. Only codecs
+    of several settings say anything of that, and quality, which is measured beside the raw frame, need not show it.
+    """
+    if not curves:
+        return "no setting has a value" if "no value" in left_out.values() else ""
+    baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.schema.baselines}
+    means = {curve: found.qualities.mean(axis=1) for curve, found in curves.items()}
+    swept = [mean for curve, mean in means.items() if len(mean) > 1 and curve not in baselines]
+    if not swept or column.metric.role == "quality":
+        return ""
+    steps = np.concatenate([(mean - mean[:, None])[np.triu_indices(len(mean), 1)] for mean in swept])
+    size = np.abs(steps).sum()
+    if size <= _ROUNDING * np.abs(np.concatenate(swept)).max():
+        return "all settings of a codec are alike"
+    raw, coarsest = [means[curve].mean() for curve in means if curve in baselines], np.median([m[0] for m in swept])
+    if raw and np.mean(raw) <= coarsest:
+        best, worst = (f"{from_quality(float(x), column) * column.factor:.3g}" for x in (np.mean(raw), coarsest))
+        return f"{' and '.join(sorted(baselines))} ({best}) is no better than the coarsest settings ({worst})"
+    wrong = -steps[steps < 0].sum() / size
+    return (
+        "" if wrong <= _OUT_OF_ORDER else f"finer settings are worse in {100 * wrong:.0f} % of the differences, by size"
+    )
+
+
 def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, units: int) -> Array:
     """(S, U) rates of settings at the judged frames, with each setting's mean rate; the same for all repeats."""
     assert run.rate is not None
@@ -253,8 +311,7 @@ def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, un
     rates = np.repeat(means[:, None], units, axis=1)
     if judged is None:
         return rates
-    cells = {(each.cell.sequence.name, each.cell.codec.name, each.cell.codec.label): each
-             for each in run.of(run.rate.evaluator.title)}  # fmt: skip
+    cells = {each.row: each for each in run.of(run.rate.evaluator.title)}
     for place, key in enumerate(keys):
         if key in cells:
             own = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
@@ -289,5 +346,5 @@ def _of_frames(results: list[CellResult], column: Column) -> dict[Key, Array]:
     rows: dict[Key, list[Array]] = defaultdict(list)
     matrix = frame_matrix(results, column.metric.name, column.stage)[1]
     for result, values in zip(results, matrix, strict=True):
-        rows[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(values)
+        rows[result.row].append(values)
     return {key: np.mean(many, axis=0) for key, many in rows.items()}

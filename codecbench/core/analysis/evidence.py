@@ -1,17 +1,14 @@
 """How sure a mean difference is: of independent repeats, and of frames of which each resembles the next.
 
-How much frames resemble each other is estimated from all pairs of codecs together, because all coded the same frames: a
-first-order autoregression plus noise of each frame, by Whittle's likelihood of cosines (1953, doi:10.1007/BF02590998),
-averaged over a grid of models. The slowest cosines then correct the variance of each pair, as far as pairs differ (the
-moderated t of Smyth 2004, doi:10.2202/1544-6115.1027). docs/verdict.md shows how often equal codecs are ordered.
+An interval is made of its two codecs alone, whoever else is in the table. docs/verdict.md shows how often equal codecs
+are ordered, and how often intervals cover the truth.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -23,19 +20,16 @@ FEWEST_FRAMES: Final = 8
 """Frames below which nothing can be said of how they depend on each other."""
 _ROUNDING: Final = 1e-12
 """Relative differences up to this are none."""
-_MOST_BLOCKS: Final = 400
-"""Longer series are averaged to so many blocks of neighbours: what matters is how slowly they change."""
-_CORRELATIONS: Final = (0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995)
-_NOISE_SHARES: Final = {0.0: 0.45, 0.25: 0.3, 0.5: 0.17, 0.75: 0.07, 0.9: 0.01}
-"""Shares of independent noise, and how likely each is before anything is seen."""
-_WHITE: Final = 0.4
-"""How likely it is, before anything is seen, that frames do not resemble each other."""
-_SLOW: Final = 6
-"""So many of the slowest cosines say whether a pair is as the model has it."""
-_TRUST: Final = 2.0
-"""The model counts as this many times those cosines: with more a false order in a hundred tables is exceeded."""
-_TAIL: Final = 0.1
-"""The two-sided probability at which Student's t replaces the average over models."""
+_COSINES: Final = 0.4
+"""So many cosines times the number of frames to the power of 2/3 (Lazarus and others 2018, section 4)."""
+_EACH: Final = 2
+"""So many cosines for each independent series, as fewer series show less well that slow changes have more power."""
+_STEEP: Final = 0.4
+_STEEP_ALONE: Final = 0.2
+"""Levels of the F test that the slowest cosines have more power than the next: many series are tested at the tails."""
+_SHARE: Final = 0.8
+"""Share of the degrees of freedom that is left after B was chosen by the same series."""
+_TINY: Final = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -43,7 +37,10 @@ class Evidence:
     """A mean difference, the variance of that mean, and the degrees of freedom with which the variance is known.
 
     The degrees of freedom are infinite where many frames differ by exactly the same. doubt: by how much the mean may be
-    wrong for a reason that more frames would not mend, such as settings far apart.
+    wrong for a reason that more frames would not mend, such as settings far apart. count: frames or repeats. worth: how
+    many independent ones they count as; NaN if that is not known. drifts: the difference still changes most over the
+    longest times, so that its error is extrapolated. at_least: the mean is a bound, as one codec is better at no more
+    rate than the other; then it has no interval, and what is tested is that it is better.
     """
 
     mean: float
@@ -53,6 +50,7 @@ class Evidence:
     count: int = 0
     worth: float = math.nan
     drifts: bool = False
+    at_least: bool = False
 
     @property
     def p_value(self) -> float:
@@ -64,7 +62,7 @@ class Evidence:
 
         1 where repeats do not vary: a single one, or the same run several times, is no evidence.
         """
-        distance = abs(self.mean) - least - self.doubt
+        distance = abs(self.mean) - (0.0 if self.at_least else least + self.doubt)
         if not distance > 0.0:
             return 1.0
         if math.isinf(self.freedom):
@@ -77,6 +75,8 @@ class Evidence:
 
     def reach(self, confidence: float) -> float:
         """Half the width of the interval with this confidence; infinite if nothing is known."""
+        if self.at_least:
+            return math.inf
         if math.isinf(self.freedom):
             return self.doubt
         if not (self.freedom > 0 and math.isfinite(self.variance)):
@@ -91,39 +91,91 @@ def student_quantile(level: float, freedom: float) -> float:
     return float(stdtrit(freedom, level))
 
 
-def evidence_of_repeats(differences: Array) -> Evidence:
-    """What (N,) independent differences say: the paired t-test (Student 1908, doi:10.1093/biomet/6.1.1)."""
-    return evidence_of_pairs(differences[None], 1, "repeats")[0]
+def evidence_of_repeats(differences: Array, alike: Array | None = None) -> Evidence:
+    """What (N,) independent differences say: the paired t-test (Student 1908, doi:10.1093/biomet/6.1.1).
 
-
-def evidence_of_frames(differences: Array) -> Evidence:
-    """What (N,) differences of neighbours in time say, with no other pair to tell how much they resemble each other."""
-    return evidence_of_pairs(differences[None], 1, "frames")[0]
-
-
-def evidence_of_pairs(differences: Array, independent: int, of: str, tail: float = _TAIL) -> list[Evidence]:
-    """What (P, N) differences of P pairs say, each of the same N frames or repeats in the same order.
-
-    independent: how many of the pairs are, one less than there are codecs. of: `frames` in order of time, or `repeats`.
-    tail: the two-sided probability at which the evidence will be judged.
+    alike: (M, N) differences between settings of the same two codecs, which say how much such differences scatter: then
+    the moderated t-test (Smyth 2004, doi:10.2202/1544-6115.1027).
     """
-    pairs, count = differences.shape
-    means = differences.mean(axis=1)
-    centered = differences - means[:, None]
-    same = np.abs(centered).max(axis=1, initial=0.0) <= _ROUNDING * np.abs(means)
-    least = FEWEST_FRAMES if of == "frames" else 2
-    variances, freedom = np.full(pairs, np.nan), 0.0
-    if count >= least and not same.all():
-        if of == "frames":
-            variances[~same], freedom = _of_frames(centered[~same], independent, tail)
-        else:
-            variances[~same], freedom = _of_repeats(centered[~same], independent)
-    exact = math.inf if of == "frames" and count >= least else max(0.0, count - 1.0)
-    return [
-        Evidence(float(mean), 0.0 if equal and count >= least else float(variance),
-                 (exact if mean or of == "repeats" else 0.0) if equal else freedom)
-        for mean, variance, equal in zip(means, variances, same, strict=True)
-    ]  # fmt: skip
+    count = len(differences)
+    mean, same = _mean(differences)
+    if count < 2 or same:
+        return Evidence(mean, 0.0 if count > 1 else math.nan, max(0.0, count - 1.0), 0.0, count, count)
+    series = _varying(differences, alike)
+    variances, freedom = series.var(axis=1, ddof=1), count - 1.0
+    prior, typical = _common(variances, freedom)
+    if math.isinf(prior):
+        variance, known = typical, math.inf
+    else:
+        variance, known = (prior * typical + freedom * variances[0]) / (prior + freedom), prior + freedom
+    return Evidence(mean, variance / count, min(known, freedom * _independent(series)), 0.0, count, count)
+
+
+def evidence_of_frames(differences: Array, alike: Array | None = None) -> Evidence:
+    """What (N,) differences of neighbors in time say of their mean.
+
+    Equal-weighted cosines (Lazarus, Lewis, Stock and Watson 2018, doi:10.1080/07350015.2018.1506926): N times the
+    variance of a mean is the mean power of the B slowest type-II cosines, for Student's t with B degrees of freedom.
+    B is 0.4 N^(2/3), halved while the slowest B have more power than the next 2 B, but not below 2. If they have more
+    power at the last, the variance is multiplied by how much more.
+
+    alike: (M, N) differences between settings of the same two codecs. They resemble their neighbors as the differences
+    themselves do, so that the ratio of slow power to all is their mean, or that of the differences if it is larger. It
+    has B M^2 / sum(r^2) degrees of freedom, r the correlations of all (Satterthwaite 1946, doi:10.2307/3002019). B is
+    at most twice that number of independent series, and may be halved down to 1; a fifth of the degrees of freedom is
+    spent on choosing it.
+    """
+    count = len(differences)
+    mean, same = _mean(differences)
+    if count < FEWEST_FRAMES:
+        return Evidence(mean, math.nan, 0.0, 0.0, count)
+    if same:
+        return Evidence(mean, 0.0, math.inf if mean else 0.0, 0.0, count, count)
+    from scipy.fft import dct
+    from scipy.special import fdtrc  # loads for a quarter of a second, and many commands ask for no quantile
+
+    series = _varying(differences, alike)
+    powers = dct(series, norm="ortho", axis=1)[:, 1:] ** 2  # without the mean's
+    independent = _independent(series)
+    most = _COSINES * count ** (2.0 / 3.0)
+    fewest, level, share = (2, _STEEP_ALONE, 1.0) if alike is None else (1, _STEEP, _SHARE)
+    cosines = max(fewest, round(most if alike is None else min(most, _EACH * independent)))
+    while True:
+        nearby = powers[:, : 3 * cosines] / np.maximum(powers[:, : 3 * cosines].mean(axis=1, keepdims=True), _TINY)
+        rise = float(nearby[:, :cosines].mean() / max(float(nearby[:, cosines:].mean()), _TINY))
+        steep = fdtrc(cosines * independent, 2.0 * cosines * independent, rise) < level
+        if not steep or cosines // 2 < fewest:
+            break
+        cosines //= 2
+    ratios = powers[:, :cosines].mean(axis=1) / powers.mean(axis=1)
+    ratio = max(float(ratios[0]), float(ratios.mean())) * (max(1.0, rise) if steep else 1.0)
+    variance, freedom = ratio * float(powers[0].sum()) / (count - 1) / count, share * cosines * independent
+    return Evidence(mean, variance, freedom, 0.0, count, min(count, count / ratio), bool(steep))
+
+
+def _mean(differences: Array) -> tuple[float, bool]:
+    """The mean, and whether all are equal to it."""
+    mean = float(differences.mean())
+    return mean, bool(np.abs(differences - mean).max(initial=0.0) <= _ROUNDING * abs(mean))
+
+
+def _varying(differences: Array, alike: Array | None) -> Array:
+    """(1 + M, N) the differences and those like them, about their means; without those that do not vary."""
+    rows = differences[None] if alike is None else np.vstack([differences, alike])
+    centered = rows - rows.mean(axis=1, keepdims=True)
+    sizes = np.abs(centered).max(axis=1)
+    return np.asarray(centered[sizes > 1e-9 * sizes[0]])
+
+
+def _independent(series: Array) -> float:
+    """How many independent series (M, N) about zero are worth: by squared correlations, without what chance adds."""
+    many, count = series.shape
+    if many == 1 or count < 3:
+        return 1.0
+    scaled = series / np.sqrt((series**2).sum(axis=1, keepdims=True))
+    squares = float(((scaled @ scaled.T) ** 2).sum()) - many
+    of_others = (squares * (count - 1) - many * (many - 1)) / (count - 2)
+    return many**2 / (many + max(0.0, of_others))
 
 
 def combined(evidence: Sequence[Evidence]) -> Evidence:
@@ -135,75 +187,17 @@ def combined(evidence: Sequence[Evidence]) -> Evidence:
         return evidence[0]
     means = np.array([each.mean for each in evidence])
     doubt = float(np.mean([each.doubt for each in evidence]))
+    count, at_least = sum(each.count for each in evidence), any(each.at_least for each in evidence)
     if any(math.isnan(each.variance) for each in evidence):
         samples = evidence_of_repeats(means)
-        return Evidence(samples.mean, samples.variance, samples.freedom, doubt)
+        return replace(samples, doubt=doubt, at_least=at_least)
     variances = np.array([each.variance for each in evidence]) / len(evidence) ** 2
     total = float(variances.sum())
     spread = float(sum(var**2 / each.freedom for var, each in zip(variances, evidence, strict=True) if var))
     exact = all(math.isinf(each.freedom) for each in evidence)
-    return Evidence(float(means.mean()), total, total**2 / spread if spread else math.inf if exact else 0.0, doubt)
-
-
-def _of_repeats(centered: Array, independent: int) -> tuple[Array, float]:
-    """Variances of the means of (P, N) independent values, and the degrees of freedom of all."""
-    count = centered.shape[1]
-    freedom = count - 1.0
-    variances = (centered**2).sum(axis=1) / freedom
-    prior, typical = _common(variances, freedom)
-    if math.isinf(prior):
-        return np.full(len(variances), typical) / count, freedom * independent
-    known = min(prior + freedom, freedom * max(1, independent))
-    return (prior * typical + freedom * variances) / (prior + freedom) / count, known
-
-
-def _of_frames(centered: Array, independent: int, tail: float) -> tuple[Array, float]:
-    """Variances of the means of (P, N) series about zero, and the degrees of freedom of all."""
-    from scipy.fft import dct
-    from scipy.special import stdtr  # as in student_quantile
-
-    if centered.shape[1] > _MOST_BLOCKS:
-        centered = np.array([block_means(series, _MOST_BLOCKS) for series in centered])
-    count = centered.shape[1]
-    powers = np.maximum(dct(centered, norm="ortho", axis=1)[:, 1:] ** 2, np.finfo(float).tiny)
-    spectra, sums, log_priors = _models(count)
-    scales = (powers[None] / spectra[:, None]).mean(axis=2)
-    misfit = (((count - 1) * np.log(scales)).mean(axis=1) + np.log(spectra).sum(axis=1)) * max(1, independent)
-    weights = np.exp(log_priors - 0.5 * misfit - (log_priors - 0.5 * misfit).max())
-    weights /= weights.sum()
-    slow = min(_SLOW, count - 1)
-    expected = np.einsum("m,mk,mp->pk", weights, spectra[:, :slow], scales)
-    ratios = (powers[:, :slow] / expected).mean(axis=1)
-    prior, typical = _common(ratios, slow) if len(ratios) > 1 else (_TRUST * slow, 1.0)
-    typical = max(typical, 1.0)
-    if math.isinf(prior):
-        ratios = np.full(len(ratios), typical)
-    else:
-        ratios = (prior * typical + slow * ratios) / (prior + slow)
-    freedom = min(prior + slow, _TRUST * slow * max(1, independent))
-    errors = np.sqrt(sums[:, None] * scales * ratios / count)  # of the mean, by model and pair
-    low, high = np.zeros(len(ratios)), 1e3 * errors.max(axis=0)
-    for _ in range(60):  # where the average over models has the tail, by bisection
-        middle = 0.5 * (low + high)
-        beyond = weights @ (2.0 * stdtr(freedom, -middle / errors)) > tail
-        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
-    return (high / student_quantile(1.0 - tail / 2.0, freedom)) ** 2, freedom
-
-
-@lru_cache(maxsize=4)
-def _models(count: int) -> tuple[Array, Array, Array]:
-    """(M, N-1) power of each cosine by model, (M,) N times the variance of the mean, (M,) logs of the prior."""
-    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    cosines = np.cos(np.pi * np.outer(np.arange(1, count), np.arange(count) + 0.5) / count) * math.sqrt(2.0 / count)
-    spectra, sums, priors = [np.ones(count - 1)], [1.0], [_WHITE]
-    for correlation in _CORRELATIONS:
-        matrix = correlation**lags
-        spectrum, total = np.einsum("ij,ij->i", cosines @ matrix, cosines), float(matrix.sum()) / count
-        for noise, share in _NOISE_SHARES.items():
-            spectra.append(noise + (1.0 - noise) * spectrum)
-            sums.append(noise + (1.0 - noise) * total)
-            priors.append((1.0 - _WHITE) * share / len(_CORRELATIONS))
-    return np.array(spectra), np.array(sums), np.log(priors)
+    freedom = total**2 / spread if spread else math.inf if exact else 0.0
+    worth, drifts = sum(each.worth for each in evidence), any(each.drifts for each in evidence)
+    return Evidence(float(means.mean()), total, freedom, doubt, count, worth, drifts, at_least)
 
 
 def _common(variances: Array, freedom: float) -> tuple[float, float]:
@@ -212,7 +206,7 @@ def _common(variances: Array, freedom: float) -> tuple[float, float]:
 
     if len(variances) < 2:
         return 0.0, 1.0
-    logs = np.log(np.maximum(variances, np.finfo(float).tiny)) - digamma(freedom / 2.0) + math.log(freedom / 2.0)
+    logs = np.log(np.maximum(variances, _TINY)) - digamma(freedom / 2.0) + math.log(freedom / 2.0)
     excess = float(logs.var(ddof=1) - polygamma(1, freedom / 2.0))
     if excess <= 0.0:
         return math.inf, math.exp(float(logs.mean()))
@@ -221,12 +215,6 @@ def _common(variances: Array, freedom: float) -> tuple[float, float]:
         trigamma = float(polygamma(1, half))
         half += trigamma * (1.0 - trigamma / excess) / float(polygamma(2, half))
     return 2.0 * half, math.exp(float(logs.mean() + digamma(half)) - math.log(half))
-
-
-def block_means(values: Array, count: int) -> Array:
-    """(B,) means of `count` contiguous blocks of (N,) values, of lengths as equal as can be; at most N."""
-    edges = np.linspace(0, len(values), max(1, min(count, len(values))) + 1).round().astype(int)
-    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
 
 Values = NDArray[np.float64]

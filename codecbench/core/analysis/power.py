@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -81,7 +82,7 @@ class PairPower:
         if math.isnan(found.variance):
             few = self.of == ("frames",) and self.units < FEWEST_FRAMES
             return Remedy("samples", FEWEST_FRAMES - self.units if few else None)
-        if max(size, found.doubt, math.sqrt(found.variance)) < SMALLEST:
+        if not found.at_least and max(size, found.doubt, math.sqrt(found.variance)) < SMALLEST:
             return Remedy("small")
         if self.gap is not None and (found.doubt >= abs(size - SMALLEST) or self.more_units is None):
             return Remedy("settings", gap=self.gap)
@@ -101,23 +102,16 @@ class PairPower:
         """
         if self.stands:
             return 0
-        wanted = abs(self.difference)
-        if wanted == 0.0 or math.isnan(self.smallest):
-            return None
-        low, high = 1.0, 1.0
-        while self._shown_by(high) > wanted:
-            low, high = high, 2.0 * high
-            if high > _MOST_TIMES:
-                return None
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self._shown_by(middle) > wanted else (low, middle)
-        return max(1, math.ceil(self.units * (high - 1.0) - 1e-6))
+        most = round(self.units * (_MOST_TIMES - 1.0))
+        return bisect_left(range(most + 1), True, lo=1, key=self._decided_by) if self._decided_by(most) else None
+
+    def _decided_by(self, more: int) -> bool:
+        return self._shown_by(1.0 + more / self.units) <= abs(self.difference)
 
     def _shown_by(self, factor: float) -> float:
         """The smallest difference that so many times as many frames or repeats would show."""
         more = times(self.evidence, factor, "frames" in self.of)
-        return SMALLEST + more.doubt + smallest_difference(more, self.level, self.power)
+        return (0.0 if more.at_least else SMALLEST + more.doubt) + smallest_difference(more, self.level, self.power)
 
 
 @dataclass(frozen=True)

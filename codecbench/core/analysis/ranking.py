@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference
-from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_pairs
+from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference, objection
+from codecbench.core.analysis.evidence import Evidence, combined
 from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import anchors_of, from_quality
@@ -68,6 +68,7 @@ class Ranking:
     sequences those that have too few frames or repeats to say how sure they are, so that sequences are the samples.
     gaps: of pairs whose settings are too far apart, so that this doubt is half of their difference or more, the widest
     gap. disputed: pairs of which each is significantly better on some sequence.
+    uninformative: by sequence, why the column ranks no codec there.
     """
 
     column: Column
@@ -84,6 +85,7 @@ class Ranking:
     too_few_on: tuple[str, ...] = ()
     gaps: Mapping[tuple[str, str], Gap] = field(default_factory=dict)
     disputed: tuple[tuple[str, str], ...] = ()
+    uninformative: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def candidates(self) -> tuple[Ranked, ...]:
@@ -101,12 +103,15 @@ class Ranking:
         return tuple(
             ranked for ranked in order
             if ranked.first == 1 and all(p >= SIGNIFICANCE / len(ps) for ps in [no_better[ranked.curve]] for p in ps)
-        ) or (order[0],)  # fmt: skip
+        ) or tuple(order[:1])  # fmt: skip
 
     @property
     def recommended(self) -> Ranked:
-        """The codec to take: of those that may be the best the highest score."""
-        return self.candidates[0]
+        """The codec to take: of those that may be the best the highest score.
+
+        Raises ValueError if no codec is ranked, as the column is uninformative.
+        """
+        return max(self.candidates, key=lambda ranked: ranked.score)
 
     @property
     def as_good(self) -> tuple[str, ...]:
@@ -136,9 +141,10 @@ class Ranking:
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
     """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
 
-    A ranking over all of a single sequence is left out, as are those that would have less than two codecs. Nothing
-    where the run has no rate. brief: only the first of each column. at: the rate, in its metric's unit, at which codecs
-    are compared, linearly between the logarithms of their settings' rates; all rates that two codecs share, without it.
+    A ranking over all of a single sequence is left out, as are those that would have less than two codecs, unless the
+    column is uninformative, which they say instead. Nothing if the run has no rate. brief: only the first of each
+    column. at: the rate, in its metric's unit, at which codecs are compared, between the logarithms of their settings'
+    rates; all rates that two codecs share, without it.
     """
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
     if run.rate is None:
@@ -147,10 +153,16 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     for column in columns:
         sequences = [entry.name for entry in run.plan.sequences]
         gathered = {name: curve_values(run, column, name) for name in sequences}
+        mute = {name: reason for name, each in gathered.items() if (reason := objection(run, column, *each))}
         groups = [sequences] if len(sequences) > 1 else []
         groups += [] if groups and brief else [[name] for name in sequences]
-        made = (_ranking(run, column, group, gathered, at) for group in groups)
-        found += [ranking for ranking in made if len(ranking.ranked) > 1]
+        for group in groups:
+            informative = [name for name in group if name not in mute]
+            ranking = _ranking(run, column, informative, gathered, at)
+            if len(ranking.ranked) > 1 or not informative:
+                why = {name: mute[name] for name in group if name in mute}
+                sequence = group[0] if len(group) == 1 else POOLED
+                found.append(replace(ranking, sequence=sequence, uninformative=why))
     return found
 
 
@@ -169,10 +181,15 @@ def _ranking(
     anchors = anchors_of({curve: values[sequences[0]][curve].points for curve in curves}, run.schema.anchors)
     any_curve = [next(iter(found.values())) for found in values.values() if found]
     named = {pair: (curves[pair[0]], curves[pair[1]]) for pair in evidence}
-    unsettled = [pair for pair, found in evidence.items() if found.doubt >= 0.5 * abs(abs(found.mean) - SMALLEST)]
+    most_doubt = {pair: max(by_sequence, key=lambda name: by_sequence[name][pair].doubt) for pair in evidence}
+    unsettled = [
+        pair
+        for pair, found in evidence.items()
+        if not found.at_least and found.doubt >= 0.5 * abs(abs(found.mean) - SMALLEST)
+    ]
     return Ranking(
         column,
-        sequences[0] if len(sequences) == 1 else POOLED,
+        POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
         tuple(_placed(curves, values, evidence, anchors, column, at)),
@@ -183,7 +200,7 @@ def _ranking(
         tuple((*named[pair], found) for pair, found in evidence.items()),
         _rank_correlation(len(curves), by_sequence),
         tuple(name for name, found in by_sequence.items() if _too_few(found.values())) if len(sequences) > 1 else (),
-        {named[pair]: _widest_gap(named[pair], pair, by_sequence, values, at) for pair in unsettled},
+        {named[pair]: _widest_gap(named[pair], values[most_doubt[pair]], at) for pair in unsettled},
         tuple(named[pair] for pair in evidence if _disputed([found[pair] for found in by_sequence.values()])),
     )
 
@@ -199,15 +216,8 @@ def _disputed(evidence: list[Evidence]) -> bool:
     return {-1.0, 1.0} <= {math.copysign(1.0, found.mean) for found in evidence if found.p_beyond(SMALLEST) < level}
 
 
-def _widest_gap(
-    names: tuple[str, str],
-    pair: tuple[int, int],
-    by_sequence: Mapping[str, _Pairs],
-    values: Mapping[str, Mapping[str, CurveValues]],
-    at: float | None,
-) -> Gap:
-    """On the sequence where settings leave the most doubt, the gap of the curve that leaves more of it."""
-    on = values[max(by_sequence, key=lambda name: by_sequence[name][pair].doubt)]
+def _widest_gap(names: tuple[str, str], on: Mapping[str, CurveValues], at: float | None) -> Gap:
+    """The gap on a sequence of the curve whose settings leave more doubt."""
     both = [on[name] for name in names]
     low, high = max(curve.means[0] for curve in both), min(curve.means[-1] for curve in both)
     if at is not None:
@@ -277,12 +287,9 @@ def _comparable(
 
 def _over_sequences(by_sequence: Iterable[_Pairs]) -> _Pairs:
     """Of each pair of curves that can be compared on every sequence: the mean over sequences."""
-    first, *others = by_sequence
-    return {
-        pair: combined([own, *(found[pair] for found in others)])
-        for pair, own in first.items()
-        if all(pair in found for found in others)
-    }
+    every = list(by_sequence)
+    shared = [pair for pair in every[0] if all(pair in found for found in every)] if every else []
+    return {pair: combined([found[pair] for found in every]) for pair in shared}
 
 
 def _evidence_on(
@@ -292,14 +299,7 @@ def _evidence_on(
     pairs = {
         (i, j): difference(values[curves[i]], values[curves[j]], at) for i, j in combinations(range(len(curves)), 2)
     }
-    known = {pair: found for pair, found in pairs.items() if found is not None}
-    if not known:
-        return {}
-    independent = len({member for pair in known for member in pair}) - 1
-    changes = np.array([found.changes for found in known.values()])
-    of = next(iter(values.values())).of
-    evidence = evidence_of_pairs(changes, independent, of, SIGNIFICANCE / len(known))
-    return {pair: replace(each, doubt=found.doubt) for (pair, found), each in zip(known.items(), evidence, strict=True)}
+    return {pair: known.evidence(values[curves[pair[0]]].of) for pair, known in pairs.items() if known is not None}
 
 
 def _significant(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,6 +62,11 @@ class CellResult:
     notes: tuple[str, ...] = ()
     traceback: str = ""
 
+    @property
+    def row(self) -> tuple[str, str, str]:
+        """The row of the wide table that the cell belongs to: sequence, codec, setting."""
+        return self.cell.sequence.name, self.cell.codec.name, self.cell.codec.label
+
     def frames(self) -> pd.DataFrame:
         """The samples of single frames: metric, frame, stage, value, reason."""
         frames: pd.DataFrame = self.samples().to_pandas()
@@ -93,7 +98,7 @@ def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
     columns: dict[str, Any] = {}
     if noted:
         for result, part in zip(results, parts, strict=True):
-            part[NOTES] = (np.zeros(len(part["value"]), np.int32), [noted.get(_row_of(result), "")])
+            part[NOTES] = (np.zeros(len(part["value"]), np.int32), [noted.get(result.row, "")])
     for name in (*TIDY_COLUMNS, NOTES) if noted else TIDY_COLUMNS:
         values = [part[name] for part in parts]
         columns[name] = _joined_text(values) if name in _TEXT else np.concatenate(values)
@@ -112,7 +117,7 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
     """
     rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
     for result in results:
-        rows[_row_of(result)].append(result)
+        rows[result.row].append(result)
     noted = _notes(result for members in rows.values() for result in members)
     table = []
     for (sequence, codec, setting), members in rows.items():
@@ -125,17 +130,12 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
     return pd.DataFrame(table, columns=_column_order(table))
 
 
-def _row_of(result: CellResult) -> tuple[str, str, str]:
-    """The row of the wide table that a cell belongs to."""
-    return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
-
-
 def _notes(results: Iterable[CellResult]) -> dict[tuple[str, str, str], str]:
     """What is noted of each row of the wide table by any of its cells, each note once; only rows with notes."""
     noted: dict[tuple[str, str, str], dict[str, None]] = defaultdict(dict)
     for result in results:
         if result.notes:
-            noted[_row_of(result)] |= dict.fromkeys(result.notes)
+            noted[result.row] |= dict.fromkeys(result.notes)
     return {row: "; ".join(notes) for row, notes in noted.items()}
 
 
@@ -208,10 +208,7 @@ def _verdict(members: list[CellResult]) -> dict[str, str]:
     bad = [member for member in members if member.status != "ok"]
     if not bad:
         return {"status": "ok", "reason": ""}
-    counts: dict[str, int] = {}
-    for member in bad:
-        word = f"{member.cell.evaluator.title} {member.status}"
-        counts[word] = counts.get(word, 0) + 1
+    counts = Counter(f"{member.cell.evaluator.title} {member.status}" for member in bad)
     status = ", ".join(word if count == 1 else f"{word} ({count} repeats)" for word, count in counts.items())
     return {"status": status, "reason": bad[0].reason}
 

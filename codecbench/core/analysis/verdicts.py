@@ -86,10 +86,10 @@ def _bd_rates_over_frames(
     run: RunResult, rate: Column, qualities: list[CellResult], column: Column, anchor: str, resamples: int
 ) -> dict[SequenceCurve, BdRate]:
     """Frames that lack the metric in every setting do not count; repeats of a setting count with their mean."""
-    coded = {_row(result): result for result in run.of(rate.evaluator.title)}
+    coded = {result.row: result for result in run.of(rate.evaluator.title)}
     curves: dict[str, dict[str, dict[Key, list[CellResult]]]] = defaultdict(lambda: defaultdict(dict))
     for result in qualities:
-        if (row := _row(result)) in coded:
+        if (row := result.row) in coded:
             curves[row[0]][run.curves[row[1:]].curve].setdefault(row, []).append(result)
 
     def arrays(members: dict[Key, list[CellResult]]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,10 +115,6 @@ def _bd_rates_over_frames(
     return found
 
 
-def _row(result: CellResult) -> Key:
-    return result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label
-
-
 def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.nan) -> dict[Key, dict[Place, float]]:
     """The values of each row by where they were measured, in order; a metric of frames counts with its summary.
 
@@ -131,7 +127,7 @@ def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.na
             continue
         own = values_in(result, column)
         for place, value in enumerate(own or ([] if result.status == "ok" else [failed])):
-            found[_row(result)][result.cell.repeat, place] = value
+            found[result.row][result.cell.repeat, place] = value
     return dict(found)
 
 
@@ -250,12 +246,9 @@ def pareto_front(values: ArrayLike, better: Sequence[Literal["higher", "lower"]]
         raise ValueError(f"direction must be 'higher' or 'lower'; got {sorted(unknown)}")
     costs = array * np.where(np.array(better) == "higher", -1.0, 1.0)
     present = ~np.isnan(costs).any(axis=1)
-    front = np.zeros(len(costs), dtype=bool)
-    for index in np.flatnonzero(present):
-        others = costs[present]
-        dominated = (others <= costs[index]).all(axis=1) & (others < costs[index]).any(axis=1)
-        front[index] = not dominated.any()
-    return front
+    others = costs[present]
+    beaten = [((others <= own).all(axis=1) & (others < own).any(axis=1)).any() for own in costs]
+    return np.asarray(present & ~np.array(beaten, dtype=bool))
 
 
 CONFIDENCE = 0.95
@@ -273,7 +266,7 @@ def intervals(run: RunResult, column: Column) -> dict[Key, Interval]:
     """
     rows: dict[Key, list[CellResult]] = defaultdict(list)
     for result in run.of(column.evaluator.title):
-        rows[result.cell.sequence.name, result.cell.codec.name, result.cell.codec.label].append(result)
+        rows[result.row].append(result)
     found = {row: _interval(results, column) for row, results in rows.items()}
     return {row: interval for row, interval in found.items() if interval is not None}
 

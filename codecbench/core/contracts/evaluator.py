@@ -234,6 +234,8 @@ class Evaluator(Configured[P]):
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
         """Measurements that need the baseline codec's outcomes on the same sequence; made when tables are built.
 
+        They replace what `evaluate` measured of the same metric and stage.
+
         `baseline` is empty where the matrix has no baseline codec: yield NaN with that reason, or nothing.
         """
         return iter(())

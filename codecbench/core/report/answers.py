@@ -21,6 +21,7 @@ from codecbench.core.report.formatting import (
     less_rate,
     sequences_are_samples,
     share_of_rate,
+    uninformative,
     where,
 )
 
@@ -128,10 +129,12 @@ def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
     ranking = next((each for each in found if each.sequence == on), None)
     what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
     basis = f"Judged {what}, {where(on)}"
-    if ranking is not None:
+    if ranking is not None and ranking.ranked:
         basis += f", {ranking.units} {' and '.join(ranking.of)}; better and worse are significant at {SURE}"
         if ranking.too_few_on:
             basis += f". {sequences_are_samples(ranking)}"
+    for sentence in () if ranking is None else uninformative(ranking):
+        basis += f". {sentence.removesuffix('.')}"
     placed = {} if ranking is None else {ranked.curve: ranked for ranked in ranking.ranked}
     curves = [*placed, *(curve for curve in _curves(run) if curve not in placed)]
     best_on = _best_on(found)

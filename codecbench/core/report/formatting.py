@@ -32,6 +32,8 @@ _WIDE: Final = 50.0
 """Percent points: an interval with a wider half is far from symmetric."""
 _LONGEST: Final = math.log(100.0)
 """An interval that reaches from a hundredth to the hundredfold of a rate says nothing."""
+_FEWER: Final = 0.95
+"""Frames count as less from this share on."""
 _SMALLEST: Final = f"{100.0 * np.expm1(SMALLEST):.2g} %"
 
 
@@ -79,7 +81,12 @@ def _found(run: RunResult) -> Iterator[Verdict]:
 
 def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
     """The codec to take, what is undecided and what would decide it, below a row for each codec."""
-    title = f"{where(ranking.sequence)}: {ranking.column.label}, {ranking.units} {' and '.join(ranking.of)}"
+    title = f"{where(ranking.sequence)}: {ranking.column.label}"
+    if not ranking.ranked:
+        own = ranking.uninformative.get(ranking.sequence)
+        reasons = uninformative(ranking) if own is None else [f"Uninformative here: {own}."]
+        return Verdict(title, (), (), tuple(reasons), ranking.column)
+    title += f", {ranking.units} {' and '.join(ranking.of)}"
     shown: dict[str, Callable[[Ranked], str]] = {}
     if ranking.rate is not None:
         title += f", at {_spent(run, ranking.rate)}"
@@ -97,23 +104,27 @@ def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
 
 
 def signed_percent(found: Evidence, other: str = "") -> str:
-    """`-28 % ± 3 vs. jpeg`: how much more (+) or less (-) rate the first of two takes for equal quality, at 95 %."""
+    """`-28 % ± 3 vs. jpeg`: how much more (+) or less (-) rate the first of two takes for equal quality, at 95 %.
+
+    `≤ -6 %` if the difference is a bound.
+    """
     number, margin, interval = _percent(found)
-    return f"{number} %{margin}{other and f' vs. {other}'}{interval and f', {interval}'}"
+    bound = "" if not found.at_least else "≤ " if found.mean > 0.0 else "≥ "
+    return f"{bound}{number} %{margin}{other and f' vs. {other}'}{interval and f', {interval}'}"
 
 
 def less_rate(found: Evidence, other: str) -> str:
     """`28 % ± 3 less rate than jpeg`, of the first of two curves."""
     number, margin, interval = _percent(found)
-    way = "more" if number[0] == "+" else "less"
-    return f"{number[1:]} %{margin} {way} rate than {other}{interval and f' ({interval})'}"
+    words = f"{number.lstrip('+-')} %{margin} {'less' if found.mean > 0.0 else 'more'} rate than {other}"
+    return f"{'at least ' if found.at_least else ''}{words}{interval and f' ({interval})'}"
 
 
 def _percent(found: Evidence) -> tuple[str, str, str]:
     """The difference in rate, half the width of its interval in percent points, or the interval if that is wide."""
     middle, reach = 100.0 * math.expm1(-found.mean), found.reach(0.95)
     if reach > _LONGEST:
-        return _rounded(middle), "", "no interval"
+        return _rounded(middle), "", "" if found.at_least else "no interval"
     low, high = (100.0 * math.expm1(move - found.mean) for move in (-reach, reach))
     half = 0.5 * (high - low)
     if half > _WIDE:
@@ -123,7 +134,7 @@ def _percent(found: Evidence) -> tuple[str, str, str]:
 
 
 def _rounded(percent: float) -> str:
-    return f"{float(f'{percent:.3g}'):+.0f}"
+    return "0" if abs(percent) < 0.5 else f"{float(f'{percent:.3g}'):+.0f}"
 
 
 def _beside(ranking: Ranking, other: str, ranked: Ranked) -> str:
@@ -221,11 +232,11 @@ def _two_digits(count: float) -> str:
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     yield from _not_compared(ranking)
+    yield from uninformative(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
-    found = [evidence for *_, evidence in ranking.pairs]
-    worth = [evidence.worth for evidence in found if math.isfinite(evidence.worth)]
-    if worth and "frames" in ranking.of:
+    worth = [found.worth for *_, found in ranking.pairs if found.worth < _FEWER * ranking.units]
+    if worth and "frames" in ranking.of and not ranking.too_few_on:
         yield f"{ranking.units} frames count as about {_two_digits(median(worth))} independent ones."
     drifting = [f"{first} and {second}" for first, second, evidence in ranking.pairs if evidence.drifts]
     if drifting:
@@ -243,6 +254,12 @@ def _notes(ranking: Ranking) -> Iterator[str]:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
     for curve, reason in ranking.left_out.items():
         yield f"{curve} has no place: {reason}."
+
+
+def uninformative(ranking: Ranking) -> Iterator[str]:
+    """On which sequences the column ranks no codec, and why: a sentence each."""
+    for sequence, reason in ranking.uninformative.items():
+        yield f"{sequence}: {ranking.column.label} is uninformative here: {reason}."
 
 
 def sequences_are_samples(ranking: Ranking) -> str:

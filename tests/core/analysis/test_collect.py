@@ -111,6 +111,18 @@ def test_cells_that_failed_are_neither_compared_nor_a_baseline(tmp_path: Path, r
     assert [result.drawing() for result in run.results if result.status != "ok"] == [None, None]
 
 
+def test_a_comparison_replaces_what_was_measured_of_the_same_metric(
+    tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compare(self: Any, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
+        yield Measurement("max_error", math.nan, reason="the baseline has none")
+
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "compare", compare)
+    run = open_run(folder_of(tmp_path, record(CELLS[0], 2.0)), registry)
+    (measured,) = (each for each in run.results[0].measurements if each.metric == "max_error")
+    assert (math.isnan(measured.value), measured.reason) == (True, "the baseline has none")
+
+
 def test_a_comparison_that_fails_takes_away_nothing_that_was_measured(
     tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,10 +8,8 @@ from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
 from codecbench.core.analysis.evidence import (
-    block_means,
     combined,
     evidence_of_frames,
-    evidence_of_pairs,
     evidence_of_repeats,
 )
 
@@ -59,17 +57,32 @@ def test_the_variance_of_a_mean_is_that_of_the_process(correlation: float, noise
     rng = np.random.default_rng(6)
     known = (1.0 + correlation) / (1.0 - correlation) + noise**2
     found = []
-    for _ in range(30):
-        series = drifting(rng, 5, 400, correlation) * np.sqrt(1.0 - correlation**2) + noise * rng.normal(size=(5, 400))
-        found += [400 * each.variance for each in evidence_of_pairs(series, 5, "frames")]
+    for _ in range(100):
+        series = drifting(rng, 6, 400, correlation) * np.sqrt(1.0 - correlation**2) + noise * rng.normal(size=(6, 400))
+        evidence = evidence_of_frames(series[0], series[1:])
+        found.append(400 * evidence.variance)
+        assert (
+            evidence.worth == pytest.approx(series[0].var(ddof=1) / evidence.variance, rel=0.01)
+            or evidence.worth == 400
+        )
     assert np.median(found) == pytest.approx(known, rel=0.35)
 
 
-def test_what_pairs_have_in_common_makes_each_surer(rng: np.random.Generator) -> None:
-    """With three repeats one pair has two degrees of freedom; ten independent pairs of the same scatter have twenty."""
-    together = evidence_of_pairs(rng.normal(0.0, 1.0, (10, 3)), 10, "repeats")
-    assert together[0].freedom > 10
+def test_what_the_settings_have_in_common_makes_each_surer(rng: np.random.Generator) -> None:
+    """With three repeats one series has two degrees of freedom; ten of the same scatter have more."""
+    series = rng.normal(0.0, 1.0, (10, 3))
+    assert evidence_of_repeats(series[0], series[1:]).freedom > 5
     assert evidence_of_repeats(np.array([0.0, 0.1, 0.2])).freedom == 2
+    assert evidence_of_repeats(series[0], np.array([series[0]] * 9)).freedom == pytest.approx(2.0), "copies say nothing"
+
+
+def test_three_shots_count_as_about_three_frames(rng: np.random.Generator) -> None:
+    """Each with an offset of its own, ten times as large as what changes from frame to frame."""
+    offsets = np.repeat(rng.normal(size=(7, 3)), 30, axis=1)
+    series = offsets + 0.1 * rng.normal(size=(7, 90))
+    evidence = evidence_of_frames(series[0], series[1:])
+    assert evidence.worth < 6
+    assert evidence_of_frames(rng.normal(size=90), rng.normal(size=(6, 90))).worth > 45
 
 
 def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:
@@ -90,9 +103,3 @@ def test_where_each_sequence_has_one_run_sequences_are_the_samples(rng: np.rando
     means = rng.normal(0.5, 1.0, 6)
     found = combined([evidence_of_repeats(np.array([mean])) for mean in means])
     assert found == evidence_of_repeats(means)
-
-
-def test_blocks_are_contiguous_and_of_equal_length() -> None:
-    np.testing.assert_allclose(block_means(np.arange(16.0), 4), [1.5, 5.5, 9.5, 13.5])
-    np.testing.assert_allclose(block_means(np.arange(5.0), 2), [0.5, 3.0])
-    np.testing.assert_allclose(block_means(np.array([4.0]), 3), [4.0])

@@ -147,7 +147,7 @@ def sighting(x_m: float, turn_deg: float, inliers: int = 80) -> Sighting:
 
 
 def judged(tracked: Sighting | None, raw: Sighting | None, truth: np.ndarray) -> dict[str, Measurement]:
-    survey: Any = SimpleNamespace(truth=truth[None], limit_m=0.02)
+    survey: Any = SimpleNamespace(truth=truth[None], limit_m=0.02, limit_deg=2.5)
     found = _measured(survey, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw})
     return {m.metric: m for m in found}
 
@@ -167,13 +167,36 @@ def test_distances_and_angles_are_those_made_by_hand() -> None:
     assert judged(sighting(0.03, 0.0), sighting(0.0, 0.0), np.eye(4))["located_auc"].value == 0.0
 
 
+@pytest.mark.parametrize(("x_m", "turn_deg", "points"), [(0.019, 2.4, 80.0), (0.021, 0.0, 0.0), (0.0, 2.6, 0.0)])
+def test_map_points_count_where_the_pose_is_right(x_m: float, turn_deg: float, points: float) -> None:
+    found = judged(sighting(x_m, turn_deg), sighting(0.0, 0.0), np.eye(4))
+    assert (found["tracked_located"].value, found["tracked_inliers"].value) == (1.0, points)
+
+
+@pytest.mark.thorough
+def test_a_frame_repeated_wins_no_map_points(tmp_path: Path) -> None:
+    """Every frame after the 30th is shown as the 30th, which is located: more than a step away that is wrong."""
+    film = Film()
+    shown = {film.frames[i].image.tobytes(): film.frames[min(i, 30)].image for i in range(FRAMES)}
+    codec = FunctionCodec(lambda image: shown[image.tobytes()])
+    raw, stuck = ({(m.metric, m.frame or 0): m.value for m in measured(film, tmp_path, each)} for each in (None, codec))
+    for way in ("tracked", "relocalized"):
+        asked = [i for i in range(FRAMES) if not math.isnan(raw[f"{way}_inliers", i])]
+        before, after = [i for i in asked if i <= 30], [i for i in asked if i > 31]
+        assert len(after) >= 5
+        assert all(stuck[f"{way}_inliers", i] == raw[f"{way}_inliers", i] > 50.0 for i in before)
+        assert [stuck[f"{way}_inliers", i] for i in after] == [0.0] * len(after)
+        assert [stuck["relocalized_located", i] for i in after] == [1.0] * len(after)
+
+
 def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
     lost = judged(None, sighting(0.0, 0.0), np.eye(4))
     assert (lost["tracked_located"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
     unknown = judged(sighting(0.0, 0.0), None, np.full((4, 4), np.nan))
     assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
     assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"
-    assert unknown["located_auc"].reason == "the raw frame is not located itself"
+    for name in ("located_auc", "tracked_inliers", "relocalized_inliers"):
+        assert unknown[name].reason == "the raw frame is not located itself"
 
 
 @pytest.mark.thorough

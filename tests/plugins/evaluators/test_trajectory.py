@@ -151,6 +151,9 @@ def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) 
         assert math.isnan(compared["success"].value)
         assert "raw frames give no map" in str(compared["success"].reason)
         assert "raw frames give no map" in str(compared["starts_in_time"].reason)
+        assert math.isnan(compared["held_ate_m"].value)
+        assert "raw frames give no map" in str(compared["held_ate_m"].reason)
+    assert "held_ate_m" not in verdicts(nothing, [nothing, whole])
 
 
 def started(tmp_path: Path, first: int, last: int = 200, sigma_m: float = 0.01) -> Outcome:

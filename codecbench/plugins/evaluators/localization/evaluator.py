@@ -35,7 +35,8 @@ class LocalizationParams(ReaderSettings):
 
     backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
     architecture: `features` refuses codecs of pictures; else a frame is located by what its codec sends.
-    limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing.
+    limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing; also
+    the angle from its orientation, in radians, at which map points no longer count.
     association_s: how far apart in time a frame and its ground truth may be. link and all about it: see ReaderSettings;
     a frame that is not delivered is not located, nor one that comes while another is being located, for slam_ms.
     """
@@ -56,7 +57,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
     """
 
     name = "localization"
-    version = "5"
+    version = "6"
     params_type = LocalizationParams
     needs = frozenset({"camera", "ground_truth"})
     kernels = ("codecbench.slam",)
@@ -119,7 +120,7 @@ def _measured(
     """All metrics of one frame."""
     for way, sighting in found.items():
         yield Measurement(f"{way}_located", float(sighting is not None), frame=index)
-        yield Measurement(f"{way}_inliers", float(sighting.inliers if sighting else 0), frame=index)
+        yield _points(survey, f"{way}_inliers", index, sighting, raw["tracked"])
         true = survey.truth[index]
         yield from _distance(way, "error", sighting, true, index, "the frame has no true pose")
         other = raw[way]
@@ -143,6 +144,18 @@ def _distance(
         float(rotation_angles_deg(pose[:3, :3].T @ reference[:3, :3])),
     )
     yield from (Measurement(name, value, frame=index) for name, value in zip(names, values, strict=True))
+
+
+def _points(survey: Survey, metric: str, index: int, found: Sighting | None, raw: Sighting | None) -> Measurement:
+    """The map points behind a pose that is right: nearer to the raw frame's than the limits of both its parts."""
+    if raw is None:
+        return Measurement(metric, math.nan, frame=index, reason="the raw frame is not located itself")
+    if found is None:
+        return Measurement(metric, 0.0, frame=index)
+    pose, beside = found.world_from_camera, raw.world_from_camera
+    near = np.linalg.norm(pose[:3, 3] - beside[:3, 3]) < survey.limit_m
+    right = near and rotation_angles_deg(pose[:3, :3].T @ beside[:3, :3]) < survey.limit_deg
+    return Measurement(metric, float(found.inliers if right else 0), frame=index)
 
 
 def _area(survey: Survey, index: int, found: Sighting | None, raw: Sighting | None) -> Measurement:

@@ -21,7 +21,7 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
             role="task", label=f"located {how}",
         ),
         Metric(
-            f"{way}_inliers", "1", "higher", f"map points behind the pose, 0 where there is none, {how}",
+            f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
         ),
         task("position_error_mm", "mm", "distance from the true position", "position error"),

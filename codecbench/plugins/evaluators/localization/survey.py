@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,8 +37,8 @@ class Survey:
 
     world_from_map: the similarity that aligns the map's trajectory with the truth. predictions: by frame, the pose
     camera_from_map that its predecessors' poses in the map foretell; frames without one are not located, and `reasons`
-    says why. truth: (N, 4, 4) world_from_camera, NaN where not known. limit_m: the distance at which a pose is no
-    longer worth anything.
+    says why. truth: (N, 4, 4) world_from_camera, NaN where not known. limit_m, limit_deg: how far from
+    the raw frame's pose a pose is wrong. Either moves what the camera sees by the same share of its depth.
     """
 
     localizer: Localizer
@@ -46,6 +47,7 @@ class Survey:
     reasons: dict[int, str]
     truth: Poses
     limit_m: float
+    limit_deg: float
 
     def sightings(self, features: Features, index: int) -> dict[Way, Sighting | None]:
         """Where frame `index` is found, each way, by features of it."""
@@ -77,7 +79,7 @@ def survey_of(sequence: FrameSequence, backend: Orb, association_s: float, limit
         raise Unsupported(f"the map of {sequence.name} cannot be aligned with the truth: {why}") from why
     limit_m = limit_share * world_from_map.scale * built.localizer.scene_depth()
     predictions, reasons = _predictions(built, len(sequence))
-    return Survey(built.localizer, world_from_map, predictions, reasons, truth, limit_m)
+    return Survey(built.localizer, world_from_map, predictions, reasons, truth, limit_m, math.degrees(limit_share))
 
 
 def _predictions(built: BuiltMap, frames: int) -> tuple[dict[int, NDArray[np.float64]], dict[int, str]]:

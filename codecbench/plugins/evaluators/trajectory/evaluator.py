@@ -111,6 +111,8 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         over_link = self.params.link is not None
         baseline = [] if over_link else baseline
         yield verdicts.success(outcome, baseline, self.params)
+        if verdicts.raw_makes_no_map(baseline):
+            yield Measurement("held_ate_m", math.nan, reason=verdicts.NO_MAP)
         same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"

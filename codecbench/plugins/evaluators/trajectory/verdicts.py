@@ -15,6 +15,14 @@ THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_
 """Parameters that only verdicts read, so that no run depends on them."""
 
 
+NO_MAP: Final = "raw frames give no map here either, so that nothing can be said of codecs"
+
+
+def raw_makes_no_map(baseline: list[Outcome]) -> bool:
+    """Whether there are runs of the raw codec, and not one of them tracked a frame."""
+    return bool(baseline) and all(raw.value("tracked_fraction") == 0.0 for raw in baseline)
+
+
 def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> Measurement:
     """Whether enough is tracked from the first map on, and the error is within the limit.
 
@@ -22,8 +30,8 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     Without such runs all frames are to be tracked. Missing, with the reason, where raw frames give no map either and
     where there is nothing to compare the error with.
     """
-    if baseline and all(raw.value("tracked_fraction") == 0.0 for raw in baseline):
-        return _missing("success", "raw frames give no map here either, so that nothing can be said of codecs")
+    if raw_makes_no_map(baseline):
+        return _missing("success", NO_MAP)
     if outcome.value("tracked_fraction") == 0.0:
         return Measurement("success", 0.0)
     tracked = outcome.value("tracked_since_map_fraction")
