@@ -71,9 +71,11 @@ class CurveValues:
         """The log rate at which a quality is reached, monotone between settings (PCHIP, doi:10.1137/0717021)."""
         return _inverse(self.log_rates, self.means)
 
-    def without(self, place: int) -> Callable[[Array], Array]:
-        """`inverse` without one of the settings."""
-        return _inverse(np.delete(self.log_rates, place), np.delete(self.means, place))
+    @cached_property
+    def without(self) -> list[Callable[[Array], Array]]:
+        """(S - 2,) `inverse` without each of the inner settings."""
+        inner = range(1, len(self.means) - 1)
+        return [_inverse(np.delete(self.log_rates, place), np.delete(self.means, place)) for place in inner]
 
     def gaps(self, qualities: Array) -> Array:
         """(S - 2,) by how much the mean log rate may be wrong because of the gaps beside each inner setting.
@@ -88,7 +90,7 @@ class CurveValues:
         if levels == 2:
             return np.array([math.inf])
         whole = self.inverse(qualities)
-        without = [np.mean(self.without(place)(qualities) - whole) for place in range(1, len(self.means) - 1)]
+        without = [np.mean(inverse(qualities) - whole) for inverse in self.without]
         steps = np.diff(self.means)
         steps = np.maximum(steps, _ALIKE * steps.mean())
         cubes = np.r_[2.0, np.ones(len(steps) - 2), 2.0] * steps**3 if len(steps) > 2 else 2.0 * steps**3
