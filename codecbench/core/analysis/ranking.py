@@ -23,6 +23,8 @@ from codecbench.core.analysis.verdicts import anchors_of, from_quality
 SIGNIFICANCE: Final = 0.01
 """Chance that a ranking of codecs that are all alike puts any of them before another."""
 
+_OF_A_BOUND: Final = 1e-3
+"""What a bound weighs in scores: it counts only for codecs that no other pair connects."""
 NO_COMMON_RATE: Final = "no common rate to compare at"
 """Why two codecs that both have a place are not compared with each other."""
 
@@ -308,12 +310,14 @@ def _significant(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array
     if not evidence:
         return better, np.zeros(count)
     certain = holm(np.array([found.p_beyond(SMALLEST) for found in evidence.values()])) < SIGNIFICANCE
+    weights = np.array([_OF_A_BOUND if found.at_least else 1.0 for found in evidence.values()])
     design = np.zeros((len(evidence), count))
     for row, ((first, second), found) in enumerate(evidence.items()):
-        design[row, first], design[row, second] = 1.0, -1.0
+        design[row, first], design[row, second] = weights[row], -weights[row]
         winner, loser = (first, second) if found.mean > 0 else (second, first)
         better[winner, loser] = certain[row]
-    scores: Array = np.linalg.lstsq(design, np.array([found.mean for found in evidence.values()]), rcond=None)[0]
+    means = np.array([found.mean for found in evidence.values()])
+    scores: Array = np.linalg.lstsq(design, weights * means, rcond=None)[0]
     return better, scores
 
 

@@ -163,6 +163,18 @@ def test_the_best_of_equal_codecs_is_ruled_out_in_at_most_one_table_of_a_hundred
     assert 2 <= ruled_out <= 30, "1 % of 2,000 are 20, known to 4.5"
 
 
+def test_a_bound_counts_in_scores_only_where_nothing_else_is_known() -> None:
+    """The first is known to take a tenth less rate than the second; bounds beside a third say something else."""
+    pairs = {
+        (0, 1): Evidence(0.1, 0.01, 9.0),
+        (0, 2): Evidence(0.5, 0.01, 9.0, at_least=True),
+        (1, 2): Evidence(2.0, 0.01, 9.0, at_least=True),
+    }
+    scores = _significant(3, pairs)[1]
+    assert scores[0] - scores[1] == pytest.approx(0.1, abs=1e-4)
+    assert 0.5 < scores[0] - scores[2] < 2.1
+
+
 def test_in_a_circle_the_highest_score_is_taken() -> None:
     found = ranking_of([("a", "b", 0.3, 1e-6), ("b", "c", 0.3, 1e-6), ("a", "c", -0.3, 1e-6)])
     assert (found.recommended.curve, found.as_good) == ("a", ())
