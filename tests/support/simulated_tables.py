@@ -104,9 +104,8 @@ def row(kind: str, frames: int, tables: int) -> str:
 if __name__ == "__main__":
     tables = int(sys.argv[1]) if len(sys.argv) > 1 else 800
     say = partial(print, flush=True)
-    say(
-        "| noise of a codec's values | frames | tables that order two | intervals that cover | width |" + 3 * " alike |"
-    )
+    heads = ("ordered", "covers", "width", "ordered, alike", "covers, alike", "width, alike")
+    say(f"| noise of a codec's values | frames | {' | '.join(heads)} |")
     say("|---|---:|---:|---:|---:|---:|---:|---:|")
     with ProcessPoolExecutor() as workers:
         cells = [(kind, frames) for kind in NOISES for frames in (80, 700)]

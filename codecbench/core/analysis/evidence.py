@@ -20,6 +20,8 @@ FEWEST_FRAMES: Final = 8
 """Frames below which nothing can be said of how they depend on each other."""
 _ROUNDING: Final = 1e-12
 """Relative differences up to this are none."""
+SIGNIFICANCE: Final = 0.05
+"""Two-sided, of intervals and of the smallest difference that can be shown; one-sided, of a drift."""
 _COSINES: Final = 0.4
 """So many cosines times the number of frames to the power of 2/3 (Lazarus and others 2018, section 4)."""
 _EACH: Final = 2
@@ -36,11 +38,11 @@ _TINY: Final = float(np.finfo(float).tiny)
 class Evidence:
     """A mean difference, the variance of that mean, and the degrees of freedom with which the variance is known.
 
-    The degrees of freedom are infinite where many frames differ by exactly the same. doubt: by how much the mean may be
+    The degrees of freedom are infinite if many frames differ by exactly the same. doubt: by how much the mean may be
     wrong for a reason that more frames would not mend, such as settings far apart. count: frames or repeats. worth: how
-    many independent ones they count as; NaN if that is not known. drifts: the difference still changes most over the
-    longest times, so that its error is extrapolated. at_least: the mean is a bound, as one codec is better at no more
-    rate than the other; then it has no interval, and what is tested is that it is better.
+    many independent ones they count as; NaN if that is not known. drifts: the difference changes significantly more
+    over long times than over short ones, so that its error is extrapolated. at_least: the mean is a bound, as one codec
+    is better at no more rate; then it has no interval, and the test is of that.
     """
 
     mean: float
@@ -143,14 +145,14 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
     while True:
         nearby = powers[:, : 3 * cosines] / np.maximum(powers[:, : 3 * cosines].mean(axis=1, keepdims=True), _TINY)
         rise = float(nearby[:, :cosines].mean() / max(float(nearby[:, cosines:].mean()), _TINY))
-        steep = fdtrc(cosines * independent, 2.0 * cosines * independent, rise) < level
-        if not steep or cosines // 2 < fewest:
+        chance = float(fdtrc(cosines * independent, 2.0 * cosines * independent, rise))
+        if chance >= level or cosines // 2 < fewest:
             break
         cosines //= 2
     ratios = powers[:, :cosines].mean(axis=1) / powers.mean(axis=1)
-    ratio = max(float(ratios[0]), float(ratios.mean())) * (max(1.0, rise) if steep else 1.0)
+    ratio = max(float(ratios[0]), float(ratios.mean())) * (max(1.0, rise) if chance < level else 1.0)
     variance, freedom = ratio * float(powers[0].sum()) / (count - 1) / count, share * cosines * independent
-    return Evidence(mean, variance, freedom, 0.0, count, min(count, count / ratio), bool(steep))
+    return Evidence(mean, variance, freedom, 0.0, count, min(count, count / ratio), chance < SIGNIFICANCE)
 
 
 def _mean(differences: Array) -> tuple[float, bool]:
@@ -175,7 +177,7 @@ def _independent(series: Array) -> float:
     scaled = series / np.sqrt((series**2).sum(axis=1, keepdims=True))
     squares = float(((scaled @ scaled.T) ** 2).sum()) - many
     of_others = (squares * (count - 1) - many * (many - 1)) / (count - 2)
-    return many**2 / (many + max(0.0, of_others))
+    return float(many**2 / (many + max(0.0, of_others)))
 
 
 def combined(evidence: Sequence[Evidence]) -> Evidence:
@@ -217,10 +219,6 @@ def _common(variances: Array, freedom: float) -> tuple[float, float]:
     return 2.0 * half, math.exp(float(logs.mean() + digamma(half)) - math.log(half))
 
 
-Values = NDArray[np.float64]
-
-SIGNIFICANCE: Final = 0.05
-"""Two-sided, of intervals and of the smallest difference that can be shown."""
 POWER: Final = 0.8
 """How often a difference of that size would be found."""
 
@@ -245,7 +243,7 @@ class PairedDifference:
     missing: int
 
 
-def paired_difference(first: Values, second: Values) -> PairedDifference:
+def paired_difference(first: Array, second: Array) -> PairedDifference:
     """What (N,) values of the same frames in the same order say of the difference `first` - `second`.
 
     Values that are not finite are missing. Equal series have a p-value of 1. Raises ValueError for series of different
@@ -274,7 +272,7 @@ _NOISE: Final = 2.0
 """Standard errors (of base-10 log n / n) up to which an autocorrelation counts as none (Politis and White)."""
 
 
-def block_length(series: Values) -> int:
+def block_length(series: Array) -> int:
     """The length of blocks for the standard error of the mean of a series (N,), up to N / 3; 1 for fewer than eight."""
     count = len(series)
     if count < FEWEST_FRAMES:
@@ -283,7 +281,7 @@ def block_length(series: Values) -> int:
     return int(np.clip(round(LENGTHENING * _best_length(series)), math.ceil(count ** (1.0 / 3.0)), longest))
 
 
-def _best_length(series: Values) -> float:
+def _best_length(series: Array) -> float:
     """The length by Politis and White, 1 where neighbours do not resemble each other."""
     count = len(series)
     if np.ptp(series) == 0.0:
@@ -305,7 +303,7 @@ def _best_length(series: Values) -> float:
     return float((1.5 * (slope / spectrum) ** 2 * count) ** (1.0 / 3.0))  # (2 g^2 / (4/3 s^2))^(1/3) n^(1/3)
 
 
-def longest_block(rows: Values) -> int:
+def longest_block(rows: Array) -> int:
     """The longest of the block lengths of rows (M, N) of the same frames; values that are not finite are left out."""
     return max((block_length(row[np.isfinite(row)]) for row in rows), default=1)
 
@@ -317,7 +315,7 @@ def drawn_blocks(rng: np.random.Generator, count: int, block: int) -> NDArray[np
     return np.asarray((starts[:, None] + np.arange(block)).ravel()[:count])
 
 
-def _last_dependent_lag(correlations: Values, count: int, quiet: int) -> int:
+def _last_dependent_lag(correlations: Array, count: int, quiet: int) -> int:
     """The lag after which `quiet` autocorrelations in a row are no more than noise; the last that is more, else."""
     noise = _NOISE * math.sqrt(math.log10(count) / count)
     loud = np.abs(correlations[1:]) >= noise

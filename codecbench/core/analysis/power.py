@@ -145,7 +145,7 @@ def smallest_difference(evidence: Evidence, level: float, power: float) -> float
 
     By Student's t: the standard error times the sum of two of its quantiles.
     """
-    if not (evidence.freedom >= 1 and evidence.variance > 0.0):
+    if not (evidence.freedom > 0 and evidence.variance > 0.0):
         return math.nan
     reach = student_quantile(1.0 - level / 2.0, evidence.freedom) + student_quantile(power, evidence.freedom)
     return reach * math.sqrt(evidence.variance)

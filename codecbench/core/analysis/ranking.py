@@ -69,8 +69,8 @@ class Ranking:
     order there and that of all other sequences together, if both have a significant difference. too_few_on: of several
     sequences those that have too few frames or repeats to say how sure they are, so that sequences are the samples.
     gaps: of pairs whose settings are too far apart, so that this doubt is half of their difference or more, the widest
-    gap. disputed: pairs of which each is significantly better on some sequence.
-    uninformative: by sequence, why the column ranks no codec there.
+    gap. disputed: pairs of which each is significantly better on some sequence. uninformative: by sequence, why the
+    column ranks no codec there.
     """
 
     column: Column
@@ -294,14 +294,11 @@ def _over_sequences(by_sequence: Iterable[_Pairs]) -> _Pairs:
     return {pair: combined([found[pair] for found in every]) for pair in shared}
 
 
-def _evidence_on(
-    curves: list[str], values: dict[str, CurveValues], at: float | None
-) -> dict[tuple[int, int], Evidence]:
+def _evidence_on(curves: list[str], values: dict[str, CurveValues], at: float | None) -> _Pairs:
     """Of each pair of curves that can be compared on a sequence."""
-    pairs = {
-        (i, j): difference(values[curves[i]], values[curves[j]], at) for i, j in combinations(range(len(curves)), 2)
-    }
-    return {pair: known.evidence(values[curves[pair[0]]].of) for pair, known in pairs.items() if known is not None}
+    members = [values[curve] for curve in curves]
+    pairs = {(i, j): difference(members[i], members[j], at) for i, j in combinations(range(len(curves)), 2)}
+    return {pair: known.evidence(members[0].of) for pair, known in pairs.items() if known is not None}
 
 
 def _significant(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array]:

@@ -353,7 +353,7 @@ def _of_pairs(pairs: list[PairPower]) -> Verdict:
         (
             f"{pair.first} vs. {pair.second}",
             signed_percent(pair.evidence),
-            f"{100.0 * math.expm1(-pair.smallest):+.3g} %" if pair.smallest < _LONGEST else "–",
+            f"{-100.0 * math.expm1(-pair.smallest):.3g} %" if pair.smallest < _LONGEST else "–",
             _said(pair),
             remedy_words(pair),
         )
