@@ -136,9 +136,9 @@ BLOCKS = {
         ("sequence", "frames", "keyframes made", "left", "points made", "arrays", "a frame"), benchmark_tables.printed,
     ),
     "calibration": Block(
-        "docs/verdict.md", "printed", "calibration", ("noise of a codec's values", "frames", "ordered", "covers", "width",
-                                                      "ordered, alike", "covers, alike", "width, alike"),
-        benchmark_tables.printed,
+        "docs/verdict.md", "printed", "calibration",
+        ("noise of a codec's values", "frames", "ordered", "covers", "width", "ordered, alike", "covers, alike",
+         "width, alike"), benchmark_tables.printed,
     ),
     "largest": Block(
         "docs/reliability.md", "printed", "largest", ("decoder", "image", "bytes", "time", "memory"),
