@@ -170,14 +170,9 @@ def _varying(differences: Array, alike: Array | None) -> Array:
 
 
 def _independent(series: Array) -> float:
-    """How many independent series (M, N) about zero are worth: by squared correlations, without what chance adds."""
-    many, count = series.shape
-    if many == 1 or count < 3:
-        return 1.0
+    """How many independent series (M, N) about zero are worth, by their correlations; fewer if N is small."""
     scaled = series / np.sqrt((series**2).sum(axis=1, keepdims=True))
-    squares = float(((scaled @ scaled.T) ** 2).sum()) - many
-    of_others = (squares * (count - 1) - many * (many - 1)) / (count - 2)
-    return float(many**2 / (many + max(0.0, of_others)))
+    return 1.0 if len(series) == 1 else float(len(series) ** 2 / ((scaled @ scaled.T) ** 2).sum())
 
 
 def combined(evidence: Sequence[Evidence]) -> Evidence:

@@ -71,7 +71,7 @@ def test_the_variance_of_a_mean_is_that_of_the_process(correlation: float, noise
 def test_what_the_settings_have_in_common_makes_each_surer(rng: np.random.Generator) -> None:
     """With three repeats one series has two degrees of freedom; ten of the same scatter have more."""
     series = rng.normal(0.0, 1.0, (10, 3))
-    assert evidence_of_repeats(series[0], series[1:]).freedom > 5
+    assert evidence_of_repeats(series[0], series[1:]).freedom > 3
     assert evidence_of_repeats(np.array([0.0, 0.1, 0.2])).freedom == 2
     assert evidence_of_repeats(series[0], np.array([series[0]] * 9)).freedom == pytest.approx(2.0), "copies say nothing"
 

@@ -328,6 +328,7 @@ def test_an_error_of_nothing_is_as_good_as_the_best(rng: np.random.Generator) ->
     cells = starts("plain", falling(1.0, rng)) + starts("zero", lambda rate: np.zeros(STARTS))
     with np.errstate(all="raise"):
         assert places(only(run_of(*cells))) == {"zero": (1, 1), "plain": (2, 2)}
+        assert places(rankings(run_of(*cells), at=0.6)[0]) == {"zero": (1, 1), "plain": (2, 2)}
 
 
 def test_without_a_rate_there_is_no_ranking(rng: np.random.Generator) -> None:
