@@ -40,9 +40,9 @@ class Evidence:
 
     The degrees of freedom are infinite if many frames differ by exactly the same. doubt: by how much the mean may be
     wrong for a reason that more frames would not mend, such as settings far apart. count: frames or repeats. worth: how
-    many independent ones they count as; NaN if that is not known. drifts: the difference changes significantly more
-    over long times than over short ones, so that its error is extrapolated. at_least: the mean is a bound, as one codec
-    is better at no more rate; then it has no interval, and the test is of that.
+    many independent ones they count as; NaN if that is not known. drifts: the slowest changes have significantly more
+    power than the next, so that the variance may be too small. at_least: the mean is a bound, as one codec is better at
+    no more rate; then it has no interval, and the test is of that.
     """
 
     mean: float
@@ -118,8 +118,7 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
 
     Equal-weighted cosines (Lazarus, Lewis, Stock and Watson 2018, doi:10.1080/07350015.2018.1506926): N times the
     variance of a mean is the mean power of the B slowest type-II cosines, for Student's t with B degrees of freedom.
-    B is 0.4 N^(2/3), halved while the slowest B have more power than the next 2 B, but not below 2. If they have more
-    power at the last, the variance is multiplied by how much more.
+    B is 0.4 N^(2/3), halved while the slowest B have more power than the next 2 B, but not below 2.
 
     alike: (M, N) differences between settings of the same two codecs. They resemble their neighbors as the differences
     themselves do, so that the ratio of slow power to all is their mean, or that of the differences if it is larger. It
@@ -150,7 +149,7 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
             break
         cosines //= 2
     ratios = powers[:, :cosines].mean(axis=1) / powers.mean(axis=1)
-    ratio = max(float(ratios[0]), float(ratios.mean())) * (max(1.0, rise) if chance < level else 1.0)
+    ratio = max(float(ratios[0]), float(ratios.mean()))
     variance, freedom = ratio * float(powers[0].sum()) / (count - 1) / count, share * cosines * independent
     return Evidence(mean, variance, freedom, 0.0, count, min(count, count / ratio), chance < SIGNIFICANCE)
 

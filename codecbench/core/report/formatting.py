@@ -240,9 +240,9 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{ranking.units} frames count as about {_two_digits(median(worth))} independent ones."
     drifting = [f"{first} and {second}" for first, second, evidence in ranking.pairs if evidence.drifts]
     if drifting:
-        more = f", and {len(drifting) - _NAMED} other pairs," if len(drifting) > _NAMED else ""
-        named = f"The difference between {', '.join(drifting[:_NAMED])}{more}"
-        yield f"{named} drifts over the whole sequence, so its error may be larger."
+        more = f" and {len(drifting) - _NAMED} more" if len(drifting) > _NAMED else ""
+        pairs = f"{'; '.join(drifting[:_NAMED])}{more}"
+        yield f"Differences that drift over the whole sequence, so that their errors may be larger: {pairs}."
     if correlation := ranking.rank_correlation:
         least = min(correlation, key=lambda name: correlation[name])
         yield (

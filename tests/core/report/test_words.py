@@ -213,7 +213,7 @@ def undecided(**more: Any) -> Verdict:
 
 def test_how_many_frames_count_as_independent_and_drift_are_noted() -> None:
     assert "64 frames count as about 13 independent ones." in undecided(worth=12.7).sentences
-    drift = "The difference between plain and mine drifts over the whole sequence, so its error may be larger."
+    drift = "Differences that drift over the whole sequence, so that their errors may be larger: plain and mine."
     assert drift in undecided(drifts=True).sentences
     assert [words for words in undecided().sentences if "independent" in words or "drift" in words] == []
 
