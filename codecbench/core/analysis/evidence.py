@@ -192,7 +192,7 @@ def combined(evidence: Sequence[Evidence]) -> Evidence:
     spread = float(sum(var**2 / each.freedom for var, each in zip(variances, evidence, strict=True) if var))
     exact = all(math.isinf(each.freedom) for each in evidence)
     freedom = total**2 / spread if spread else math.inf if exact else 0.0
-    worth, drifts = sum(each.worth for each in evidence), any(each.drifts for each in evidence)
+    worth, drifts = sum(each.worth for each in evidence), all(each.drifts for each in evidence)
     return Evidence(float(means.mean()), total, freedom, doubt, count, worth, drifts, at_least)
 
 
