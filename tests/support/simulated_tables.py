@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
 import numpy as np
 from scipy.signal import lfilter
 
-from codecbench.core.analysis.curve_values import SMALLEST, CurveValues, difference
+from codecbench.core.analysis.curve_values import CurveValues, difference
 from codecbench.core.analysis.evidence import Evidence
 from codecbench.core.analysis.ranking import holm
 
@@ -86,7 +87,7 @@ def calibration(kind: str, frames: int, shared: float, tables: int) -> tuple[flo
         means, halves = [], []
         for _ in range(-(-tables // len(NOISES[kind]))):
             pairs = [compared(*pair) for pair in combinations(equal_codecs(rng, noise, frames, shared, 6), 2)]
-            ordered += bool((holm(np.array([each.p_beyond(SMALLEST) for each in pairs])) < 0.01).any())
+            ordered += bool((holm(np.array([replace(each, doubt=0.0).p_value for each in pairs])) < 0.01).any())
             means += [each.mean for each in pairs]
             halves += [each.reach(0.95) - each.doubt for each in pairs]
         covers.append(np.mean(np.abs(means) <= halves))
