@@ -29,13 +29,23 @@ if TYPE_CHECKING:
     help="Say which codec and setting to take at this rate, in the unit of tables (bit/px); repeatable.",
 )
 def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
-    """Say which codec of the RUN folder to take, what is undecided, and down to which rate each codec holds."""
+    """Say which codec of the RUN folder to take, what is undecided, and down to which rate each codec passes."""
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import verdicts, verdicts_at
 
     result = open_nonempty_run(run)
     found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
     show_found(result, found, format_)
+    if format_ == "text" and not rates:
+        show_answer(result)
+
+
+def show_answer(result: RunResult) -> None:
+    """Print what to take, as the last line."""
+    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.report.answers import answers
+
+    click.echo(clean_line(str(answers(result))))
 
 
 @click.command()
@@ -49,7 +59,7 @@ def power(run: Path, power: float, format_: str) -> None:
 
     For each two codecs: the smallest difference that would have been found, at the level of `codecbench rank`, in the
     share POWER of cases; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For
-    each setting that can fail: from which success rate on so many runs would show that it holds.
+    each setting that can fail: from which success rate on so many runs would show that it passes.
     """
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import power_verdicts

@@ -12,9 +12,11 @@ import click
 from codecbench.cli.completion import plugin_names
 from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.rank import show_answer
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
+    from codecbench.core.analysis.run_result import RunResult
     from codecbench.core.engine.planning.matrix import Matrix
     from codecbench.core.engine.running.summary import RunSummary
 
@@ -66,34 +68,37 @@ def run(
             listener=display.show,
             log_level=logging.getLevelName(log_level.upper()),
         )
-    _show(summary, quiet)
+    result = _show(summary, quiet)
     if "ok" in summary.statuses:
         page = summary.folder / "report" / "report.html"
         click.echo(f"report: `codecbench report {summary.folder}` writes {page}, a page for your browser")
+        if result is not None:
+            show_answer(result)
     end(summary)
 
 
 def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool) -> None:
     """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser."""
-    from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.page import write_report
     from codecbench.core.rounds.running import run_matrix
 
     with Display(Screen(stderr=True), True) as display:
         summary = run_matrix(matrix, out, workers=workers, listener=display.show)
-    _show(summary, False, in_sentences=True)
+    result = _show(summary, False, in_sentences=True)
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
-    if "ok" in summary.statuses:
+    if result is not None and "ok" in summary.statuses:
         page = (summary.folder / "report" / "report.html").absolute()
-        write_report(open_nonempty_run(summary.folder), page, "html")
+        write_report(result, page, "html")
         click.echo(f"the report: {page.as_uri()}")
+        show_answer(result)
         if show:
             click.launch(page.as_uri())
     end(summary)
 
 
-def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> None:
+def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> RunResult | None:
     """What the run decides, as tables or in a sentence a codec, its headlines, and what became of its cells."""
+    result = None
     if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_summary
@@ -109,6 +114,7 @@ def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> No
             show_verdicts(verdicts(result, brief=True))
         show_summary(result)
     show_cells(summary)
+    return result
 
 
 def show_cells(summary: RunSummary, *, err: bool = False) -> None:

@@ -65,6 +65,11 @@ class Run(RunResult):
         write_report(self, page, frames=frames)
         return page
 
+    @property
+    def answer(self) -> Answers:
+        """What to take: `str(run.answer)` is a sentence, and `run.answer.answers` has one for each codec."""
+        return answers(self)
+
     def best(self, rate: float | None = None) -> Answers | Ranked:
         """What to take. Without a rate a sentence a codec; at a rate, in the unit that people are shown, the codec.
 

@@ -11,7 +11,7 @@ import pytest
 from installed_command import COMMAND
 from project import DOCS
 
-from codecbench.core.analysis.limits import Standing
+from codecbench.core.analysis.passing import Standing
 
 PAGE = (DOCS / "verdict.md").read_text()
 
@@ -69,11 +69,11 @@ def sentences(text: str) -> list[str]:
 
 
 def test_the_table_of_runs_is_what_intervals_say() -> None:
-    lines = re.findall(r"^\| (\d) of (\d) \| (holds|cannot tell|fails)(.*)\|$", PAGE, re.MULTILINE)
+    lines = re.findall(r"^ *\| (\d) of (\d) \| (passes|inconclusive|fails)(.*)\|$", PAGE, re.MULTILINE)
     assert len(lines) == 5
     for successes, runs, verdict, rest in lines:
         standing = Standing("", 1.0, int(successes), int(runs))
         assert standing.verdict == verdict
         low, high = (round(100 * end) for end in standing.interval)
         more = {1: "one more", 3: "at least 3 more"}.get(standing.more_runs, "")
-        assert {"holds": f"at least {low} %", "fails": f"at most {high} %", "cannot tell": more}[verdict] in rest
+        assert {"passes": f"at least {low} %", "fails": f"at most {high} %", "inconclusive": more}[verdict] in rest

@@ -26,7 +26,9 @@ HELD = Metric("held", "1", "higher", "", role="success", headline=True)
 WORK = Metric("work", "ops", "lower", "", role="operations", headline=True)
 SPEED = Metric("speed", "ms", "lower", "", role="time", headline=True)
 SHAPE = Metric("shape", "1", "neither", "", role="task", headline=True)
-METRICS = {metric.name: metric for metric in (SHAPE, BITS, SCORE, BLUR, DRIFT, HELD, WORK, SPEED)}
+ENCODING = Metric("encoding", "ms", "lower", "", role="time", need="encoding")
+DECODING = Metric("decoding", "ms", "lower", "", role="time", need="decoding")
+METRICS = {metric.name: metric for metric in (SHAPE, BITS, SCORE, BLUR, DRIFT, HELD, WORK, SPEED, ENCODING, DECODING)}
 Values = dict[tuple[str, str], Sequence[float]]
 
 

@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 
 from codecbench.core.analysis.evidence import combined, evidence_of_repeats
-from codecbench.core.analysis.limits import POOLED, Holding, Standing, pooled_rates
+from codecbench.core.analysis.limits import POOLED, pooled_rates
+from codecbench.core.analysis.passing import Passing, Standing
 from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.errors import CodecbenchError
@@ -76,12 +77,12 @@ class Candidate:
         return [standing for standing in (self.timely, self.exact) if standing is not None]
 
     @property
-    def verdict(self) -> Holding:
-        """`fails` where one demand does, `holds` where all do."""
+    def verdict(self) -> Passing:
+        """`fails` where one demand does, `passes` where all do."""
         verdicts = {standing.verdict for standing in self.standings}
         if "fails" in verdicts:
             return "fails"
-        return "holds" if verdicts == {"holds"} and not self.unmeasured else "cannot tell"
+        return "passes" if verdicts == {"passes"} and not self.unmeasured else "inconclusive"
 
     @property
     def more_runs(self) -> int:

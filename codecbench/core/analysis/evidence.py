@@ -151,7 +151,9 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
     ratios = powers[:, :cosines].mean(axis=1) / powers.mean(axis=1)
     ratio = max(float(ratios[0]), float(ratios.mean()))
     variance, freedom = ratio * float(powers[0].sum()) / (count - 1) / count, share * cosines * independent
-    return Evidence(mean, variance, freedom, 0.0, count, min(count, count / ratio), chance < SIGNIFICANCE)
+    return Evidence(
+        mean, variance, freedom, 0.0, count, min(count, count / max(ratio, _ROUNDING)), chance < SIGNIFICANCE
+    )
 
 
 def _mean(differences: Array) -> tuple[float, bool]:

@@ -1,137 +1,156 @@
-"""How hard a codec may compress before a task fails, as far as so many runs can tell."""
+"""What is asked of the settings of a run, which pass, and how hard a codec may compress before it no longer does."""
 
 from __future__ import annotations
 
-from collections import defaultdict
+import math
+import re
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import Key, RunResult
-from codecbench.core.analysis.verdicts import Place, Points, SequenceCurve, values_of_repeats
+from codecbench.core.analysis.curve_values import curve_values, objection
+from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_frames, evidence_of_repeats
+from codecbench.core.analysis.passing import Joint, Level, Standing, Test, described, parts
+from codecbench.core.analysis.run_result import Key, RunResult, judged_column, successes
+from codecbench.core.analysis.table import CellResult
+from codecbench.core.analysis.verdicts import Place, Points, SequenceCurve, values_in, values_of_repeats
 
-Holding = Literal["holds", "fails", "cannot tell"]
-
-HOLDS_ABOVE: Final = 0.5
-"""A setting holds where more than this share of all runs that there could be would succeed."""
+NEAR_RAW: Final = {"higher": 0.8, "lower": 2.0}
+"""Times the raw frames' value that is good enough, by which direction is better, if the metric declares no value."""
 
 POOLED: Final = ""
 """Stands for all sequences together."""
-
-_MOST_MORE_RUNS: Final = 1000
 
 T = TypeVar("T")
 U = TypeVar("U")
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A setting in a sweep: how many of its runs succeeded, and what that says of all that there could be."""
-
-    point: str
-    rate: float
-    successes: int
-    runs: int
-
-    @cached_property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
-        from scipy.stats import binomtest  # loads for half a second, and few runs have a task
-
-        found = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
-
-    @property
-    def verdict(self) -> Holding:
-        """Whether the interval lies above HOLDS_ABOVE, below it, or on both sides."""
-        low, high = self.interval
-        return "holds" if low > HOLDS_ABOVE else "fails" if high < HOLDS_ABOVE else "cannot tell"
-
-    @property
-    def more_runs(self) -> int:
-        """How many more runs would tell, if all of them ended as most have; at best, that is."""
-        successful = self.successes >= HOLDS_ABOVE * self.runs
-        return next(
-            more
-            for more in range(_MOST_MORE_RUNS)
-            if Standing("", 0.0, self.successes + more * successful, self.runs + more).verdict != "cannot tell"
-        )
-
-    def __str__(self) -> str:
-        share = f"{self.successes}/{self.runs} runs"
-        if self.verdict == "holds":
-            return f"{share}, at least {100 * self.interval[0]:.0f} % at 95 %"
-        if self.verdict == "fails":
-            return f"{share}, at most {100 * self.interval[1]:.0f} % at 95 %"
-        return f"{share}; at least {self.more_runs} more would tell"
-
-
-@dataclass(frozen=True)
 class Limit:
     """A sweep and where it ends. settings: from the most rate to the least. reason: why nothing can be said."""
 
-    settings: tuple[Standing, ...] = ()
+    settings: tuple[Test, ...] = ()
     reason: str = ""
 
     @property
-    def lowest(self) -> Standing | None:
-        """The setting of least rate that holds, with every setting of more rate holding too."""
-        held = list(takewhile(lambda setting: setting.verdict == "holds", self.settings))
-        return held[-1] if held else None
+    def lowest(self) -> Test | None:
+        """The setting of least rate that passes, with every setting of more rate passing too."""
+        passing = list(takewhile(lambda setting: setting.verdict == "passes", self.settings))
+        return passing[-1] if passing else None
 
     @property
     def rate(self) -> float:
-        """Of the lowest setting that holds; infinite where none does."""
+        """Of the lowest setting that passes; infinite where none does."""
         return float("inf") if self.lowest is None else self.lowest.rate
 
     @property
-    def next(self) -> Standing | None:
-        """The first setting that is not known to hold; None where all hold."""
-        return next((setting for setting in self.settings if setting.verdict != "holds"), None)
+    def next(self) -> Test | None:
+        """The first setting that is not known to pass; None where all pass."""
+        return next((setting for setting in self.settings if setting.verdict != "passes"), None)
 
     @property
-    def out_of_order(self) -> tuple[Standing, ...]:
-        """Settings that fail though one of less rate holds."""
-        holding = [place for place, setting in enumerate(self.settings) if setting.verdict == "holds"]
-        return tuple(setting for setting in self.settings[: max(holding, default=0)] if setting.verdict == "fails")
+    def out_of_order(self) -> tuple[Test, ...]:
+        """Settings that fail though one of less rate passes."""
+        passing = [place for place, setting in enumerate(self.settings) if setting.verdict == "passes"]
+        return tuple(setting for setting in self.settings[: max(passing, default=0)] if setting.verdict == "fails")
 
     def after_words(self) -> str:
         """What comes after the limit, and whether that is out of order."""
         after = self.next
         if after is None:
-            return "never failed here"
+            return "nothing coarser was tried"
         name = after.point or "its setting"
-        if after.verdict == "cannot tell":
-            return f"cannot tell of {name} ({after})"
-        words = f"{name} fails ({after})"
+        if after.verdict == "inconclusive":
+            return f"{name} is inconclusive ({described(after)})"
+        words = f"{name} fails ({described(after)})"
         if after in self.out_of_order:
             again = [
-                setting.point for setting in self.settings if setting.verdict == "holds" and setting.rate < after.rate
+                setting.point for setting in self.settings if setting.verdict == "passes" and setting.rate < after.rate
             ]
-            words += f"; out of order, for {', '.join(again)} below it holds"
+            words += f"; out of order, for {', '.join(again)} below it passes"
         return words
 
 
-def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve on each sequence, for columns of role `success`: runs count that succeed in all.
+def criteria(run: RunResult) -> list[list[Column]]:
+    """What a setting has to pass, one list for each evaluator that says when a run succeeds.
 
-    With several sequences there is a limit over all of them too, under POOLED, of the runs of all and the mean rates.
+    That success, and every task of another evaluator for which its metric says how much is enough; if no success is
+    measured, the first task, or else the first quality. What comes over a link is judged elsewhere, see `choosing`.
     """
-    rates, successes = run.rates, together([values_of_repeats(run, column, failed=0.0) for column in columns])
-    if len({row[0] for row in successes}) > 1:
-        successes |= _pooled(successes, lambda lists: [value for values in lists for value in values])
-        rates = rates | pooled_rates(run)
+    groups = [group for group in successes(run) if not _over_link(group[0])]
+    tasks = [column for column in run.headlines("task") if column.metric.enough is not None and not _over_link(column)]
+    if groups:
+        return [[*group, *(task for task in tasks if task.evaluator != group[0].evaluator)] for group in groups]
+    column = judged_column(run)
+    return [] if column is None or _over_link(column) else [[column]]
+
+
+def _over_link(column: Column) -> bool:
+    return any(used.kind == "link" for used in column.evaluator.uses)
+
+
+def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:
+    """The limit of each curve on each sequence: a setting passes if it does by all columns.
+
+    Of columns of role `success` those runs count that succeed in all; by every other column, the mean has to be on the
+    right side of what is enough. With several sequences there is a limit over all of them too, under POOLED, where a
+    setting fails that fails on one.
+    """
+    counted = [column for column in columns if column.metric.role == "success"]
+    tests: dict[Key, dict[str, Test]] = defaultdict(dict)
+    for row, standing in (_standings(run, counted) if counted else {}).items():
+        tests[row][standing.label] = standing
+    for column in columns:
+        if column not in counted:
+            for row, level in _levels(run, column).items():
+                tests[row][level.label] = level
+    joined = {row: Joint(named) if len(named) > 1 else next(iter(named.values())) for row, named in tests.items()}
+    found = limits_of(joined, run.curves)
     if run.rate is None:
-        reason = "no rate was measured; add an evaluator with a headline of role rate"
-        return {
-            (sequence, run.curves[codec, label].curve): Limit(reason=reason) for sequence, codec, label in successes
-        }
-    return limits_of(rates, successes, run.curves)
+        return dict.fromkeys(found, Limit(reason="no rate was measured; add an evaluator with a headline of role rate"))
+    return {key: _failing_anywhere(key, limit, found) for key, limit in found.items()}
+
+
+def _failing_anywhere(key: SequenceCurve, limit: Limit, found: Mapping[SequenceCurve, Limit]) -> Limit:
+    """The limit over all sequences, whose settings fail that fail on one; that of one sequence as it is."""
+    if key[0] != POOLED:
+        return limit
+    settings: list[Test] = []
+    for setting in limit.settings:
+        own = {sequence: test for (sequence, curve), other in found.items() if curve == key[1] and sequence != POOLED
+               for test in other.settings if test.point == setting.point and test.verdict == "fails"}  # fmt: skip
+        passes = setting.verdict != "fails"
+        settings.append(Joint({"all sequences together": setting, **own}) if own and passes else setting)
+    return replace(limit, settings=tuple(settings))
+
+
+def limits_of(tests: Mapping[Key, Test], points: Points) -> dict[SequenceCurve, Limit]:
+    """The limit of each curve by (sequence, curve), with a reason where there is none.
+
+    A curve with a setting whose rate is not known has no limit, because nobody can say where that setting stands in the
+    sweep.
+    """
+    curves: dict[SequenceCurve, list[Test]] = defaultdict(list)
+    for (sequence, codec, setting), test in tests.items():
+        curves[sequence, points[codec, setting].curve].append(test)
+    return {key: _limit(members) for key, members in curves.items()}
+
+
+def _limit(members: list[Test]) -> Limit:
+    if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
+        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
+    if empty := next((test for member in members for test in parts(member) if _is_empty(test)), None):
+        return Limit(reason=empty.why or "its runs cannot be judged here")
+    return Limit(tuple(sorted(members, key=lambda member: -member.rate)))
+
+
+def _is_empty(test: Standing | Level) -> bool:
+    return test.runs == 0 if isinstance(test, Standing) else test.margin.count == 0
 
 
 def pooled_rates(run: RunResult) -> dict[Key, float]:
@@ -144,6 +163,11 @@ def _pooled(rows: Mapping[Key, T], merged: Callable[[list[T]], U]) -> dict[Key, 
     for (_, codec, label), value in rows.items():
         settings[codec, label].append(value)
     return {(POOLED, codec, label): merged(values) for (codec, label), values in settings.items()}
+
+
+def _with_pooled(rows: Mapping[Key, T], merged: Callable[[list[T]], T]) -> dict[Key, T]:
+    """With those over all sequences, if there are several."""
+    return {**rows, **_pooled(rows, merged)} if len({row[0] for row in rows}) > 1 else dict(rows)
 
 
 def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key, list[float]]:
@@ -161,26 +185,114 @@ def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key
     return {row: [value for place, value in found.items() if (row[0], place) in judged] for row, found in least.items()}
 
 
-def limits_of(
-    rates: Mapping[Key, float], successes: Mapping[Key, Sequence[float]], points: Points
-) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve by (sequence, curve), with a reason where there is none.
+def _standings(run: RunResult, columns: Sequence[Column]) -> dict[Key, Standing]:
+    """How often the runs of each row succeeded; a value that is missing counts as a run without success."""
+    values = together([values_of_repeats(run, column, failed=0.0) for column in columns])
+    reasons = {good: {row: _reasons(run, row, columns, good=good) for row in values} for good in (True, False)}
+    rates = _with_pooled(run.rates, lambda rates: float(np.mean(rates)))
+    values = _with_pooled(values, lambda lists: [value for each in lists for value in each])
+    why, asked = (_with_pooled(reasons[good], lambda found: sum(found, Counter())) for good in (False, True))
+    label = " and ".join(column.label for column in columns)
+    return {
+        row: Standing(
+            run.curves[row[1:]].point, rates.get(row, math.nan), sum(value == 1.0 for value in found), len(found),
+            label, _commonest(why[row]), _in_common(asked[row]),
+        )
+        for row, found in values.items()
+    }  # fmt: skip
 
-    successes: a value a run, 1 where it succeeded; a value that is missing counts as a run without success. A curve
-    with a setting whose rate is not known has no limit, because nobody can say where that setting stands in the sweep.
-    """
-    curves: dict[SequenceCurve, list[Standing]] = defaultdict(list)
-    for (sequence, codec, setting), values in successes.items():
-        point = points[codec, setting]
-        held = sum(value == 1.0 for value in values)
-        rate = rates.get((sequence, codec, setting), np.nan)
-        curves[sequence, point.curve].append(Standing(point.point, rate, held, len(values)))
-    return {key: _limit(members) for key, members in curves.items()}
+
+def _reasons(run: RunResult, row: Key, columns: Sequence[Column], *, good: bool) -> Counter[str]:
+    """What was said of the runs of a row that succeeded, or of the others, and how often."""
+    names = {column.metric.name for column in columns}
+    found: Counter[str] = Counter()
+    for result in run.results:
+        if result.row == row and result.cell.evaluator == columns[0].evaluator:
+            told = [measured for measured in result.measurements if measured.metric in names and measured.reason]
+            found.update(str(measured.reason) for measured in told if (measured.value == 1.0) == good)
+            if result.reason and not good:
+                found[result.reason] += 1
+    return found
 
 
-def _limit(members: list[Standing]) -> Limit:
-    if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
-        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
-    if not all(member.runs for member in members):
-        return Limit(reason="its runs cannot be judged here")
-    return Limit(tuple(sorted(members, key=lambda member: -member.rate)))
+def _commonest(reasons: Counter[str]) -> str:
+    return reasons.most_common(1)[0][0] if reasons else ""
+
+
+def _in_common(asked: Counter[str]) -> str:
+    """What is asked of every run: without the values after a `=`, which differ between sequences."""
+    return _commonest(asked if len(asked) == 1 else Counter(re.sub(r" = [^,;]*", "", text) for text in asked))
+
+
+def _levels(run: RunResult, column: Column) -> dict[Key, Level]:
+    """Where each row stands beside what is enough; nothing if neither the metric nor raw frames say what that is."""
+    rows = dict.fromkeys(result.row for result in run.of(column.evaluator.title))
+    series = {row: _series(run.of(column.evaluator.title), row, column) for row in rows}
+    raw = {row[0]: values for row, (values, _) in series.items() if row[1] in run.schema.baselines}
+    mute = {sequence: _uninformative(run, column, sequence) for sequence, *_ in rows}
+    found = {}
+    for row, (values, over_frames) in series.items():
+        level = _level(column, values, raw.get(row[0]), over_frames)
+        if level is not None:
+            level = replace(level, margin=_NO_MARGIN, why=mute[row[0]]) if mute[row[0]] else level
+            found[row] = replace(level, point=run.curves[row[1:]].point, rate=run.rates.get(row, math.nan))
+    return _with_pooled(found, _over_all)
+
+
+_NO_MARGIN: Final = Evidence(math.nan, math.nan, 0.0)
+
+
+def _uninformative(run: RunResult, column: Column, sequence: str) -> str:
+    """Why a column says nothing on a sequence, if what is enough depends on the raw frames."""
+    if column.metric.enough is not None or run.rate is None:
+        return ""
+    reason = objection(run, column, *curve_values(run, column, sequence))
+    return f"{column.label} is uninformative on {sequence}: {reason}" if reason else ""
+
+
+def _series(results: Sequence[CellResult], row: Key, column: Column) -> tuple[np.ndarray, bool]:
+    """The values of a row, and whether they are of frames, each the mean of its repeats, or of repeats."""
+    own = [result for result in results if result.row == row]
+    if all((column.metric.name, column.stage, column.aggregate) in result.summaries for result in own):
+        frames = [result.values_of_frames(column.metric.name, column.stage) for result in own]
+        return np.mean(frames, axis=0), True
+    return np.array([value for result in own for value in values_in(result, column)]), False
+
+
+def _level(column: Column, values: np.ndarray, raw: np.ndarray | None, over_frames: bool) -> Level | None:
+    """Of values that stand beside what is enough; frames that the raw codec lacks too do not count."""
+    metric = column.metric
+    if over_frames and raw is not None:
+        values, raw = values[~np.isnan(raw)], raw[~np.isnan(raw)]
+    if metric.enough is not None:
+        bound = np.full(len(values), metric.enough)
+    elif raw is None or not len(raw) or metric.better == "neither":
+        return None
+    else:
+        bound = NEAR_RAW[metric.better] * (raw if over_frames else np.full(len(values), np.nanmean(raw)))
+    limit = float(bound.mean()) if len(bound) else math.nan
+    if not 0.0 < limit < math.inf:
+        return None
+    there = ~np.isnan(values)
+    finite = np.where(np.isinf(values), 2.0 * limit, values)  # PSNR of equal images is infinite
+    margins = (finite - bound)[there] * (1.0 if metric.better == "higher" else -1.0)
+    evidence = evidence_of_frames if over_frames else evidence_of_repeats
+    margin = evidence(margins) if len(margins) else _NO_MARGIN
+    value = float(values[there].mean()) if len(margins) else math.nan
+    missing = np.count_nonzero(~there)
+    why = f"{missing} of {len(there)} values of {column.label} are missing" if missing else ""
+    return Level("", math.nan, column, value, limit, margin, why)
+
+
+def _over_all(levels: list[Level]) -> Level:
+    """The mean over the sequences on which it can be judged."""
+    rate = float(np.mean([level.rate for level in levels]))
+    levels = [level for level in levels if level.margin.count] or levels[:1]
+    return replace(
+        levels[0],
+        rate=rate,
+        value=float(np.mean([level.value for level in levels])),
+        bound=float(np.mean([level.bound for level in levels])),
+        margin=combined([level.margin for level in levels]),
+        why=next((level.why for level in levels if level.why), ""),
+    )

@@ -14,7 +14,8 @@ import numpy as np
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import FEWEST_FRAMES, POWER, Evidence, student_quantile
-from codecbench.core.analysis.limits import Standing, limits
+from codecbench.core.analysis.limits import limits
+from codecbench.core.analysis.passing import Standing, parts
 from codecbench.core.analysis.ranking import SIGNIFICANCE, Gap, Ranking, holm, rankings
 from codecbench.core.analysis.run_result import RunResult
 
@@ -117,7 +118,7 @@ class PairPower:
 @dataclass(frozen=True)
 class LimitPower:
     """A setting's runs, and what they could tell. told_from: the success rate from which on so many runs would show, in
-    the share `power` of cases, that it holds; NaN where no number of successes among them does.
+    the share `power` of cases, that it passes; NaN where no number of successes among them does.
     """
 
     columns: tuple[Column, ...]
@@ -131,7 +132,7 @@ class LimitPower:
         from scipy.special import betaincinv  # as in student_quantile
 
         runs = self.standing.runs
-        least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "holds"), None)
+        least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "passes"), None)
         return math.nan if least is None else float(betaincinv(least, runs - least + 1, self.power))
 
     @property
@@ -183,5 +184,6 @@ def limit_powers(run: RunResult, columns: Sequence[Column], power: float = POWER
     return [
         LimitPower(tuple(columns), sequence, curve, standing, power)
         for (sequence, curve), limit in limits(run, columns).items()
-        for standing in limit.settings
+        for setting in limit.settings
+        if isinstance(standing := next(parts(setting)), Standing)
     ]

@@ -38,6 +38,8 @@ class Metric:
 
     confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.
     in_units_of: another metric, timed beside this one, by which two runs are compared whatever the machine's pace.
+    enough: a setting passes if its mean is on the right side of this value at 95 %. Without one the bound is 0.8 times
+    the raw frames' value, or twice it if lower is better. A task that has one is asked for beside a success.
     caveat: what a reader must know beside every number of it; it stands below the tables that show the metric.
     need: what others look for in it, whichever evaluator measures it. `codecbench choose` judges by a frame's `delay`,
     missing where it never came, by the `error` of what reads the frames, and by the `cause` for which a share of them
@@ -63,6 +65,7 @@ class Metric:
     in_units_of: str = ""
     caveat: str = ""
     need: Need = ""
+    enough: float | None = None
 
     def __post_init__(self) -> None:
         self._check("better", self.better, Better)

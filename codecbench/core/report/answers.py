@@ -1,62 +1,56 @@
-"""What a run answers, in one sentence a codec: as much as its runs and frames show, and no more."""
+"""What a run answers: the setting to take and a sentence for each codec, as far as its runs and frames show."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final
 
-import numpy as np
-import pandas as pd
-
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.limits import POOLED, Limit, limits
-from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranked, Ranking, rankings
-from codecbench.core.analysis.run_result import RunResult, judged_column, successes
-from codecbench.core.report.formatting import (
-    SURE,
-    baseline_rate,
-    less_rate,
-    sequences_are_samples,
-    share_of_rate,
-    uninformative,
-    where,
-)
+from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits
+from codecbench.core.analysis.passing import Level, Standing, Test, described, parts
+from codecbench.core.analysis.ranking import rankings
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, times_decide
+from codecbench.core.report.formatting import ranked_verdict, share_of_rate, uninformative, where
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A sentence about a curve. holds: whether its task is known to hold at some setting, or to fail, or neither."""
+    """A sentence about a curve. passes: whether it is known to pass at some setting, or to fail, or neither."""
 
     curve: str
     sentence: str
-    holds: bool | None = None
+    passes: bool | None = None
 
 
 @dataclass(frozen=True)
 class Answers:
     """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out. about:
-    by what, in a few words."""
+    by what, in a few words. sentence: what to take, what that costs and saves, and how sure it is."""
 
     basis: str
     answers: tuple[Answer, ...] = ()
     about: str = ""
+    sentence: str = ""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The basis and every sentence, for a terminal."""
+        """The basis and the sentence of every codec, for a terminal."""
         return (self.basis, *(answer.sentence for answer in self.answers))
+
+    def __str__(self) -> str:
+        return self.sentence
 
 
 def answers(run: RunResult) -> Answers:
     """The answers of a run, over all of its sequences together.
 
-    Where the run has headlines of role `success` each codec is judged by how far it may compress until they fail, else
-    by its place in the first ranking, of a task or, without one, of quality. A run without a rate answers nothing.
+    Each codec is judged by how far it may compress until a setting no longer passes what is asked: see `criteria`.
     """
     return answers_of_settings(run)[0]
 
@@ -64,24 +58,23 @@ def answers(run: RunResult) -> Answers:
 def answers_of_settings(run: RunResult) -> list[Answers]:
     """The answers of a run, and after them those of the same by every other setting of its evaluators."""
     if run.rate is None:
-        return [Answers(_NO_RATE)]
-    if judged := successes(run):
-        return [_held(run, columns) for columns in judged]
-    column = judged_column(run)
-    if column is None:
-        return [Answers("Neither a task nor quality was measured, so that codecs cannot be judged.")]
-    same = [other for other in run.headlines(column.metric.role) if other != column
-            and (other.evaluator.name, other.measure) == (column.evaluator.name, column.measure)]  # fmt: skip
-    found: dict[Column, list[Ranking]] = defaultdict(list)
-    for ranking in rankings(run):
-        found[ranking.column].append(ranking)
-    return [_ranked(run, each, found[each]) for each in (column, *same)]
+        return [Answers(_NO_RATE, sentence=f"Nothing can be named: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
+    judged = [found for columns in criteria(run) if (found := _judged(run, columns)) is not None]
+    return judged or [_ranked(run)]
 
 
-def _curves(run: RunResult) -> list[str]:
-    """All but the baselines'."""
-    named = ((codec, point.curve) for (codec, _), point in run.curves.items())
-    return list(dict.fromkeys(curve for codec, curve in named if codec not in run.schema.baselines))
+def _ranked(run: RunResult) -> Answers:
+    """The answer of a run in which nothing says how good is good enough."""
+    on = _on(run)
+    found = [each for each in rankings(run, brief=True) if each.sequence == on]
+    ranking = next((each for each in found if each.ranked), None)
+    if ranking is None:
+        nothing = "Neither a task nor quality was measured of two codecs, so that they cannot be judged."
+        basis = next((reason for each in found for reason in uninformative(each)), nothing)
+        return Answers(basis, sentence=f"Nothing can be named: {basis[0].lower()}{basis[1:]}")
+    taken = ranked_verdict(run, ranking).sentences[0]
+    basis = f"Judged by {ranking.column.label}, {where(on)}; add codec raw, beside which a setting passes or fails."
+    return Answers(basis, (), ranking.column.label, taken)
 
 
 def _on(run: RunResult) -> str:
@@ -89,137 +82,175 @@ def _on(run: RunResult) -> str:
     return run.plan.sequences[0].name if len(run.plan.sequences) == 1 else POOLED
 
 
-def _held(run: RunResult, columns: list[Column]) -> Answers:
-    on, found = _on(run), limits(run, columns)
-    own = {curve: limit for (sequence, curve), limit in found.items() if sequence == on}
-    curves = sorted((curve for curve in _curves(run) if curve in own), key=lambda curve: own[curve].rate)
-    baseline = next((own[curve] for curve in own if curve.split(" ")[0] in run.schema.baselines), Limit())
-    raw = baseline_rate(run, on)
-    like = f" like {raw[0]}" if raw is not None and baseline.lowest is not None else ""
-    most = max((setting.runs for limit in own.values() for setting in limit.settings), default=0)
-    what = " and ".join(column.label for column in columns)
-    basis = f"Judged by “{what}”, {where(on)}, {_counted(most, 'run')} a setting"
-    if raw is not None and baseline.settings:
-        basis += f"; {raw[0]} itself: {baseline.settings[0]}"
-    return Answers(f"{basis}.", tuple(_limited(run, on, curve, own[curve], like) for curve in curves), what)
+@dataclass(frozen=True)
+class _Judged:
+    """What is known of the curves of a run on a sequence. limits: best first, baselines left out."""
+
+    run: RunResult
+    on: str
+    limits: Mapping[str, Limit]
+
+    def spent(self, curve: str, test: Test) -> float:
+        """What decides between settings that pass: the rate, or milliseconds if times and no task were measured."""
+        return sum(coding_ms(self.run, self.on, curve, test)) if times_decide(self.run) else test.rate
+
+    def cost(self, curve: str, test: Test, *, brief: bool = False) -> str:
+        """What a setting spends, in words."""
+        rate = rate_words(self.run, self.on, curve, test, brief=brief)
+        if not times_decide(self.run):
+            return rate
+        encode_ms, decode_ms = coding_ms(self.run, self.on, curve, test)
+        if brief:
+            return f"{encode_ms + decode_ms:.3g} ms"
+        return f"{encode_ms:.3g} ms to encode and {decode_ms:.3g} ms to decode a frame, {rate}"
+
+    def less(self, curve: str, taken: Test, other: str, than: Test) -> str:
+        share = 100.0 * (1.0 - self.spent(curve, taken) / self.spent(other, than))
+        return f"{share:.0f} % less{' time' if times_decide(self.run) else ''}"
+
+    @property
+    def anchors(self) -> list[str]:
+        return [curve for name in self.run.schema.anchors for curve in self.limits if _codec(curve) == name]
 
 
-def _limited(run: RunResult, on: str, curve: str, limit: Limit, like: str) -> Answer:
-    """How far a curve holds, with the settings on both sides of the limit."""
-    if limit.reason or not limit.settings:
-        return Answer(curve, f"{curve}: {limit.reason or 'no run'}.")
-    if limit.lowest is not None:
-        named, share = f"{curve} {limit.lowest.point}".strip(), share_of_rate(run, on, limit.lowest.rate)
-        return Answer(curve, f"{named} holds{like} at {share} ({limit.lowest}); {limit.after_words()}.", True)
-    first = limit.settings[0]
-    if first.verdict == "fails":
-        return Answer(curve, f"{curve} is not known to hold at any setting: {limit.after_words()}.", False)
-    lucky = list(takewhile(lambda setting: setting.successes == setting.runs, limit.settings))
-    if not lucky:
-        return Answer(curve, f"{curve} is not known to hold at any setting: {limit.after_words()}.")
-    last = lucky[-1]
-    named, share = f"{curve} {last.point}".strip(), share_of_rate(run, on, last.rate)
-    held = "held in its only run" if last.runs == 1 else f"held in all of its {last.runs} runs"
-    return Answer(curve, f"{named} {held} at {share}, too few to tell; at least {last.more_runs} more would tell.")
-
-
-def _ranked(run: RunResult, column: Column, found: list[Ranking]) -> Answers:
-    """found: the column's rankings, over all sequences first where there are several."""
+def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     on = _on(run)
-    ranking = next((each for each in found if each.sequence == on), None)
-    what = f"by {column.label}" if column.metric.role == "task" else f"by {column.label} alone, as no task was measured"
-    basis = f"Judged {what}, {where(on)}"
-    if ranking is not None and ranking.ranked:
-        basis += f", {ranking.units} {' and '.join(ranking.of)}; better and worse are significant at {SURE}"
-        if ranking.too_few_on:
-            basis += f". {sequences_are_samples(ranking)}"
-    for sentence in () if ranking is None else uninformative(ranking):
-        basis += f". {sentence.removesuffix('.')}"
-    placed = {} if ranking is None else {ranked.curve: ranked for ranked in ranking.ranked}
-    curves = [*placed, *(curve for curve in _curves(run) if curve not in placed)]
-    best_on = _best_on(found)
-    said = []
-    for curve in curves:
-        parts = [*_compared(run, ranking, placed.get(curve)), _spanned(run, on, curve, column)]
-        if curve in best_on and len(placed[curve].ahead_of if curve in placed else ()) < len(placed) - 1:
-            parts.insert(0, f"better than all others {best_on[curve]}")
-        if ranking is not None and curve in ranking.left_out:
-            parts.append(f"not compared: {ranking.left_out[curve]}")
-        said.append(Answer(curve, f"{curve}: {'; '.join(filter(None, parts))}."))
-    return Answers(f"{basis}.", tuple(said), column.label)
+    own = {curve: limit for (sequence, curve), limit in limits(run, columns).items() if sequence == on}
+    if not own:
+        return None
+    raw = next((limit for curve, limit in own.items() if _codec(curve) in run.schema.baselines), Limit())
+    others = {curve: limit for curve, limit in own.items() if _codec(curve) not in run.schema.baselines}
+    unsorted = _Judged(run, on, others)
+    found = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))))
+    what = " and ".join(column.label for column in columns)
+    asked = _asked(raw, *own.values())
+    basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {_over(run, own.values())}"
+    if raw.settings:
+        basis += f"; raw itself: {described(raw.settings[0])}"
+    told = tuple(Answer(curve, *_limited(found, curve, limit)) for curve, limit in found.limits.items())
+    return Answers(f"{basis}.", told, what, _sentence(found, raw))
 
 
-def _best_on(found: list[Ranking]) -> dict[str, str]:
-    """On which sequences a curve is significantly better than all others there, in words."""
-    alone = [ranking for ranking in found if ranking.sequence != POOLED]
-    names: dict[str, list[str]] = defaultdict(list)
-    for ranking in alone:
-        for ranked in ranking.ranked:
-            if len(ranked.ahead_of) == len(ranking.ranked) - 1:
-                names[ranked.curve].append(ranking.sequence)
-    return {
-        curve: f"on {' and on '.join(those)} alone" if len(those) <= 2 else f"on {len(those)} of {len(alone)} sequences"
-        for curve, those in names.items()
-    }
+def _codec(curve: str) -> str:
+    return curve.split(" ")[0]
 
 
-def _spanned(run: RunResult, on: str, curve: str, column: Column) -> str:
-    """From where to where the values and the rates of a curve's settings reach, on average over sequences."""
-    assert run.rate is not None
-    keys = zip(run.wide["codec"], run.wide["setting"], strict=True)
-    settings = run.wide[[run.curves[key].curve == curve for key in keys]].groupby("setting", sort=False)
-    means = settings[[column.name, run.rate.name]].agg(_mean_of_all)
-    rows = means.dropna()
-    if rows.empty:
-        unmeasured = [f"“{part.label}”" for part in (column, run.rate) if means[part.name].isna().all()]
-        return f"{' and '.join(unmeasured) or 'rate and value of one setting'} not measured"
-    values = np.sort(rows[column.name].to_numpy(float)) * column.factor
-    rates = np.sort(rows[run.rate.name].to_numpy(float))
-    unit = f" {column.unit}" if column.unit not in ("", "1") else ""
-    raw = baseline_rate(run, on)
-    if raw is not None and rates[0] > 0 and rates[-1] < raw[1]:
-        spent = f"{_reaching('1/{:.0f}', raw[1] / rates)} of {raw[0]}'s rate"
-    else:
-        spent = f"{_reaching('{:.3g}', rates * run.rate.factor)} {run.rate.unit}"
-    return f"{_reaching('{:.3g}', values)}{unit} at {spent}".replace("inf", "∞")
+def _place(found: _Judged, curve: str, limit: Limit) -> float:
+    """The setting that spends least comes first, and a curve that passes nowhere last."""
+    spent = math.inf if limit.lowest is None else found.spent(curve, limit.lowest)
+    return math.inf if math.isnan(spent) else spent
 
 
-def _mean_of_all(values: pd.Series[float]) -> float:
-    """The mean, which is missing where one value is."""
-    return float(values.mean(skipna=False))
+def _asked(*found: Limit) -> str:
+    """What is asked in numbers, by the first setting of which that is known."""
+    tests = (setting for limit in found for setting in limit.settings)
+    return next((asked for test in tests if (asked := "; ".join(part.asked for part in parts(test) if part.asked))), "")
 
 
-def _reaching(form: str, values: np.ndarray) -> str:
-    low, high = form.format(values[0]), form.format(values[-1])
-    return low if low == high else f"{low} to {high}"
+def _over(run: RunResult, found: Iterable[Limit] = ()) -> str:
+    """`fr3, the first 150 of 798 frames, 4 runs a setting`."""
+    tests = [part for limit in found for setting in limit.settings for part in parts(setting)]
+    runs = max((test.runs for test in tests if isinstance(test, Standing)), default=0)
+    many = f", {runs} {'run' if runs == 1 else 'runs'} a setting" if runs else ""
+    sequences = run.plan.sequences
+    if len(sequences) > 1:
+        return f"{len(sequences)} sequences together{many}"
+    used = next((note.removesuffix(" are used") for note in sequences[0].notes if note.endswith("frames are used")), "")
+    return f"{sequences[0].name}, {used or f'{sequences[0].frames} frames'}{many}"
 
 
-def _compared(run: RunResult, ranking: Ranking | None, ranked: Ranked | None) -> Iterator[str]:
-    """What is known of a curve beside the others."""
-    if ranking is None:
-        yield "no other codec was measured at its rates" if len(_curves(run)) > 1 else "nothing to compare it with"
-        return
-    if ranked is None:
-        return
-    others = {other.curve: other for other in ranking.ranked if other is not ranked}
-    behind = [name for name, other in others.items() if ranked.curve in other.ahead_of]
-    beyond = ranking.not_compared(ranked.curve)
-    level = [name for name in others if name not in (*ranked.ahead_of, *behind, *beyond)]
-    for words, names in (
-        ("better than", ranked.ahead_of),
-        ("not significantly different from", level),
-        ("worse than", behind),
-    ):
-        if names:
-            all_of_them = len(names) == len(others) > 2
-            yield f"{words} {f'all {len(names)} others' if all_of_them else ', '.join(names)}"
-    if beyond:
-        yield f"not compared with {', '.join(beyond)} ({NO_COMMON_RATE})"
-    for anchor in ranking.anchors[:1]:
-        found = ranking.evidence(ranked.curve, anchor)
-        if found and anchor in (*ranked.ahead_of, *behind):
-            yield less_rate(found, anchor)
+def _limited(found: _Judged, curve: str, limit: Limit) -> tuple[str, bool | None]:
+    """How far a curve passes, with the settings on both sides of the limit."""
+    if limit.reason or not limit.settings:
+        return f"{curve}: {limit.reason or 'no run'}.", None
+    if limit.lowest is not None:
+        share = share_of_rate(found.run, found.on, limit.lowest.rate)
+        return f"{_named(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}.", True
+    if limit.settings[0].verdict == "fails":
+        return f"{curve} passes at no setting: {limit.after_words()}.", False
+    return f"{curve} is not known to pass at any setting: {limit.after_words()}.", None
 
 
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+def _named(curve: str, test: Test) -> str:
+    return f"{curve} {test.point}".strip() if not curve.endswith(f" {test.point}") else curve
+
+
+def _sentence(found: _Judged, raw: Limit) -> str:
+    """What to take, or why nothing is known to pass."""
+    passing = [(curve, limit) for curve, limit in found.limits.items() if limit.lowest is not None]
+    return _use(found, *passing[0]) if passing else _nothing(found, raw)
+
+
+def _use(found: _Judged, curve: str, limit: Limit) -> str:
+    """`Use h264 crf=30: 0.59 Mbit/s ..., 79 % less than the smallest jpeg that passes (...); ..., first 150 frames.`"""
+    taken = limit.lowest
+    assert taken is not None
+    endless = limit.next is None and not times_decide(found.run)
+    words = [f"Use {_named(curve, taken)}{' or coarser' if endless else ''}: {found.cost(curve, taken)}"]
+    saved = _saved(found, curve, taken)
+    sure = "; ".join(_sure(part) for part in parts(taken))
+    words[0] += f", {saved}" if saved else ""
+    words += [sure + f", {_over(found.run)}"]
+    if endless:
+        coarser = [name for name in dict.fromkeys([curve, *found.anchors[:1]]) if found.limits[name].next is None]
+        more = [spelled for name in coarser if (spelled := coarser_settings(found.run, name))]
+        words.append(f"nothing failed, so the limit is lower{': try ' if more else ''}{' and '.join(more)}")
+    return f"{'; '.join(words)}."
+
+
+def _sure(test: Standing | Level) -> str:
+    """`tracked like raw in 4 of 4 runs (at least 51 % at 95 %)`."""
+    if isinstance(test, Standing):
+        asked = f": {test.asked}" if test.asked else ""
+        share = f"{100 * test.interval[0]:.0f} % at 95 %"
+        return f"{test.label} in {test.successes} of {test.runs} runs (at least {share}){asked}"
+    return f"{test.label}: {test}"
+
+
+def _saved(found: _Judged, curve: str, taken: Test) -> str:
+    """What is saved beside the smallest setting of the anchor that passes; of the anchor itself, beside the next."""
+    anchors = found.anchors
+    name = next((each for each in anchors if found.limits[each].lowest is not None), "")
+    if curve in anchors:
+        others = [(other, limit.lowest) for other, limit in found.limits.items() if other != curve]
+        following = [(other, lowest) for other, lowest in others if lowest is not None]
+        if not following:
+            return "the only codec that passes" if others else ""
+        other, least = following[0]
+        return f"{found.less(curve, taken, other, least)} than the next codec that passes ({_named(other, least)})"
+    if not name:
+        return f"where no {_codec(anchors[0])} setting tried passes" if anchors else ""
+    lowest = found.limits[name].lowest
+    assert lowest is not None
+    which = "coarsest" if found.limits[name].next is None else "smallest"
+    tried = f"{which} {name} {'tried' if which == 'coarsest' else 'that passes'}"
+    spent = found.cost(name, lowest, brief=True)
+    return f"{found.less(curve, taken, name, lowest)} than the {tried} ({lowest.point}, {spent})"
+
+
+def _nothing(found: _Judged, raw: Limit) -> str:
+    """Why nothing is known to pass: what came nearest, and what would tell."""
+    if not found.limits:
+        return "Nothing can be named: no codec was measured beside the baseline."
+    if reason := next((limit.reason for limit in found.limits.values() if limit.reason), ""):
+        return f"Nothing can be named here: {reason}."
+    likely = [(curve, nearest) for curve, limit in found.limits.items() if (nearest := _likely(limit)) is not None]
+    if likely:
+        curve, nearest = min(likely, key=lambda item: item[1].rate)
+        return f"Nothing is known to pass here: nearest is {_named(curve, nearest)} ({described(nearest)})."
+    finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
+    failing = "; ".join(f"{_named(curve, test)} ({described(test)})" for curve, test in finest[:2])
+    beside = f"; raw itself: {described(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
+    return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
+
+
+def _likely(limit: Limit) -> Test | None:
+    """The setting of least rate that, as all above it, would pass if more runs or frames went on like these."""
+    likely = list(takewhile(_is_likely, limit.settings))
+    return likely[-1] if likely else None
+
+
+def _is_likely(test: Test) -> bool:
+    return all(
+        part.successes == part.runs if isinstance(part, Standing) else part.margin.mean > 0.0 for part in parts(test)
+    )

@@ -125,10 +125,10 @@ def demand_verdict(run: RunResult, demand: Demand) -> Verdict:
     for link in links_of(run):
         found = candidates(run, replace(demand, link=link))
         first = [candidate for candidate in found if candidate.sequence == found[0].sequence]
-        holding = next((candidate for candidate in first if candidate.verdict == "holds"), None)
+        holding = next((candidate for candidate in first if candidate.verdict == "passes"), None)
         others: dict[str, list[str]] = defaultdict(list)
         for candidate in first:
-            if candidate.verdict != "holds":
+            if candidate.verdict != "passes":
                 others[limit_of(candidate).split(" (")[0]].append(candidate.name)
         taken = (
             ("none is known to hold", "–", "–")
@@ -182,7 +182,7 @@ def _row(run: RunResult, demand: Demand, candidate: Candidate) -> Iterator[str]:
         exact = candidate.exact
         yield "–" if exact is None else f"{candidate.error_m:.3g} ({exact.successes}/{exact.runs} runs)"
     yield candidate.verdict
-    yield "" if candidate.verdict == "holds" else limit_of(candidate)
+    yield "" if candidate.verdict == "passes" else limit_of(candidate)
 
 
 def rate_of(run: RunResult, candidate: Candidate) -> str:
@@ -194,7 +194,7 @@ def limit_of(candidate: Candidate) -> str:
     """What keeps a setting from being known to hold: why pictures are not in time, else what is made of them."""
     if candidate.unmeasured:
         return f"not measured: {', '.join(candidate.unmeasured)}"
-    if candidate.timely is not None and candidate.timely.verdict != "holds" and candidate.share < 1.0:
+    if candidate.timely is not None and candidate.timely.verdict != "passes" and candidate.share < 1.0:
         label, share = next(iter(candidate.causes.items()))
         return f"pictures {label} ({100 * share:.0f} %)"
     if candidate.exact is not None and candidate.exact.verdict == "fails":
@@ -203,7 +203,7 @@ def limit_of(candidate: Candidate) -> str:
 
 
 def _sentences(run: RunResult, demand: Demand, found: list[Candidate]) -> Iterator[str]:
-    holding = [candidate for candidate in found if candidate.verdict == "holds"]
+    holding = [candidate for candidate in found if candidate.verdict == "passes"]
     if holding:
         taken = holding[0]
         sure = "; ".join(str(standing) for standing in taken.standings)
@@ -222,10 +222,10 @@ def _sentences(run: RunResult, demand: Demand, found: list[Candidate]) -> Iterat
     for limit, names in failing.items():
         yield f"Limited by {limit}: {', '.join(names)}."
     for candidate in found:
-        if candidate.verdict == "cannot tell" and candidate.unmeasured:
+        if candidate.verdict == "inconclusive" and candidate.unmeasured:
             yield (
                 f"{candidate.name} cannot be judged by {' and '.join(candidate.unmeasured)}: add an evaluator that "
                 f"measures it with the same parameters of the link."
             )
-        elif candidate.verdict == "cannot tell":
+        elif candidate.verdict == "inconclusive":
             yield f"{candidate.name} cannot be told: at least {candidate.more_runs} more repeats would tell."

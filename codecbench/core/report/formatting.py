@@ -1,4 +1,4 @@
-"""A ranking, and what holds at which rate, as sentences and rows for people."""
+"""A ranking, and what passes at which rate, as sentences and rows for people."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import POWER, Evidence
-from codecbench.core.analysis.limits import POOLED, Limit, limits, pooled_rates
+from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits, pooled_rates
 from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers, powers_of
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, successes
@@ -56,14 +56,17 @@ def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
 
 
 def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
-    """What the run decides: which codec to take by each task, then down to which rate each codec holds.
+    """What the run decides: which codec to take by each task, then down to which rate each codec passes.
 
     Each begins with all sequences together, where there are several; with `brief` that is all.
     """
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
         ranked[ranking.column].append(ranked_verdict(run, ranking))
-    groups = [*ranked.values(), *(list(_held(run, columns)) for columns in successes(run))]
+    groups = [
+        *ranked.values(),
+        *(list(_held(run, columns)) for columns in criteria(run) if columns[0].metric.role == "success"),
+    ]
     return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
 
@@ -304,13 +307,15 @@ def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:
 
 
 def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
-    """`jpeg quality=10 holds at 1/87 of raw's rate (0.28 bit/px, 5/5 runs, at least 57 % at 95 %); quality=5 fails`."""
+    """`jpeg quality=10 passes at 1/87 of raw's rate (5/5 runs, at least 57 % at 95 %); quality=5 fails (...)`."""
     if limit.settings and curve.split(" ")[0] in run.schema.baselines:
         return f"{curve} itself: {limit.settings[0]}."
     if limit.lowest is None or run.rate is None:
         return f"{curve}: {limit_words(limit, run.rate)}."
     standing = limit.lowest
-    words = f"{f'{curve} {standing.point}'.strip()} holds at {share_of_rate(run, sequence, standing.rate)} ({standing})"
+    words = (
+        f"{f'{curve} {standing.point}'.strip()} passes at {share_of_rate(run, sequence, standing.rate)} ({standing})"
+    )
     return f"{words}; {limit.after_words()}."
 
 

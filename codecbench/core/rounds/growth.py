@@ -13,7 +13,7 @@ import numpy as np
 
 from codecbench.core.analysis.collect import read_run
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.limits import Holding
+from codecbench.core.analysis.passing import Passing
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
@@ -226,7 +226,7 @@ def repeats_to_decide(
     return found
 
 
-def needed(recorded: list[CellResult], aim: Aim, most: int) -> tuple[int, Holding]:
+def needed(recorded: list[CellResult], aim: Aim, most: int) -> tuple[int, Passing]:
     """How many repeats a setting is to have, and what those that it has say.
 
     A repeat that has no value says nothing, one without a result does not do. Where none of the first says anything,
@@ -238,10 +238,10 @@ def needed(recorded: list[CellResult], aim: Aim, most: int) -> tuple[int, Holdin
         outcomes = [_outcome(result, aim, values_in(result, column)[:1]) for result in recorded[:count]]
         judged = [outcome for outcome in outcomes if outcome is not None]
         said = verdict(sum(judged), len(judged), len(judged) if count >= most else most)
-        if said != "cannot tell" or count >= most or not judged:
+        if said != "inconclusive" or count >= most or not judged:
             return max(count, len(recorded)), said
         count = min(most, count + runs_to_make(sum(judged), len(judged), most) - len(judged))
-    return count, "cannot tell"
+    return count, "inconclusive"
 
 
 def _outcome(result: CellResult, aim: Aim, values: list[float]) -> bool | None:

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.limits import HOLDS_ABOVE, Holding, Standing
+from codecbench.core.analysis.passing import PASSES_ABOVE, Passing, Standing
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
@@ -84,11 +84,11 @@ class Trials:
             repeats = self.repeats(sequence, setting, aim.evaluator.title, count)
             held = sum(any(aim.met_by(value) for value in values_in(result, column)[:1]) for result in repeats)
             said = verdict(held, count, total)
-            if said != "cannot tell" or count == total:
+            if said != "inconclusive" or count == total:
                 value = self._shown(sequence, setting, column)
-                words = f"{held}/{count} runs" + (", cannot tell" if said == "cannot tell" else "")
+                words = f"{held}/{count} runs" + (", inconclusive" if said == "inconclusive" else "")
                 reason = self._reason(sequence, setting, column) if math.isnan(value) else ""
-                return Trial(setting, value, said == "holds", words, reason)
+                return Trial(setting, value, said == "passes", words, reason)
             count = runs_to_make(held, count, total)
 
     def repeats(self, sequence: str, setting: PluginSetting, evaluator: str, count: int) -> list[CellResult]:
@@ -132,9 +132,9 @@ class Trials:
 
 
 CHANCE: Final = 0.05
-"""That runs whose success rate is HOLDS_ABOVE are ever said to hold, or to fail, before all are spent."""
+"""That runs whose success rate is PASSES_ABOVE are ever said to pass, or to fail, before all are spent."""
 FEWEST: Final = 4
-"""Runs below which no interval lies on one side of HOLDS_ABOVE."""
+"""Runs below which no interval lies on one side of PASSES_ABOVE."""
 
 
 def stands(successes: int, runs: int) -> bool:
@@ -142,15 +142,15 @@ def stands(successes: int, runs: int) -> bool:
     from scipy.special import betaln  # loads for a quarter of a second, and few runs are added to
 
     mixed = float(betaln(successes + 1, runs - successes + 1))
-    at_limit = successes * math.log(HOLDS_ABOVE) + (runs - successes) * math.log(1.0 - HOLDS_ABOVE)
+    at_limit = successes * math.log(PASSES_ABOVE) + (runs - successes) * math.log(1.0 - PASSES_ABOVE)
     return mixed - at_limit >= -math.log(CHANCE)
 
 
-def verdict(successes: int, runs: int, most: int) -> Holding:
-    """What so many of at most `most` runs say; `cannot tell` while more of them are to come or would be needed."""
+def verdict(successes: int, runs: int, most: int) -> Passing:
+    """What so many of at most `most` runs say; `inconclusive` while more of them are to come or would be needed."""
     if stands(successes, runs):
-        return "holds" if successes > HOLDS_ABOVE * runs else "fails"
-    return Standing("", math.nan, successes, runs).verdict if 0 < most <= runs else "cannot tell"
+        return "passes" if successes > PASSES_ABOVE * runs else "fails"
+    return Standing("", math.nan, successes, runs).verdict if 0 < most <= runs else "inconclusive"
 
 
 def runs_to_make(successes: int, runs: int, most: int) -> int:
@@ -158,7 +158,7 @@ def runs_to_make(successes: int, runs: int, most: int) -> int:
 
     As few as could decide, if all to come end as most have.
     """
-    gained = int(successes >= HOLDS_ABOVE * runs)
+    gained = int(successes >= PASSES_ABOVE * runs)
     more = next(
         more for more in range(most + 1) if runs + more >= most or stands(successes + gained * more, runs + more)
     )

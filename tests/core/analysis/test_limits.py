@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+import scipy.stats
 from measured_runs import BITS, cell_result, run_of
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.limits import Limit, Standing, limits, limits_of, together
+from codecbench.core.analysis.limits import Limit, limits, limits_of, together
+from codecbench.core.analysis.passing import Joint, Level, Standing, Test
 from codecbench.core.analysis.run_result import CurvePoint
+from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.report.formatting import limit_words
 
@@ -16,21 +20,27 @@ RATE = Column(PluginSetting("evaluator", "size", "1"), BITS, "", "mean")
 
 def sweep(**held: tuple[int, int]) -> Limit:
     """The limit of a codec of whose settings, from the most rate to the least, so many of so many runs succeeded."""
-    rows = {("s", "mine", name): runs for name, runs in held.items()}
-    rates = {row: float(len(rows) - place) for place, row in enumerate(rows)}
-    values = {row: [1.0] * successes + [0.0] * (runs - successes) for row, (successes, runs) in rows.items()}
-    return limits_of(rates, values, {row[1:]: CurvePoint("mine", row[2]) for row in rows})["s", "mine"]
+    standings = [Standing(name, float(len(held) - place), *runs) for place, (name, runs) in enumerate(held.items())]
+    return limit_of(*standings)
+
+
+def limit_of(*tests: Test) -> Limit:
+    """The limit of a codec on a sequence by the tests of its settings."""
+    rows = {("s", "mine", test.point): test for test in tests}
+    return limits_of(rows, {row[1:]: CurvePoint("mine", row[2]) for row in rows})["s", "mine"]
 
 
 @pytest.mark.parametrize(
     ("successes", "runs", "verdict", "low"),
     [
         # (p + z^2/2n - z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n) with z = 1.96
-        (5, 5, "holds", 0.5655), (4, 4, "holds", 0.5101), (3, 3, "cannot tell", 0.4385), (2, 3, "cannot tell", 0.2077),
-        (9, 10, "holds", 0.5958), (5, 10, "cannot tell", 0.2366), (0, 3, "cannot tell", 0.0), (0, 4, "fails", 0.0),
+        (5, 5, "passes", 0.5655), (4, 4, "passes", 0.5101), (3, 3, "inconclusive", 0.4385),
+        (2, 3, "inconclusive", 0.2077), (9, 10, "passes", 0.5958),
+        (5, 10, "inconclusive", 0.2366),
+        (0, 3, "inconclusive", 0.0), (0, 4, "fails", 0.0),
     ],
 )  # fmt: skip
-def test_a_setting_holds_where_the_interval_lies_above_one_half(
+def test_a_setting_passes_if_the_interval_lies_above_one_half(
     successes: int, runs: int, verdict: str, low: float
 ) -> None:
     standing = Standing("q=1", 1.0, successes, runs)
@@ -45,10 +55,10 @@ def test_it_says_how_many_more_runs_would_tell(successes: int, runs: int, more: 
     standing = Standing("", 1.0, successes, runs)
     assert standing.more_runs == more
     many = more * (2 * successes >= runs)
-    assert Standing("", 1.0, successes + many, runs + more).verdict != "cannot tell"
+    assert Standing("", 1.0, successes + many, runs + more).verdict != "inconclusive"
     if more:
         fewer = (more - 1) * (2 * successes >= runs)
-        assert Standing("", 1.0, successes + fewer, runs + more - 1).verdict == "cannot tell"
+        assert Standing("", 1.0, successes + fewer, runs + more - 1).verdict == "inconclusive"
 
 
 def test_the_limit_is_the_last_setting_before_the_first_that_fails() -> None:
@@ -60,14 +70,14 @@ def test_the_limit_is_the_last_setting_before_the_first_that_fails() -> None:
     assert limit_words(limit, RATE) == words
 
 
-def test_a_limit_ends_where_the_sample_cannot_tell() -> None:
+def test_a_limit_ends_where_the_sample_is_inconclusive() -> None:
     limit = sweep(q9=(5, 5), q7=(3, 5), q5=(5, 5))
     assert limit.lowest == Standing("q9", 3.0, 5, 5)
     assert limit.next == Standing("q7", 2.0, 3, 5)
-    assert "cannot tell of q7 (3/5 runs; at least 6 more would tell)" in limit_words(limit, RATE)
+    assert "q7 is inconclusive (3/5 runs; at least 6 more would tell)" in limit_words(limit, RATE)
     few = sweep(q9=(3, 3))
     assert few.lowest is None
-    assert limit_words(few, RATE) == "cannot tell of q9 (3/3 runs; at least 1 more would tell)"
+    assert limit_words(few, RATE) == "q9 is inconclusive (3/3 runs; at least 1 more would tell)"
 
 
 def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
@@ -76,7 +86,7 @@ def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
     assert limit.lowest.point == "q9"
     assert [setting.point for setting in limit.out_of_order] == ["q7"]
     assert limit_words(limit, RATE).endswith(
-        "q7 fails (0/5 runs, at most 43 % at 95 %); out of order, for q5 below it holds"
+        "q7 fails (0/5 runs, at most 43 % at 95 %); out of order, for q5 below it passes"
     )
 
 
@@ -89,19 +99,21 @@ def test_a_codec_that_fails_at_its_best_has_no_limit() -> None:
 def test_a_sweep_that_never_fails_has_nothing_after_its_limit() -> None:
     limit = sweep(q9=(5, 5), q7=(9, 10))
     assert limit.next is None
-    assert limit_words(limit, RATE).endswith("; never failed here")
+    assert limit_words(limit, RATE).endswith("; nothing coarser was tried")
 
 
 def test_a_missing_value_is_a_run_without_success() -> None:
-    rows = {("s", "mine", "q"): [1.0, 1.0, 1.0, 1.0, float("nan")]}
-    limit = limits_of({("s", "mine", "q"): 1.0}, rows, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
-    assert limit.settings == (Standing("q", 1.0, 4, 5),)
+    held = [cell_result("plain", 1.0, "track", own={("held", ""): [value]}, repeat=repeat)
+            for repeat, value in enumerate([1.0, 1.0, 1.0, 1.0, float("nan")])]  # fmt: skip
+    raw = [cell_result("raw", 24.0, "track", own={("held", ""): [1.0]}, repeat=repeat) for repeat in range(5)]
+    run = run_of(cell_result("plain", 1.0, "size", own={("bits", ""): [1.0]}), *held, *raw)
+    limit = limits(run, [run.columns["track.held.mean"]])["s", "plain"]
+    assert limit.settings == (Standing("q=1.0", 1.0, 4, 5),)
 
 
-@pytest.mark.parametrize("known", [{("s", "mine", "q"): float("nan")}, {}])
-def test_a_limit_is_refused_where_a_rate_is_not_known(known: dict[tuple[str, str, str], float]) -> None:
+def test_a_limit_is_refused_where_a_rate_is_not_known() -> None:
     """Sorted by rates with a NaN among them, a sweep would say anything."""
-    limit = limits_of(known, {("s", "mine", "q"): [1.0]}, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
+    limit = limit_of(Standing("q", float("nan"), 1, 1))
     assert limit.reason == limit_words(limit, RATE) == "no rate is known of q"
     assert limit.lowest is None
 
@@ -121,9 +133,8 @@ def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
     found = together([{("s", "mine", "q"): mine, ("s", "raw", ""): raw}])
     assert found["s", "raw", ""] == [1.0, 1.0]
     assert found["s", "mine", "q"] == [1.0, pytest.approx(nan, nan_ok=True)]
-    nothing = together([{("s", "mine", "q"): {(0, 0): nan}}])
-    limit = limits_of({("s", "mine", "q"): 1.0}, nothing, {("mine", "q"): CurvePoint("mine", "q")})["s", "mine"]
-    assert limit.reason == "its runs cannot be judged here"
+    assert together([{("s", "mine", "q"): {(0, 0): nan}}]) == {("s", "mine", "q"): []}
+    assert limit_of(Standing("q", 1.0, 0, 0)).reason == "its runs cannot be judged here"
 
 
 def test_a_run_that_crashed_did_not_succeed() -> None:
@@ -148,3 +159,59 @@ def test_limits_of_a_run_need_its_rate() -> None:
     assert limit.settings == (Standing("q=1.0", 1.0, 5, 5), Standing("q=0.5", 0.5, 0, 5))
     (refused,) = limits(run_of(*held), [run.columns["track.held.mean"]]).values()
     assert refused.reason.startswith("no rate was measured")
+
+
+def levels(values: dict[float, list[float]], raw: list[float], sequence: str = "s") -> list[CellResult]:
+    """A codec of such rates and its drift in metres, once a repeat, beside that of the raw codec."""
+    cells = []
+    for codec, rate, drifts in [("raw", 24.0, raw), *(("plain", rate, own) for rate, own in values.items())]:
+        cells.append(cell_result(codec, rate, "size", own={("bits", ""): [rate]}, sequence_name=sequence))
+        cells += [cell_result(codec, rate, "track", own={("drift", ""): [drift]}, repeat=repeat, sequence_name=sequence)
+                  for repeat, drift in enumerate(drifts)]  # fmt: skip
+    return cells
+
+
+def test_a_setting_passes_by_a_task_if_the_interval_of_its_mean_is_below_twice_the_raw_value() -> None:
+    """The interval by scipy's t distribution of the mean."""
+    drifts = {1.0: [1.0, 1.2, 1.1, 0.9], 0.5: [1.9, 2.3, 1.8, 2.1], 0.25: [4.0, 4.4, 3.9, 4.1]}
+    run = run_of(*levels(drifts, [0.9, 1.1, 1.0, 1.0]))
+    found = limits(run, [run.columns["track.drift.median"]])["s", "plain"]
+    assert {test.point: test.verdict for test in found.settings} == {
+        "q=1.0": "passes", "q=0.5": "inconclusive", "q=0.25": "fails",
+    }  # fmt: skip
+    for test, values in zip(found.settings, drifts.values(), strict=True):
+        assert isinstance(test, Level)
+        low, high = scipy.stats.t.interval(0.95, 3, np.mean(values), scipy.stats.sem(values))
+        assert (test.value, test.bound) == pytest.approx((np.mean(values), 2.0))
+        assert test.margin.reach(0.95) == pytest.approx((high - low) / 2.0)
+    assert found.after_words() == "q=0.5 is inconclusive (2.02 m ± 0.35, ≤ 2 m asked)"
+
+
+def test_a_setting_fails_over_all_sequences_that_fails_on_one() -> None:
+    good, near, bad = [1.0, 1.2, 1.1, 0.9], [1.3, 1.2, 1.4, 1.2], [2.4, 2.6, 2.5, 2.5]
+    cells = [*levels({1.0: good, 0.5: near}, good, "s"), *levels({1.0: good, 0.5: bad}, good, "t")]
+    run = run_of(*cells, *levels({1.0: good, 0.5: near}, good, "u"))
+    found = limits(run, [run.columns["track.drift.median"]])["", "plain"]
+    assert [test.verdict for test in found.settings] == ["passes", "fails"]
+    assert str(found.settings[1]) == "t 2.5 m ± 0.13, ≤ 2.1 m asked"
+
+
+def test_a_task_is_not_asked_for_where_raw_frames_are_no_better_than_the_coarsest() -> None:
+    run = run_of(*levels({1.0: [1.0] * 4, 0.5: [2.0] * 4}, [9.0] * 4))
+    found = limits(run, [run.columns["track.drift.median"]])["s", "plain"]
+    assert found.reason == "drift is uninformative on s: raw (9) is no better than the coarsest settings (2)"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "verdict", "words"),
+    [
+        ((5, 5), (5, 5), "passes", "runs 5/5 runs, at least 57 % at 95 %; others 5/5 runs, at least 57 % at 95 %"),
+        ((5, 5), (0, 5), "fails", "others 0/5 runs, at most 43 % at 95 %"),
+        ((2, 2), (5, 5), "inconclusive", "runs 2/2 runs; at least 2 more would tell"),
+    ],
+)
+def test_a_setting_has_to_pass_every_test(
+    first: tuple[int, int], second: tuple[int, int], verdict: str, words: str
+) -> None:
+    joint = Joint({"runs": Standing("q", 1.0, *first), "others": Standing("q", 1.0, *second)})
+    assert (joint.verdict, str(joint)) == (verdict, words)

@@ -13,7 +13,7 @@ from scipy.stats import binom, ttest_1samp
 
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import Evidence, evidence_of_repeats
-from codecbench.core.analysis.limits import Standing
+from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.power import LimitPower, Remedy, pair_powers, smallest_difference, times
 from codecbench.core.analysis.ranking import Gap
 from codecbench.core.analysis.run_result import RunResult
@@ -133,7 +133,7 @@ def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) ->
     found = sum(
         binom.pmf(successes, runs, limit.told_from)
         for successes in range(runs + 1)
-        if Standing("", 1.0, successes, runs).verdict == "holds"
+        if Standing("", 1.0, successes, runs).verdict == "passes"
     )
     assert found == pytest.approx(0.8, abs=1e-6)
 

@@ -55,9 +55,9 @@ def test_a_run_is_decided_in_a_table_and_a_sentence_for_each_codec() -> None:
     assert ranking.sentences == ("Over all rates take mine (q 0.125–0.5): 75 % ± 2 less rate than plain.",)
     assert held.title == "s: held"
     assert held.sentences == (
-        "mine q=0.25 holds at 1/96 of raw's rate, 0.25 bpp (5/5 runs, at least 57 % at 95 %); "
+        "mine q=0.25 passes at 1/96 of raw's rate, 0.25 bpp (5/5 runs, at least 57 % at 95 %); "
         "q=0.125 fails (0/5 runs, at most 43 % at 95 %).",
-        "plain q=0.5 holds at 1/48 of raw's rate, 0.5 bpp (5/5 runs, at least 57 % at 95 %); "
+        "plain q=0.5 passes at 1/48 of raw's rate, 0.5 bpp (5/5 runs, at least 57 % at 95 %); "
         "q=0.25 fails (0/5 runs, at most 43 % at 95 %).",
         "raw itself: 5/5 runs, at least 57 % at 95 %.",
     )
@@ -112,7 +112,7 @@ def test_codecs_without_a_significant_difference_are_named_with_what_would_decid
         "Over all rates take mine (q 1.0), or plain: no significant difference (99 % confidence).",
         "plain undecided (≥ 0 % vs. mine): about 2 more repeats.",
     )
-    assert held.sentences[0].startswith("plain: cannot tell of q=1.0 (2/2 runs; at least 2 more would tell)")
+    assert held.sentences[0].startswith("plain: q=1.0 is inconclusive (2/2 runs; at least 2 more would tell)")
 
 
 def test_which_codec_to_take_at_a_rate_is_a_sentence() -> None:

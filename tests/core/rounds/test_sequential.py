@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codecbench.core.analysis.limits import Standing
+from codecbench.core.analysis.passing import Standing
 from codecbench.core.rounds.trials import runs_to_make, stands, verdict
 
 
@@ -15,9 +15,9 @@ def test_the_fewest_runs_that_stand_are_eight_alike() -> None:
     assert stands(0, 8)
     assert runs_to_make(0, 0, 100) == 8
     assert runs_to_make(0, 0, 5) == 5
-    assert verdict(8, 8, 100) == "holds"
+    assert verdict(8, 8, 100) == "passes"
     assert verdict(0, 8, 100) == "fails"
-    assert verdict(7, 8, 100) == "cannot tell"
+    assert verdict(7, 8, 100) == "inconclusive"
 
 
 def test_the_interval_says_the_same_wherever_the_verdict_stands() -> None:
@@ -28,10 +28,10 @@ def test_the_interval_says_the_same_wherever_the_verdict_stands() -> None:
 
 
 def test_the_last_run_decides_by_the_interval() -> None:
-    assert verdict(5, 5, 5) == "holds"
-    assert verdict(5, 5, 6) == "cannot tell"
-    assert verdict(3, 3, 3) == "cannot tell"
-    assert verdict(0, 0, 0) == "cannot tell"
+    assert verdict(5, 5, 5) == "passes"
+    assert verdict(5, 5, 6) == "inconclusive"
+    assert verdict(3, 3, 3) == "inconclusive"
+    assert verdict(0, 0, 0) == "inconclusive"
 
 
 def test_runs_are_added_until_they_could_tell_and_never_beyond_the_most() -> None:
@@ -48,7 +48,7 @@ def test_runs_are_added_until_they_could_tell_and_never_beyond_the_most() -> Non
 def decided(rate: float, most: int, rng: np.random.Generator) -> tuple[str, int]:
     """What a sequence of runs comes to, and how many that took."""
     outcomes, count = rng.random(most) < rate, runs_to_make(0, 0, most)
-    while (said := verdict(int(outcomes[:count].sum()), count, most)) == "cannot tell" and count < most:
+    while (said := verdict(int(outcomes[:count].sum()), count, most)) == "inconclusive" and count < most:
         count = runs_to_make(int(outcomes[:count].sum()), count, most)
     return said, count
 
@@ -56,12 +56,12 @@ def decided(rate: float, most: int, rng: np.random.Generator) -> tuple[str, int]
 @pytest.mark.parametrize(("rate", "most"), [(0.5, 20), pytest.param(0.5, 100, marks=pytest.mark.thorough)])
 def test_a_coin_is_seldom_said_to_hold_or_to_fail(rate: float, most: int, rng: np.random.Generator) -> None:
     said = [decided(rate, most, rng)[0] for _ in range(2000)]
-    wrong = sum(verdict != "cannot tell" for verdict in said) / len(said)
+    wrong = sum(verdict != "inconclusive" for verdict in said) / len(said)
     assert 0.01 < wrong < 0.10, "at most a twentieth early, and a twentieth in the end"
 
 
 def test_clear_rates_are_decided_early(rng: np.random.Generator) -> None:
-    for rate, expected in ((0.95, "holds"), (0.05, "fails")):
+    for rate, expected in ((0.95, "passes"), (0.05, "fails")):
         said = [decided(rate, 40, rng) for _ in range(500)]
         assert sum(verdict == expected for verdict, _ in said) > 495
         assert np.mean([count for _, count in said]) < 11

@@ -34,7 +34,7 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
 METRICS: Final = (
     Metric(
         "located_auc", "1", "higher", "area under the curve of located frames over the distance from the raw frame's",
-        role="task", headline=True, label="localisation AUC", brief="located",
+        role="task", headline=True, label="localisation AUC", brief="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),
 )  # fmt: skip

@@ -51,7 +51,7 @@ class Quality(SequenceEvaluator[NoParams]):
         ),
         Metric(
             "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal images",
-            role="quality", headline=True, label="PSNR", brief="PSNR dB",
+            role="quality", headline=True, label="PSNR", brief="PSNR dB", enough=40.0,
         ),
         Metric(
             "psnr_rgb_db", "dB", "higher", "PSNR over all three channels; colour frames only",
@@ -59,7 +59,7 @@ class Quality(SequenceEvaluator[NoParams]):
         ),
         Metric(
             "ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated",
-            role="quality", headline=True, label="SSIM",
+            role="quality", headline=True, label="SSIM", enough=0.95,
         ),
         Metric(
             "ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the image",

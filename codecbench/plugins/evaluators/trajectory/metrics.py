@@ -80,11 +80,11 @@ BEHAVIOUR: Final = (
 COMPARED: Final = (
     Metric(
         "success", "1", "higher", "1 where the camera's path holds up beside the raw codec's, else 0", role="success",
-        headline=True, label="tracking holds", brief="success",
+        headline=True, label="tracked like raw", brief="success",
     ),
     Metric(
         "starts_in_time", "1", "higher", "1 where the first map comes little later than with the raw codec, else 0",
-        role="success", headline=True, label="the map starts in time", brief="starts",
+        role="success", headline=True, label="map starts in time", brief="starts",
     ),
     Metric(
         "raw_path_error_percent", "%", "lower", "distance from raw's paths in percent of their length, without truth",

@@ -15,6 +15,8 @@ THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_
 """Parameters that only verdicts read, so that no run depends on them."""
 
 
+_SMALL_M: Final = 0.1
+"""Lengths below it are told in millimetres."""
 NO_MAP: Final = "raw frames give no map here either, so that nothing can be said of codecs"
 
 
@@ -33,23 +35,28 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     if raw_makes_no_map(baseline):
         return _missing("success", NO_MAP)
     if outcome.value("tracked_fraction") == 0.0:
-        return Measurement("success", 0.0)
+        return Measurement("success", 0.0, reason="no frame is tracked")
     tracked = outcome.value("tracked_since_map_fraction")
     raw_tracked = _median(baseline, "tracked_since_map_fraction") if baseline else 1.0
     if math.isnan(tracked) or math.isnan(raw_tracked):
         return _missing("success", "measured before frames since the first map were counted; measure it again")
-    if tracked < params.tracked_to_raw * raw_tracked:
-        return Measurement("success", 0.0)
+    least = params.tracked_to_raw * raw_tracked
+    asked = f"tracked at least {f'{params.tracked_to_raw:g} x raw = ' if baseline else ''}{100 * least:.3g} %"
+    if tracked < least:
+        return Measurement("success", 0.0, reason=asked.replace("at least", f"{100 * tracked:.3g} %, under"))
     if not stand_in.has_truth(outcome):
-        return _success_beside_raw(outcome, baseline, params)
-    limit_m = params.ate_limit_m or params.ate_to_raw * _median(baseline, "ate_rmse_m")
+        return _success_beside_raw(outcome, baseline, params, asked)
+    raw_m = _median(baseline, "ate_rmse_m")
+    limit_m = params.ate_limit_m or params.ate_to_raw * raw_m
     if math.isnan(limit_m):
         reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
         return _missing("success", reason)
-    return Measurement("success", float(outcome.value("ate_rmse_m") <= limit_m))
+    times = "" if params.ate_limit_m else f"{params.ate_to_raw:g} x raw = "
+    factor, unit = (1e3, "mm") if limit_m < _SMALL_M else (1.0, "m")
+    return _judged("ATE", factor * outcome.value("ate_rmse_m"), factor * limit_m, unit, times, asked)
 
 
-def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> Measurement:
+def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams, asked: str) -> Measurement:
     """Without ground truth: whether the path is about as near to raw's paths as these are to each other."""
     apart = stand_in.raw_disagreement_percent(baseline)
     if math.isnan(apart):
@@ -60,7 +67,17 @@ def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: Traje
     error = stand_in.raw_path_error(outcome, baseline)
     if math.isnan(error.value):
         return _missing("success", str(error.reason))
-    return Measurement("success", float(error.value <= params.ate_to_raw * apart))
+    limit, times = params.ate_to_raw * apart, f"{params.ate_to_raw:g} x raw's own = "
+    return _judged("distance from raw's paths", error.value, limit, "% of their length", times, asked)
+
+
+def _judged(what: str, value: float, limit: float, unit: str, times: str, asked: str) -> Measurement:
+    """Whether a value is within a limit, and in the reason what was asked, or how far it is beyond."""
+    bound = f"{times}{limit:.3g} {unit}"
+    if value <= limit:
+        return Measurement("success", 1.0, reason=f"{what} at most {bound}, {asked}")
+    reason = f"{what} is not known" if math.isnan(value) else f"{what} {value:.3g} {unit}, over {bound}"
+    return Measurement("success", 0.0, reason=reason)
 
 
 def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) -> Measurement:
@@ -70,7 +87,10 @@ def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) ->
         return _missing("starts_in_time", "raw frames give no map from this start either")
     if math.isnan(taken) or math.isnan(raw_taken):
         return _missing("starts_in_time", "measured before frames up to the first map were counted; measure it again")
-    return Measurement("starts_in_time", float(taken <= raw_taken + params.delay_frames))
+    if taken <= raw_taken + params.delay_frames:
+        return Measurement("starts_in_time", 1.0)
+    late = f"the first map comes {taken - raw_taken:.0f} frames later than raw's, over {params.delay_frames}"
+    return Measurement("starts_in_time", 0.0, reason=late)
 
 
 def _median(runs: list[Outcome], metric: str) -> float:

@@ -1,0 +1,95 @@
+"""What a setting costs, in units that people use."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from codecbench.core.analysis.limits import POOLED, pooled_rates
+from codecbench.core.analysis.passing import Test
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.contracts.errors import PluginError
+from codecbench.core.engine.planning.schema import plugin_schema
+from codecbench.core.engine.registry import installed
+from codecbench.core.report.tables import three_digits
+
+_FAR: Final = 10.0
+"""Times the coarsest value that was tried, up to which more is looked for."""
+_ALIKE: Final = 0.01
+"""Frame rates that differ by less than this share are the same."""
+
+
+def rate_words(run: RunResult, sequence: str, curve: str, test: Test, *, brief: bool = False) -> str:
+    """`0.59 Mbit/s at 30 fps (0.27 GB/h)`, or briefly the first; the rate in its own unit if no bit rate is known."""
+    rows, kbps = _rows(run, sequence, curve, test), _of_rate(run, "kbit/s")
+    if kbps is None or not (mbps := float(rows[kbps].mean()) / 1e3) > 0.0:
+        assert run.rate is not None
+        return f"{three_digits(test.rate * run.rate.factor)} {run.rate.unit}"
+    if brief:
+        return f"{three_digits(mbps)} Mbit/s"
+    size = _of_rate(run, "bytes")
+    rates_hz = np.array([]) if size is None else (rows[kbps] * 1e3 / 8.0 / rows[size]).to_numpy(float)
+    at = f" at {rates_hz[0]:.3g} fps" if len(rates_hz) and np.ptp(rates_hz) < _ALIKE * rates_hz[0] else ""
+    return f"{three_digits(mbps)} Mbit/s{at} ({three_digits(mbps * 3.6 / 8.0)} GB/h)"
+
+
+def coding_ms(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[float, float]:
+    """Wall milliseconds to encode and to decode a frame; NaN if not measured."""
+    rows = _rows(run, sequence, curve, test)
+    taken = []
+    for need in ("encoding", "decoding"):
+        names = [name for name, column in run.columns.items() if column.metric.need == need and column.is_usual]
+        taken.append(float(rows[names[0]].mean()) if names else math.nan)
+    return taken[0], taken[1]
+
+
+def times_decide(run: RunResult) -> bool:
+    """Whether times were measured, and neither a task nor a success."""
+    return bool(run.headlines("time")) and not run.headlines("task", "success")
+
+
+def coarser_settings(run: RunResult, curve: str) -> str:
+    """`h264:crf=38..51`: from the coarsest setting of a curve to the end of its range; empty if there is none."""
+    points = [(key, point) for key, point in run.curves.items() if point.curve == curve]
+    rates = {label: rate for (_, codec, label), rate in pooled_rates(run).items() if codec == points[0][0][0]}
+    ordered = sorted(points, key=lambda item: rates.get(item[0][1], math.nan))
+    (codec, label), coarsest = ordered[0]
+    name, _, value = coarsest.point.rpartition("=")
+    setting = next(
+        result.cell.codec
+        for result in run.results
+        if (result.cell.codec.name, result.cell.codec.label) == (codec, label)
+    )
+    if setting.distribution or len(points) < 2 or not name:
+        return f"coarser {curve}"
+    try:
+        found = plugin_schema(installed(), f"codec:{codec}").get("properties", {}).get(name, {})
+    except PluginError:
+        return f"coarser {curve}"
+    rises = coarsest.place > ordered[-1][1].place
+    ends = [choice.get("maximum" if rises else "minimum") for choice in (found, *found.get("anyOf", ()))]
+    end = next((end for end in ends if end is not None), None)
+    if end is None:
+        return f"coarser {curve}"
+    if end == coarsest.place:
+        return ""
+    far = min(end, _FAR * coarsest.place) if rises else max(end, coarsest.place / _FAR)
+    return f"{codec}:{name}={value}..{far:g}" if rises else f"{codec}:{name}={far:g}..{value}"
+
+
+def _rows(run: RunResult, sequence: str, curve: str, test: Test) -> pd.DataFrame:
+    """The rows of the wide table of a setting, on a sequence or on all."""
+    names = [key for key, point in run.curves.items() if (point.curve, point.point) == (curve, test.point)]
+    keys = zip(run.wide["codec"], run.wide["setting"], run.wide["sequence"], strict=True)
+    return run.wide[[(codec, label) in names and sequence in (POOLED, on) for codec, label, on in keys]]
+
+
+def _of_rate(run: RunResult, unit: str) -> str | None:
+    """The column with a unit that the evaluator of the rate measures."""
+    own = [
+        (name, column) for name, column in run.columns.items() if run.rate and column.evaluator == run.rate.evaluator
+    ]
+    return next((name for name, column in own if column.metric.role == "rate" and column.metric.unit == unit), None)
