@@ -14,7 +14,7 @@ import numpy as np
 
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import curve_values, objection
-from codecbench.core.analysis.evidence import Evidence, combined, evidence_of_frames, evidence_of_repeats
+from codecbench.core.analysis.evidence import FEWEST_FRAMES, Evidence, combined, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test, described, parts
 from codecbench.core.analysis.run_result import Key, RunResult, judged_column, successes
 from codecbench.core.analysis.table import CellResult
@@ -276,7 +276,8 @@ def _level(column: Column, values: np.ndarray, raw: np.ndarray | None, over_fram
     there = ~np.isnan(values)
     finite = np.where(np.isinf(values), 2.0 * limit, values)  # PSNR of equal images is infinite
     margins = (finite - bound)[there] * (1.0 if metric.better == "higher" else -1.0)
-    evidence = evidence_of_frames if over_frames else evidence_of_repeats
+    in_time = over_frames and len(margins) >= FEWEST_FRAMES  # fewer are taken as pictures on their own
+    evidence = evidence_of_frames if in_time else evidence_of_repeats
     margin = evidence(margins) if len(margins) else _NO_MARGIN
     value = float(values[there].mean()) if len(margins) else math.nan
     missing = np.count_nonzero(~there)
