@@ -17,7 +17,8 @@ from codecbench.plugins.datasets.files import EXTENSIONS
 _MOST_SIZES: Final = 3
 _MOST_LEFT_OUT: Final = 20
 """How often a recording is opened to find what of it has to be left out."""
-_MOST_SAID: Final = 3
+MOST_SAID: Final = 3
+"""What is left out and said one by one."""
 _HEAD_BYTES: Final = 4096
 
 
@@ -107,7 +108,7 @@ def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recordi
         except DatasetError as error:
             refused = [key for key in error.without if key in given and key != "skip"]
             if not error.without or refused or len(left_out) == _MOST_LEFT_OUT:
-                said = [f"{error}{_how_to_set(str(error), settable)}", *left_out[:_MOST_SAID]]
+                said = [f"{error}{_how_to_set(str(error), settable)}", *left_out[:MOST_SAID]]
                 raise DatasetError("\n".join(said)) from error
             params = less(params, error.without)
             left_out.append(said_of(error))

@@ -6,19 +6,16 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.trial.focal_length import fov_deg_of
-from codecbench.trial.recording import Recording, counted, less, recognised, said_of, unreadable
+from codecbench.trial.recording import MOST_SAID, Recording, counted, less, recognised, said_of, unreadable
 
 if TYPE_CHECKING:
     from codecbench.core.facade import Run
     from codecbench.trial.trial_matrix import Aim, TrialMatrix
-
-_MOST_SAID: Final = 3
-"""Frames that are left out and named; of more only their number is said."""
 
 
 def looked_at(
@@ -75,7 +72,8 @@ def fitted(
             name, read = recording.dataset, (recording.params, made.frames)
             found = registry.ask(unreadable, name, *read, of=[("dataset", name)], times=10)
         if 2 * len(found) > made.frames:
-            raise DatasetError(f"{found[0][0]} (and {len(found) - 1} more of {made.frames} frames)")
+            more = f"and {len(found) - 1} more of {made.frames} frames, more than half"
+            raise DatasetError(f"{found[0][0]} ({more})")
         if not found:
             break
         params = recording.params
@@ -83,8 +81,8 @@ def fitted(
             left_out.append(said_of(DatasetError(*error)))
             params = less(params, error[1])
         recording = replace(recording, params=params, frames=recording.frames - len(found))
-    if (more := len(left_out) - _MOST_SAID) > 0:
-        left_out[_MOST_SAID:] = [f"{counted(more, 'more frame')} left out for such reasons (`skip`)"]
+    if (rest := len(left_out) - MOST_SAID) > 0:
+        left_out[MOST_SAID:] = [f"{counted(rest, 'more frame')} left out for such reasons (`skip`)"]
     return replace(made, choices=(*left_out, *made.choices))
 
 

@@ -124,7 +124,7 @@ def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path)
     assert made.choices[3] == "2 more frames left out for such reasons (`skip`)"
     assert "skip: [1, 2, 3, 4, 5]}" in made.text
     (tmp_path / "6.png").write_bytes(b"x")
-    with pytest.raises(DatasetError, match=r"1\.png: not an image .* \(and 5 more of 10 frames\)$"):
+    with pytest.raises(DatasetError, match=r"1\.png: not an image .* \(and 5 more of 10 frames, more than half\)$"):
         fitted(installed(), looked_at(tmp_path), ["jpeg:10"])
     for number in range(10):
         (tmp_path / f"{number}.png").write_bytes(b"x")

@@ -207,4 +207,4 @@ def _check_all_there(content: Content) -> None:
 
 def _skipping(content: Content, indices: Sequence[int]) -> dict[str, Any]:
     """The parameters that leave out these frames of the sequence, none where its dataset has no `skip`."""
-    return {"skip": [content.numbers[index] for index in indices]} if content.numbers else {}
+    return {"skip": [content.numbers[index] for index in indices]} if len(content.numbers) else {}
