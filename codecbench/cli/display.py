@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from contextlib import suppress
 from typing import Final
 
@@ -17,7 +18,7 @@ _LINE_EVERY_S: Final = 60.0
 
 
 class Display:
-    """A bar, or a line a minute where there is no terminal, and one line for every cell that fails.
+    """A bar, or a line a minute where there is no terminal, and one line for every reason of which a cell fails.
 
     What is counted are the cells of the plan, as `codecbench status` does; the bar grows with the work.
     """
@@ -27,6 +28,8 @@ class Display:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
         self._bar = ProgressBar(*columns, console=console, transient=True)
         self._task = self._bar.add_task("starting", total=None, note="")
+        self._reasons: Counter[str] = Counter()
+        self._first: dict[str, str] = {}
         self._said, self._ended = "starting", threading.Event()
         lines = not console.is_terminal and not console.quiet
         self._lines = threading.Thread(target=self._say_every_minute, daemon=True) if lines else None
@@ -40,6 +43,10 @@ class Display:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._bar.stop()
+        for reason, count in self._reasons.items():
+            if count > 1:
+                cells = "1 more cell has" if count == 2 else f"{count - 1} more cells have"
+                click.echo(f"{cells} no result for the reason of {self._first[reason]}", err=True)
 
     def show(self, progress: Progress) -> None:
         """Take in how far the run is. Raises ClickException where a cell failed and the run is to end then."""
@@ -56,8 +63,11 @@ class Display:
         if record is None or cell is None or record.status in ("ok", "unsupported"):
             return
         what = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
-        line = f"{record.status}: {cell.sequence.name} | {what} | {cell.evaluator.name} #{cell.repeat}: {record.reason}"
-        click.echo(clean_line(line), err=True)
+        name = f"{cell.sequence.name} | {what} | {cell.evaluator.name} #{cell.repeat}"
+        self._reasons[record.reason] += 1
+        if self._reasons[record.reason] == 1:
+            self._first[record.reason] = clean_line(name)
+            click.echo(clean_line(f"{record.status}: {name}: {record.reason}"), err=True)
         if not self._keep_going:
             raise click.ClickException("stopped at the first failure (--fail-fast); what is finished is kept")
 

@@ -115,15 +115,13 @@ def _made(
     with_notes: also what its dataset says of it, which else the run does.
     """
     from codecbench.core.engine.registry import installed
-    from codecbench.trial.trial import added_params, looked_at
+    from codecbench.trial.trial import added_params, fitted, looked_at
 
     recording = looked_at(path, fov, added_params(set_))
-    for line in (str(recording), *(recording.notes if with_notes else ())):
+    for line in (str(recording), *(recording.notes if with_notes else ()), *recording.assumed):
         click.echo(line, err=True)
-    from codecbench.trial.trial_matrix import trial_matrix
-
-    made = trial_matrix(installed(), recording, codecs, aim, minutes)
-    for line in (*recording.assumed, *made.choices):
+    made = fitted(installed(), recording, codecs, aim, minutes)
+    for line in made.choices:
         click.echo(line, err=True)
     return made
 

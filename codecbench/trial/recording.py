@@ -12,8 +12,14 @@ from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import Registry
+from codecbench.plugins.datasets.files import EXTENSIONS
 
 _MOST_SIZES: Final = 3
+_MOST_LEFT_OUT: Final = 20
+"""How often a recording is opened to find what of it has to be left out."""
+MOST_SAID: Final = 3
+"""What is left out and said one by one."""
+_HEAD_BYTES: Final = 4096
 
 
 @dataclass(frozen=True)
@@ -23,7 +29,7 @@ class Recording:
     dataset, params: what opens it. kind: what it is, in its user's words. width, height: of its first frame in pixels;
     sizes: where frames differ, each once. camera_from: what the camera was taken from, as far as that is known. suited:
     parameters that suit it better than those by which it was opened. settable: all that its dataset takes. notes: what
-    its dataset says of it. assumed: what nobody said and was taken for granted.
+    its dataset says of it. assumed: what nobody said and was taken for granted, and what is wrong and left out.
     """
 
     dataset: str
@@ -73,7 +79,8 @@ def counted(count: int, noun: str) -> str:
 def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:
     """The recording at `path`, opened by the first dataset that knows it, catch-alls last.
 
-    given: parameters that its user adds. Raises DatasetError where nobody knows it and where it cannot be opened, and
+    given: parameters that its user adds. What is wrong costs itself where the rest can be opened without it, which
+    `assumed` says. Raises DatasetError where nobody knows it and where it cannot be opened, and
     ParamsError for a parameter that the dataset does not have.
     """
     if not path.exists():
@@ -85,21 +92,87 @@ def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recordi
         unusable = [str(plugin.missing) for plugin in registry.plugins("dataset") if plugin.missing is not None]
         hint = f"; not asked: {'; '.join(unusable)}" if unusable else ""
         raise DatasetError(
-            f"{path}: no dataset recognises it ({names}); it may be a folder of pictures, a video, a TUM, KITTI or "
-            f"EuRoC folder, or a ROS bag{hint}"
+            f"{path}: {contents(path)}, which no dataset recognises ({names}); name a folder of pictures "
+            f"({', '.join(EXTENSIONS)}), a video, a TUM, KITTI or EuRoC folder, or a ROS bag{hint}"
         )
     plugin, (_, params) = min(found, key=lambda pair: pair[1][0])
     params = {**params, **given}
     name = plugin.spec.name
     _check_params(registry, name, params)
     settable = frozenset(plugin_schema(registry, f"dataset:{name}").get("properties", {}))
-    try:
-        facts = registry.ask(opened, name, params, of=[("dataset", name)], times=10)
-    except DatasetError as error:
-        raise DatasetError(f"{error}{_how_to_set(str(error), settable)}") from error
+    left_out: list[str] = []
+    while True:
+        try:
+            facts = registry.ask(opened, name, params, of=[("dataset", name)], times=10)
+            break
+        except DatasetError as error:
+            refused = [key for key in error.without if key in given and key != "skip"]
+            if not error.without or refused or len(left_out) == _MOST_LEFT_OUT:
+                said = [f"{error}{_how_to_set(str(error), settable)}", *left_out[:MOST_SAID]]
+                raise DatasetError("\n".join(said)) from error
+            params = less(params, error.without)
+            left_out.append(said_of(error))
     facts |= {"notes": tuple(facts["notes"]), "sizes": tuple((width, height) for width, height in facts["sizes"])}
     kind = facts.pop("kind") or f"{name} ({clean_line(plugin.spec.summary)})"
-    return Recording(name, kind, params, settable=settable, **facts)
+    return Recording(name, kind, params, settable=settable, assumed=tuple(left_out), **facts)
+
+
+def less(params: dict[str, Any], without: dict[str, Any]) -> dict[str, Any]:
+    """Parameters of a dataset that also leave out what an error says."""
+    skip = sorted({*params.get("skip", []), *without.get("skip", [])})
+    return {**params, **without, **({"skip": skip} if skip else {})}
+
+
+def said_of(error: DatasetError) -> str:
+    """What is wrong, and by which parameters it is left out."""
+    return f"{error.what}; left out ({error.settings})"
+
+
+def unreadable(registry: Registry, name: str, params: dict[str, Any], frames: int) -> list[list[Any]]:
+    """What is wrong with those of the first frames that `skip` can leave out, and that; all of them are read."""
+    sequence, found = registry.create("dataset", name, params).open(), []
+    for index in range(min(frames, len(sequence))):
+        try:
+            sequence.read(index)
+        except DatasetError as error:
+            if "skip" in error.without:
+                found.append([error.what, error.without])
+    return found
+
+
+def contents(path: Path) -> str:
+    """What a path is or holds that is no recording, such as `holds no pictures but 3 files such as a.txt`."""
+    if path.suffix.lower() in EXTENSIONS:
+        return "is a single picture"
+    try:
+        if path.is_dir():
+            return _folder_contents(sorted(path.iterdir()))
+        with open(path, "rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    if not head:
+        return "is an empty file"
+    return "is text" if b"\0" not in head and _is_text(head) else "is a file of another kind"
+
+
+def _folder_contents(entries: list[Path]) -> str:
+    if not entries:
+        return "is an empty folder"
+    for folder in filter(Path.is_dir, entries):
+        if any(file.suffix.lower() in EXTENSIONS for file in folder.iterdir()):
+            return f"holds no pictures, but its folder {folder.name} does"
+    files = [entry.name for entry in entries if entry.is_file()]
+    what = f"{counted(len(files), 'file')} such as {files[0]}" if files else counted(len(entries), "folder")
+    return f"holds no pictures but {what}"
+
+
+def _is_text(head: bytes) -> bool:
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        return error.end == len(head) == _HEAD_BYTES  # cut in the middle of a character
+    return True
 
 
 def opened(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:

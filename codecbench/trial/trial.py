@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.trial.focal_length import fov_deg_of
-from codecbench.trial.recording import Recording, recognised
+from codecbench.trial.recording import MOST_SAID, Recording, counted, less, recognised, said_of, unreadable
 
 if TYPE_CHECKING:
     from codecbench.core.facade import Run
-    from codecbench.trial.trial_matrix import Aim
+    from codecbench.trial.trial_matrix import Aim, TrialMatrix
 
 
 def looked_at(
@@ -47,7 +47,43 @@ def looked_at(
         assumed.append(f"{view}, which is taken for the camera")
     if not taken:
         return recording
-    return replace(recognised(registry, path, {**given, **taken}), assumed=tuple(assumed))
+    again = recognised(registry, path, {**given, **taken})
+    return replace(again, assumed=(*again.assumed, *assumed))
+
+
+def fitted(
+    registry: Registry,
+    recording: Recording,
+    codecs: Sequence[str] = (),
+    aim: Aim | None = None,
+    minutes: float | None = None,
+) -> TrialMatrix:
+    """The matrix that suits a recording, as `trial_matrix`, without frames that cannot be read, which its choices say.
+
+    Only frames that the matrix uses are read. Raises DatasetError where more than half of them cannot be.
+    """
+    from codecbench.trial.trial_matrix import trial_matrix
+
+    left_out: list[str] = []
+    while True:
+        made = trial_matrix(registry, recording, codecs, aim, minutes)
+        found = []
+        if "skip" in recording.settable:
+            name, read = recording.dataset, (recording.params, made.frames)
+            found = registry.ask(unreadable, name, *read, of=[("dataset", name)], times=10)
+        if 2 * len(found) > made.frames:
+            more = f"and {len(found) - 1} more of {made.frames} frames, more than half"
+            raise DatasetError(f"{found[0][0]} ({more})")
+        if not found:
+            break
+        params = recording.params
+        for error in found:
+            left_out.append(said_of(DatasetError(*error)))
+            params = less(params, error[1])
+        recording = replace(recording, params=params, frames=recording.frames - len(found))
+    if (rest := len(left_out) - MOST_SAID) > 0:
+        left_out[MOST_SAID:] = [f"{counted(rest, 'more frame')} left out for such reasons (`skip`)"]
+    return replace(made, choices=(*left_out, *made.choices))
 
 
 def _noted_view(recording: Recording, path: Path) -> float | None:
@@ -77,10 +113,9 @@ def trial(
     from codecbench.core.engine.planning.matrix import matrix_from
     from codecbench.core.facade import open_run
     from codecbench.core.rounds.running import run_matrix
-    from codecbench.trial.trial_matrix import trial_matrix
 
     registry = installed()
-    made = trial_matrix(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
+    made = fitted(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
     return open_run(run_matrix(matrix_from(made.text, registry), out, workers=workers).folder)
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import threading
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from codecbench.cli.display import Display, clock, spoken
 from codecbench.cli.screen import Screen
 from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.storage.record import Record
 
 MOMENT = Progress(90, 10, 4, 16, 7, 2, elapsed_s=30.0, remaining_s=200.0)
 
@@ -68,3 +71,19 @@ def test_nothing_of_that_on_a_terminal_or_when_told_to_be_quiet(
         thread.join(300)
     assert shown._ended.waited_s == []
     assert capsys.readouterr().err == ""
+
+
+def test_a_reason_is_said_once_and_then_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    cell = SimpleNamespace(
+        sequence=SimpleNamespace(name="walk"), codec=SimpleNamespace(name="jpeg", label="quality=5"),
+        evaluator=SimpleNamespace(name="quality"), repeat=0,
+    )  # fmt: skip
+    with Display(Screen(file=io.StringIO()), keep_going=True) as shown:
+        for reason in ("4.png is damaged", "no memory", *["4.png is damaged"] * 3):
+            record = Record("a", "failed", reason)
+            shown.show(replace(MOMENT, cell=cell, record=record))  # type: ignore[arg-type]
+    assert capsys.readouterr().err.splitlines() == [
+        "failed: walk | jpeg quality=5 | quality #0: 4.png is damaged",
+        "failed: walk | jpeg quality=5 | quality #0: no memory",
+        "3 more cells have no result for the reason of walk | jpeg quality=5 | quality #0",
+    ]

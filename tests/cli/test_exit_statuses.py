@@ -111,7 +111,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.NOT_POSSIBLE, "run tiny.yaml --out file/run", "a file is where a folder is expected"),
     (ExitStatus.SUCCESS, "try recording --codec jpeg:10 --for speed --minutes 0.1", "the report: file:///"),
     (ExitStatus.WRONG_USE, "try nowhere", "there is no such file or folder"),
-    (ExitStatus.WRONG_USE, "try wrong.yaml", "no dataset recognises it"),
+    (ExitStatus.WRONG_USE, "try wrong.yaml", "wrong.yaml: is text, which no dataset recognises"),
     (ExitStatus.WRONG_USE, "try recording --codec jpg:10", "did you mean 'jpeg'"),
     (ExitStatus.WRONG_USE, "try recording --codec jpeg:1000", "less than or equal to 100"),
     (ExitStatus.WRONG_USE, "try recording --for tracking", "--fov DEGREES"),

@@ -11,9 +11,11 @@ import pytest
 from recordings import euroc, kitti, pictures, tum
 
 from codecbench.core.contracts.errors import DatasetError
+from codecbench.core.engine.planning.matrix import matrix_from
+from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
 from codecbench.trial.recording import recognised
-from codecbench.trial.trial import looked_at
+from codecbench.trial.trial import fitted, looked_at
 
 
 def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
@@ -41,8 +43,11 @@ def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
             dataset, frames, camera, truth,
         ), path  # fmt: skip
         assert (found.width, found.height) == (48, 32)
+    other = recognised(installed(), tmp_path / "x_freiburg1_y", {})
+    assert not other.has_camera
+    assert "is 48x32, but the calibration is for 640x480; scale one of them; left out" in other.assumed[0]
     with pytest.raises(DatasetError, match="is 48x32, but the calibration is for 640x480"):
-        recognised(installed(), tmp_path / "x_freiburg1_y", {})
+        recognised(installed(), tmp_path / "x_freiburg1_y", {"camera": "freiburg1"})
 
 
 def test_it_is_said_in_one_line(tmp_path: Path) -> None:
@@ -66,13 +71,88 @@ def test_pictures_of_several_sizes_are_called_so(tmp_path: Path) -> None:
     assert "pictures of 5 sizes from 32x48 to 60x20" in str(looked_at(tmp_path))
 
 
-@pytest.mark.parametrize("name", ["nothing", "text.txt", "one.png", "empty"])
-def test_what_nobody_knows_is_said(tmp_path: Path, name: str) -> None:
-    (tmp_path / "text.txt").write_text("hello")
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nothing", "there is no such file or folder"),
+        ("text.txt", "is text, which no dataset recognises (synthetic, tum"),
+        ("one.png", "is a single picture, which no dataset"),
+        ("blank.mp4", "is an empty file, which no dataset"),
+        ("other.bin", "is a file of another kind, which no dataset"),
+        ("empty", "is an empty folder, which no dataset"),
+        ("texts", "holds no pictures but 3 files such as a.txt, which no dataset"),
+        ("above", "holds no pictures, but its folder images does, which no dataset"),
+        ("deep", "holds no pictures but 1 folder, which no dataset"),
+        ("cut.mp4", "is cut off: it has no index (`moov`)"),
+    ],
+)
+def test_what_cannot_be_tried_is_said(tmp_path: Path, name: str, said: str) -> None:
+    for folder in ("empty", "texts", "deep/deeper"):
+        (tmp_path / folder).mkdir(parents=True)
+    for file in ("text.txt", "texts/c.txt", "texts/a.txt", "texts/b.txt"):
+        (tmp_path / file).write_text("é" * 3000)
+    (tmp_path / "other.bin").write_bytes(b"\0\xff\x17")
+    (tmp_path / "blank.mp4").touch()
+    (tmp_path / "cut.mp4").write_bytes(b"\0\0\0\x10ftypisom" + bytes(4) + b"\0\0\xff\0mdat" + bytes(90))
     pictures(tmp_path, ["one.png"])
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match="no such file" if name == "nothing" else "no dataset recognises it"):
+    pictures(tmp_path / "above" / "images", ["one.png"])
+    with pytest.raises(DatasetError) as caught:
         recognised(installed(), tmp_path / name, {})
+    assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
+
+
+@pytest.mark.parametrize("number", [0, 4])
+def test_a_damaged_picture_is_left_out_and_the_others_are_tried(tmp_path: Path, number: int) -> None:
+    pictures(tmp_path, [f"{n}.png" for n in range(10)])
+    (tmp_path / f"{number}.png").write_bytes(bytes(100))
+    recording = looked_at(tmp_path)
+    made = fitted(installed(), recording, ["jpeg:10"])
+    said = f"{tmp_path / str(number)}.png: not an image that OpenCV can read (100 bytes); fetch or copy it again"
+    assert [*recording.assumed, *made.choices][0] == f"{said}; left out (`skip: [{number}]`)"
+    assert f"skip: [{number}]}}" in made.text
+    assert made.frames == 9
+    assert [entry.frames for entry in make_plan(matrix_from(made.text)).sequences] == [9]
+
+
+def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path) -> None:
+    pictures(tmp_path, [f"{n}.png" for n in range(10)])
+    for number in range(1, 6):
+        (tmp_path / f"{number}.png").write_bytes(b"x")
+    made = fitted(installed(), looked_at(tmp_path), ["jpeg:10"])
+    assert made.choices[2].endswith("3.png: not an image that OpenCV can read (1 bytes); fetch or copy it again; "
+                                    "left out (`skip: [3]`)")  # fmt: skip
+    assert made.choices[3] == "2 more frames left out for such reasons (`skip`)"
+    assert "skip: [1, 2, 3, 4, 5]}" in made.text
+    (tmp_path / "6.png").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"1\.png: not an image .* \(and 5 more of 10 frames, more than half\)$"):
+        fitted(installed(), looked_at(tmp_path), ["jpeg:10"])
+    for number in range(10):
+        (tmp_path / f"{number}.png").write_bytes(b"x")
+    with pytest.raises(DatasetError) as caught:
+        looked_at(tmp_path)
+    said = str(caught.value).splitlines()
+    assert said[0] == f"{tmp_path}: skip leaves no frame of those from 0 to 9"
+    assert said[1].startswith(f"{tmp_path}/0.png: not an image that OpenCV can read")
+    assert len(said) == 4
+
+
+def test_what_is_unreadable_beside_the_pictures_costs_itself(tmp_path: Path) -> None:
+    walk = tum(tmp_path / "walk")
+    with open(walk / "calib.yaml", "a") as stream:
+        stream.write("note: taken at 5:30: sunny\n")
+    (walk / "groundtruth.txt").write_text("0.0 0 0 0 0 0 0 1\n0.1 nonsense\n")
+    found = looked_at(walk)
+    assert (found.has_camera, found.has_ground_truth) == (False, False)
+    assert found.params == {"path": str(walk), "camera": "none", "ground_truth": False}
+    assert found.assumed == (
+        f"{walk}/calib.yaml:7: calibration is not YAML: mapping values are not allowed here in "
+        "'note: taken at 5:30: sunny'; left out (`camera: none`)",
+        f"{walk}/groundtruth.txt:2: 2 field(s), ground truth has 8; left out (`ground_truth: false`)",
+    )
+    seen = looked_at(walk, fov_deg=90.0)
+    assert (seen.camera_from, seen.has_ground_truth) == ("the field of view", False)
+    with pytest.raises(DatasetError, match=r"calib\.yaml:7"):  # a camera that was asked for
+        looked_at(walk, params={"calibration": str(walk / "calib.yaml")})
 
 
 def test_a_field_of_view_makes_a_camera_and_is_told(tmp_path: Path) -> None:

@@ -6,6 +6,9 @@ escapes from a plugin is a fault of that plugin and becomes the reason of its ce
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 
 class CodecbenchError(Exception):
     """Every error that codecbench raises on purpose is one of these."""
@@ -28,7 +31,25 @@ class KeyCollision(ParamsError):
 
 
 class DatasetError(CodecbenchError):
-    """A sequence on disk is missing, damaged or inconsistent; the message names the file and line."""
+    """A sequence on disk is missing, damaged or inconsistent; the message names the file and line.
+
+    what: the message. without: parameters of its dataset, as JSON types, that open the rest, which its text says.
+    """
+
+    def __init__(self, what: str = "", without: dict[str, Any] | None = None) -> None:
+        super().__init__(what)
+        self.what = what
+        self.without = without or {}
+
+    @property
+    def settings(self) -> str:
+        """What opens the rest as a matrix has it, such as `skip: [4]`; empty where nothing does."""
+        values = {name: value if isinstance(value, str) else json.dumps(value) for name, value in self.without.items()}
+        return ", ".join(f"`{name}: {value}`" for name, value in values.items())
+
+    def __str__(self) -> str:
+        said = not self.settings or self.settings in self.what
+        return self.what if said else f"{self.what}; set {self.settings} to go without it"
 
 
 class MatrixError(CodecbenchError):

@@ -21,6 +21,7 @@ FREIBURG = {
 }
 """The colour cameras of the TUM RGB-D benchmark as its page on file formats gives them."""
 
+_MOST_SHOWN = 60
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 _DISTORTION: dict[Any, tuple[str, ...]] = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
@@ -41,8 +42,10 @@ class YamlFile:
         try:
             self._entries: Any = YAML(typ="rt").load(text)
         except MarkedYAMLError as error:
-            line = error.problem_mark.line + 1 if error.problem_mark else 1
-            raise DatasetError(f"{file}:{line}: {what} is not YAML: {error.problem}") from error
+            line = error.problem_mark.line if error.problem_mark else 0
+            content = "".join(text.splitlines()[line : line + 1]).strip()
+            said = f"{what} is not YAML: {error.problem} in {content[:_MOST_SHOWN]!r}"
+            raise DatasetError(f"{file}:{line + 1}: {said}") from error
         if not isinstance(self._entries, dict):
             raise DatasetError(f"{file}: {what} has no `key: value` lines")
 

@@ -13,16 +13,15 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, numbers_in
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
+from codecbench.plugins.datasets.selection import Described, FoundCamera, Located, without
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
 
 Floats = NDArray[np.float64]
-_REMEDY = "set `ground_truth: false` to use the frames without it"
 _USUAL_RATE_HZ = 20.0
-_UNMOVED = "without sensor.yaml the poses are those of the vehicle's sensor, which are taken as the camera's"
+_UNMOVED = "without calibration the poses are those of the vehicle's sensor, which are taken as the camera's"
 
 
-class EurocParams(Located, FieldOfView):
+class EurocParams(Located, Described):
     """Parameters of `euroc`."""
 
     camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
@@ -61,18 +60,26 @@ class Euroc(Dataset[EurocParams]):
         times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "data.csv"))
         files = tuple(folder / "data" / rows[index].fields[1] for index in chosen)
-        sensor = _sensor(folder / "sensor.yaml", params.fov_deg is not None)
-        known = FoundCamera() if sensor is None else FoundCamera(_camera(sensor), sensor.file.name)
-        found = params.or_ideal(known, lambda: frame_size(files[0]))
+        with without(calibration="none"):
+            sensor = _sensor(params, folder / "sensor.yaml")
+            known = FoundCamera() if sensor is None else FoundCamera(_camera(sensor), sensor.file.name)
+            frames_hz = _rate_hz(sensor)
+        found = params.or_ideal(known, lambda: frame_size(files[0], chosen[0]))
+        truth = None
+        if params.ground_truth:
+            with without(ground_truth=False):
+                truth = _trajectory(root / "mav0", sensor)
         notes = found.notes if sensor or not params.ground_truth else (*found.notes, _UNMOVED)
         content = Content(
             name=root.resolve().name,
             where=str(folder),
             files=files,
+            numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
-            frame_rate_hz=_rate_hz(sensor) / params.stride,
+            frame_rate_hz=frames_hz / params.stride,
             camera=found.camera,
-            ground_truth=_trajectory(root / "mav0", sensor) if params.ground_truth else None,
+            uncalibrated={"calibration": "none"},
+            ground_truth=truth,
             color=params.color,
             notes=(*params.notes_of_part(len(rows)), *notes),
             origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
@@ -80,9 +87,9 @@ class Euroc(Dataset[EurocParams]):
         return params.scaled(FileSequence(content))
 
 
-def _sensor(file: Path, may_lack: bool) -> YamlFile | None:
-    """The description of the camera, None where it is not there and may lack. Raises DatasetError."""
-    if may_lack and not file.exists():
+def _sensor(params: EurocParams, file: Path) -> YamlFile | None:
+    """The description of the camera, None where it is not wanted, or not there and not needed. Raises DatasetError."""
+    if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
         return None
     return YamlFile(file, "calibration", "`fov_deg` makes an ideal camera instead")
 
@@ -128,7 +135,7 @@ def _mounting(sensor: YamlFile) -> Floats:
 def _trajectory(mav: Path, camera: YamlFile | None) -> Trajectory:
     """The path of the camera that is described, else of the body's sensor. Raises DatasetError."""
     folder = mav / "state_groundtruth_estimate0"
-    rows = read_rows(folder / "data.csv", "ground truth", 8, ",", _REMEDY)
+    rows = read_rows(folder / "data.csv", "ground truth", 8, ",")
     times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
     poses = np.array([[row.number(column) for column in range(1, 8)] for row in rows])
     sensor = trajectory_from_quaternions(times_s, poses, "wxyz", rows)

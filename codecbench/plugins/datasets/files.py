@@ -19,7 +19,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.coded_before import jpeg_notes
-from codecbench.plugins.datasets.selection import Color, converted
+from codecbench.plugins.datasets.selection import Color, converted, without
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
@@ -47,9 +47,10 @@ def read_image_file(file: Path) -> Image:
     return _rgb_from_stored(stored)
 
 
-def frame_size(file: Path) -> tuple[int, int]:
-    """Width and height in pixels of the picture in a file. Raises DatasetError as `read_image_file`."""
-    height, width = read_image_file(file).shape[:2]
+def frame_size(file: Path, number: int) -> tuple[int, int]:
+    """Width and height in pixels of frame `number` of a recording. Raises DatasetError as `read_image_file`."""
+    with without(skip=[number]):
+        height, width = read_image_file(file).shape[:2]
     return width, height
 
 
@@ -93,8 +94,9 @@ def _digest_of_version(file: Path, size_bytes: int, mtime_ns: int) -> str:
 class Content:
     """What a sequence of image files consists of, after selection.
 
-    sizes_differ: whether frames of several sizes are allowed. where: what to call the sequence in errors. origin: but
-    for the sizes, which the sequence finds.
+    numbers: of the files in the recording, as `skip` counts them; empty where its dataset has no `skip`. sizes_differ:
+    whether frames of several sizes are allowed. where: what to call the sequence in errors. uncalibrated: parameters
+    that open it without a camera which does not fit. origin: but for the sizes, which the sequence finds.
     """
 
     name: str
@@ -102,7 +104,9 @@ class Content:
     files: tuple[Path, ...]
     timestamps_s: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     frame_rate_hz: float
+    numbers: Sequence[int] = ()
     camera: Camera | None = None
+    uncalibrated: dict[str, Any] = field(default_factory=dict)
     ground_truth: Trajectory | None = None
     color: Color = "as_is"
     sizes_differ: bool = False
@@ -120,12 +124,13 @@ class FileSequence(FrameSequence):
         self.camera = content.camera
         self.ground_truth = content.ground_truth
         self._content = content
-        _check_all_there(content.files)
-        first = converted(read_image_file(content.files[0]), content.color)
+        _check_all_there(content)
+        first = self._image(0)
         self.channels = channel_count(first)
         self._size = first.shape[:2]
         self.notes = (*content.notes, *jpeg_notes(content.files[0].read_bytes()))
-        self._check(first, content.files[0])
+        with without(**content.uncalibrated):
+            self._check(first, content.files[0])
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
@@ -150,10 +155,14 @@ class FileSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._content.where}: frame {index} is not in 0..{len(self) - 1}")
-        file = self._content.files[index]
-        image = converted(read_image_file(file), self._content.color)
-        self._check(image, file)
+        image = self._image(index)
+        with without(**_skipping(self._content, [index])):
+            self._check(image, self._content.files[index])
         return Frame(index, float(self.timestamps_s[index]), image)
+
+    def _image(self, index: int) -> Image:
+        with without(**_skipping(self._content, [index])):
+            return converted(read_image_file(self._content.files[index]), self._content.color)
 
     def _check(self, image: Image, file: Path) -> None:
         height, width = image.shape[:2]
@@ -187,8 +196,15 @@ def _camera_facts(camera: Camera) -> dict[str, Any]:
     return facts if camera.model != "pinhole" else {name: facts[name] for name in facts if name != "model"}
 
 
-def _check_all_there(files: Sequence[Path]) -> None:
-    missing = [file for file in files if not file.is_file()]
+def _check_all_there(content: Content) -> None:
+    files = content.files
+    missing = [index for index, file in enumerate(files) if not file.is_file()]
     if missing:
         more = f" (and {len(missing) - 1} more of {len(files)})" if len(missing) > 1 else ""
-        raise DatasetError(f"{missing[0]}: frame is missing{more}; fetch or copy the sequence again")
+        said = f"{files[missing[0]]}: frame is missing{more}; fetch or copy the sequence again"
+        raise DatasetError(said, _skipping(content, missing) if 2 * len(missing) <= len(files) else {})
+
+
+def _skipping(content: Content, indices: Sequence[int]) -> dict[str, Any]:
+    """The parameters that leave out these frames of the sequence, none where its dataset has no `skip`."""
+    return {"skip": [content.numbers[index] for index in indices]} if len(content.numbers) else {}

@@ -39,11 +39,12 @@ class Folder(Dataset[FolderParams]):
         folder = params.folder("image files")
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
-        found = params.own_camera(lambda: frame_size(files[chosen[0]]))
+        found = params.own_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
             files=tuple(files[index] for index in chosen),
+            numbers=chosen,
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,
             camera=found.camera,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
@@ -12,15 +13,15 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FieldOfView, FoundCamera, Located
+from codecbench.plugins.datasets.selection import Described, FoundCamera, Located, without
 from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
 _Camera = Literal["image_0", "image_1", "image_2", "image_3"]
-_UNMOVED = "without calib.txt the poses are those of camera 0, which are taken as this camera's"
+_UNMOVED = "without calibration the poses are those of camera 0, which are taken as this camera's"
 
 
-class KittiParams(Located, FieldOfView):
+class KittiParams(Located, Described):
     """Parameters of `kitti`."""
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
@@ -67,15 +68,18 @@ class Kitti(Dataset[KittiParams]):
         times_s = increasing([row.number(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "times.txt"))
         files = tuple(folder / params.camera / f"{index:06d}.png" for index in chosen)
-        found, projection = _camera(params, folder, files[0])
+        with without(calibration="none"):
+            found, projection = _camera(params, folder, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
-            truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
+            with without(ground_truth=False):
+                truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
         unmoved = () if truth is None or projection is not None else (_UNMOVED,)
         content = Content(
             name=f"kitti_{params.sequence}",
             where=str(folder),
             files=files,
+            numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=rate_hz(times_s, 10.0) / params.stride,
             camera=found.camera,
@@ -101,24 +105,24 @@ def read_projection(file: Path, name: str) -> Floats:
     raise DatasetError(f"{file}: calibration has no row `{name}:`")
 
 
-def _camera(params: KittiParams, folder: Path, first: Path) -> tuple[FoundCamera, Floats | None]:
-    """The camera and its projection matrix; None of a sequence without calibration whose field of view was given.
+def _camera(
+    params: KittiParams, folder: Path, size: Callable[[], tuple[int, int]]
+) -> tuple[FoundCamera, Floats | None]:
+    """The camera and its projection matrix; None of a sequence without calibration, if that was said or fov_deg is.
 
     KITTI's files do not give the frames' size: the first frame does.
     """
     file = folder / "calib.txt"
-    if params.fov_deg is not None and not file.exists():
-        return params.or_ideal(FoundCamera(), lambda: frame_size(first)), None
+    if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
+        return params.or_ideal(FoundCamera(), size), None
     projection = read_projection(file, f"P{params.camera[-1]}")
     fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    known = FoundCamera(Camera(*frame_size(first), fx, fy, cx, cy), file.name)
-    return params.or_ideal(known, lambda: frame_size(first)), projection
+    return params.or_ideal(FoundCamera(Camera(*size(), fx, fy, cx, cy), file.name), size), projection
 
 
 def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Trajectory:
     """Poses of the camera with this projection, else of camera 0, one a frame, from lines of 12 numbers for that."""
-    remedy = "set `ground_truth: false` to use the frames without it"
-    rows = read_rows(file, "ground truth", 12, remedy=remedy, exact=True)
+    rows = read_rows(file, "ground truth", 12, exact=True)
     if len(rows) != len(times_s):
         raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both have one row a frame")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))

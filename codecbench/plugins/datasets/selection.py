@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ Color = Literal["as_is", "rgb", "gray"]
 
 
 class Selection(Params):
-    """Frames start, start + stride, ... before stop, counted from 0; without stop, up to the last.
+    """Frames start, start + stride, ... before stop, counted from 0, but for those to skip; without stop, to the last.
 
     color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert. scale: of the frames' width
     and height; the camera's lengths in pixels are scaled with them.
@@ -31,12 +32,16 @@ class Selection(Params):
     start: Annotated[int, Field(ge=0, description="first frame, counted from 0")] = 0
     stop: Annotated[int | None, Field(ge=1, description="frame before which to stop; default: after the last")] = None
     stride: Annotated[int, Field(ge=1, description="use every stride-th frame")] = 1
+    skip: Annotated[
+        tuple[Annotated[int, Field(ge=0)], ...],
+        Field(description="frames to leave out, such as damaged ones; counted as start is"),
+    ] = ()
     color: Annotated[Color, Field(description="as_is keeps the files' channels; rgb and gray convert")] = "as_is"
     scale: Annotated[
         float, Field(gt=0.0, le=16.0, description="factor on the frames' width and height, and on the camera's lengths")
     ] = 1.0
 
-    def indices(self, count: int, where: str) -> range:
+    def indices(self, count: int, where: str) -> Sequence[int]:
         """The selected frames of `count`. Raises DatasetError, naming `where`, for a selection that is not there."""
         stop = count if self.stop is None else self.stop
         if stop > count:
@@ -44,7 +49,13 @@ class Selection(Params):
         if self.start >= stop:
             limit = f"stop ({stop})" if self.stop is not None else f"the number of frames ({count})"
             raise DatasetError(f"{where}: start is {self.start}, which is not below {limit}; no frame is left")
-        return range(self.start, stop, self.stride)
+        if self.skip and max(self.skip) >= count:
+            raise DatasetError(f"{where}: skip has {max(self.skip)}, but there are {count} frames, counted from 0")
+        skipped = set(self.skip)
+        chosen = [index for index in range(self.start, stop, self.stride) if index not in skipped]
+        if not chosen:
+            raise DatasetError(f"{where}: skip leaves no frame of those from {self.start} to {stop - 1}")
+        return chosen
 
     def notes_of_part(self, count: int) -> tuple[str, ...]:
         """What is to be said of a recording of `count` frames of which only some are used."""
@@ -54,11 +65,23 @@ class Selection(Params):
         if chosen[-1] == len(chosen) - 1:
             return (f"the first {len(chosen):,} of {count:,} frames are used",)
         steps = f", in steps of {self.stride}" if self.stride > 1 else ""
-        return (f"{len(chosen):,} of {count:,} frames are used, from {chosen[0]:,} to {chosen[-1]:,}{steps}",)
+        skipped = f", without {len(self.skip)} that `skip` names" if self.skip else ""
+        span = f"from {chosen[0]:,} to {chosen[-1]:,}{steps}{skipped}"
+        return (f"{len(chosen):,} of {count:,} frames are used, {span}",)
 
     def scaled(self, sequence: FrameSequence) -> FrameSequence:
         """The sequence with frames of the size that `scale` asks for. Raises DatasetError for one out of bounds."""
         return sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
+
+
+@contextmanager
+def without(**params: Any) -> Iterator[None]:
+    """What is wrong inside costs itself: an error says that these parameters open the rest, if it says no others."""
+    try:
+        yield
+    except DatasetError as error:
+        error.without = error.without or params
+        raise
 
 
 @dataclass(frozen=True)
@@ -91,6 +114,14 @@ class FieldOfView(Params):
             return replace(known, notes=(*known.notes, unused))
         ideal = f"the camera is an ideal one of {view}: calibrate it before you trust a path"
         return FoundCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
+
+
+class Described(FieldOfView):
+    """The camera of recordings that bring a file of their own for it."""
+
+    calibration: Annotated[
+        Literal["auto", "none"], Field(description="auto: the recording's own; none: it is not read")
+    ] = "auto"
 
 
 class OwnCamera(FieldOfView):

@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import FREIBURG
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FoundCamera, Located, OwnCamera, found_in_file
+from codecbench.plugins.datasets.selection import FoundCamera, Located, OwnCamera, found_in_file, without
 from codecbench.plugins.datasets.tables import increasing, rate_hz, read_rows, trajectory_from_quaternions
 
 _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
@@ -58,18 +58,26 @@ class Tum(Dataset[TumParams]):
         folder = params.folder("rgb.txt")
         rows = read_rows(folder / "rgb.txt", "the list of frames", 2)
         times_s = increasing([row.number(0) for row in rows], rows)
-        known, fps = _known_camera(params, folder)
+        uncalibrated = {} if params.calibration else {"camera": "none"}
+        with without(**uncalibrated):
+            known, fps = _known_camera(params, folder)
         chosen = params.indices(len(rows), str(folder / "rgb.txt"))
         files = tuple(folder / rows[index].fields[1] for index in chosen)
-        found = params.or_ideal(known, lambda: frame_size(files[0]))
+        found = params.or_ideal(known, lambda: frame_size(files[0], chosen[0]))
+        truth = None
+        if params.ground_truth:
+            with without(ground_truth=False):
+                truth = read_tum_trajectory(folder / "groundtruth.txt")
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
             files=files,
+            numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=(fps or rate_hz(times_s, 30.0)) / params.stride,
             camera=found.camera,
-            ground_truth=read_tum_trajectory(folder / "groundtruth.txt") if params.ground_truth else None,
+            uncalibrated=uncalibrated,
+            ground_truth=truth,
             color=params.color,
             notes=(*params.notes_of_part(len(rows)), *found.notes),
             origin=Origin("TUM RGB-D folder", found.source),
@@ -79,8 +87,7 @@ class Tum(Dataset[TumParams]):
 
 def read_tum_trajectory(file: Path) -> Trajectory:
     """Poses from lines `time tx ty tz qx qy qz qw`: seconds, metres, world from camera. Raises DatasetError."""
-    remedy = "set `ground_truth: false` to use the frames without it"
-    rows = read_rows(file, "ground truth", 8, remedy=remedy, exact=True)
+    rows = read_rows(file, "ground truth", 8, exact=True)
     table = np.array([row.numbers() for row in rows])
     times_s = increasing(table[:, 0].tolist(), rows)
     return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)

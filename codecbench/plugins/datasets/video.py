@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import struct
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -16,7 +18,7 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, digest_of, digest_of_file, known_facts
-from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted
+from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted, without
 
 _SKIP_AT_MOST = 64
 """Frames ahead that are decoded and dropped before a jump is tried."""
@@ -24,6 +26,12 @@ _SKIP_AT_MOST = 64
 _SAME_TIME_S = 1e-4
 _USUAL_RATE_HZ = 30.0
 _LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG", "MPNG", "I420", "IYUV", "RGBA", "BGR24", "RAW")
+_GRAY_FORMATS = (b"Y800", b"Y1\0\x0a", b"Y1\0\x0c", b"Y1\0\x10")
+"""What FFmpeg calls pictures without color, of 8, 10, 12 and 16 bits."""
+_PICTURE_BRANDS = (b"heic", b"heix", b"mif1", b"avif")
+"""What a file that begins as MP4 says that it is, if it is a picture."""
+_SAMPLED_FRAMES = 9
+_BOX_HEAD_BYTES = 8
 _LEAST_LOSS_S = 1.0
 """A file that ends this much, and 2 %, before its own length is damaged: containers round."""
 
@@ -36,7 +44,7 @@ class VideoParams(Selection, OwnCamera):
 
 
 class Video(Dataset[VideoParams]):
-    """The frames of a video file, three channels unless `color` is gray; no ground truth."""
+    """The frames of a video file, one channel where it is stored gray, else three; no ground truth."""
 
     name: ClassVar[str] = "video"
     version: ClassVar[str] = "1"
@@ -45,10 +53,11 @@ class Video(Dataset[VideoParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        """A file that OpenCV opens; single pictures, which it opens too, are no recording."""
+        """A file that OpenCV opens, or that begins as MP4; single pictures, which it opens too, are no recording."""
         if path.suffix.lower() in EXTENSIONS or not path.is_file():
             return None
-        return {"path": str(path)} if cv2.VideoCapture(str(path)).isOpened() else None
+        known = _begins_as_mp4(path) or cv2.VideoCapture(str(path)).isOpened()
+        return {"path": str(path)} if known else None
 
     def open(self) -> FrameSequence:
         return self.params.scaled(VideoSequence(self.params))
@@ -56,13 +65,18 @@ class Video(Dataset[VideoParams]):
 
 @dataclass(frozen=True)
 class _Index:
-    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size, the codec."""
+    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size, the codec.
+
+    gray: whether it is stored without color. lost: what is to be said of an end that cannot be decoded.
+    """
 
     times_s: tuple[float, ...]
     rate_hz: float
     width: int
     height: int
     coding: str
+    gray: bool
+    lost: str
 
     @cached_property
     def timed(self) -> bool:
@@ -77,6 +91,8 @@ class VideoSequence(FrameSequence):
         self._params = params
         self._file = params.path
         index = indexed(self._file)
+        if index.lost and params.stop is None:
+            raise DatasetError(f"{self._file}: {index.lost}", {"stop": len(index.times_s)})
         chosen = params.indices(len(index.times_s), str(self._file))
         self._indices = chosen
         self._index = index
@@ -87,13 +103,18 @@ class VideoSequence(FrameSequence):
         times_s = np.arange(len(index.times_s)) / rate_hz if params.frame_rate_hz else np.array(index.times_s)
         self.timestamps_s = times_s[np.array(chosen)]
         self.frame_rate_hz = rate_hz / params.stride
-        self.channels = 1 if params.color == "gray" else 3
+        self._color = "gray" if params.color == "as_is" and index.gray else params.color
+        self.channels = 1 if self._color == "gray" else 3
         found = params.own_camera(lambda: (index.width, index.height))
         self.camera = found.camera
         self.ground_truth = None
-        self.notes = (*params.notes_of_part(len(index.times_s)), *found.notes)
+        self.notes = (
+            *params.notes_of_part(len(index.times_s)),
+            *found.notes,
+            *([f"the file {index.lost}"] if index.lost else []),
+        )
         coding = f"{index.coding} video".strip()
-        self.origin = Origin(coding, found.source)
+        self._origin = Origin(coding, found.source)
         if index.coding.upper() not in _LOSSLESS:
             self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
@@ -101,6 +122,13 @@ class VideoSequence(FrameSequence):
             raise DatasetError(f"{self._file}: is {index.width}x{index.height}, but the calibration is for {size}")
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
+
+    @cached_property
+    def origin(self) -> Origin:  # type: ignore[override]
+        """What it was opened from; the first use looks whether frames in color show any."""
+        places = np.linspace(0, len(self) - 1, min(_SAMPLED_FRAMES, len(self))).astype(int).tolist()
+        colored = self.channels == 1 or any(np.ptp(self.read(place).image, axis=2).any() for place in places)
+        return self._origin if colored else replace(self._origin, params={"color": "gray"})
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
@@ -111,8 +139,10 @@ class VideoSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._file}: frame {index} is not in 0..{len(self) - 1}")
-        image = self._decode(self._indices[index])
-        return Frame(index, float(self.timestamps_s[index]), converted(image, self._params.color))
+        source = self._indices[index]
+        with without(skip=[source]):
+            image = self._decode(source)
+        return Frame(index, float(self.timestamps_s[index]), converted(image, self._color))
 
     def _decode(self, source: int) -> Image:
         capture = self._at(source)
@@ -121,6 +151,8 @@ class VideoSequence(FrameSequence):
         if not done:
             self._capture = None
             raise DatasetError(f"{self._file}: frame {source} cannot be decoded; the file is damaged or has changed")
+        if self._index.gray and stored.ndim == 3:
+            return np.ascontiguousarray(stored[:, :, 0], dtype=np.uint8)
         code = cv2.COLOR_GRAY2RGB if stored.ndim == 2 else cv2.COLOR_BGR2RGB
         return np.asarray(cv2.cvtColor(stored, code), dtype=np.uint8)
 
@@ -170,6 +202,7 @@ def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
     width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
     coding = "".join(character for character in code.decode("latin-1") if character.isascii() and character.isalnum())
+    gray = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little", signed=True) in _GRAY_FORMATS
     promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     times_s: list[float] = []
     while capture.grab():
@@ -177,15 +210,46 @@ def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
     capture.release()
     if not times_s:
         raise DatasetError(f"{file}: holds no frame that OpenCV can decode")
-    index = _Index(tuple(times_s), rate_hz, width, height, coding)
-    if index.timed and times_s[-1] - times_s[0] < 0.98 * promised / rate_hz - _LEAST_LOSS_S:
-        length_s = times_s[-1] - times_s[0]
-        raise DatasetError(f"{file}: is cut short: {length_s:.1f} s of {promised / rate_hz:.1f} s can be decoded")
-    return index
+    index = _Index(tuple(times_s), rate_hz, width, height, coding, gray, "")
+    length_s, promised_s = times_s[-1] - times_s[0], promised / rate_hz
+    if not index.timed or length_s >= 0.98 * promised_s - _LEAST_LOSS_S:
+        return index
+    said = f"{length_s:.1f} s of {promised_s:.1f} s can be decoded, {len(times_s):,} frames"
+    return replace(index, lost=f"is cut short: {said}")
 
 
 def _opened(file: Path) -> cv2.VideoCapture:
     capture = cv2.VideoCapture(str(file))
     if not capture.isOpened():
+        if _begins_as_mp4(file) and not _has_index(file):
+            raise DatasetError(
+                f"{file}: is cut off: it has no index (`moov`), which is written last into MP4 and MOV files; "
+                "`untrunc` may restore it by a whole file of the same camera, and recordings as MKV survive a cut"
+            )
         raise DatasetError(f"{file}: not a video that OpenCV can open; convert it, or check that it is whole")
     return capture
+
+
+def _begins_as_mp4(file: Path) -> bool:
+    with suppress(OSError), open(file, "rb") as stream:
+        head = stream.read(_BOX_HEAD_BYTES + 4)
+        return head[4:8] == b"ftyp" and head[8:] not in _PICTURE_BRANDS
+    return False
+
+
+def _has_index(file: Path) -> bool:
+    """Whether a box `moov` is among those of an MP4 or MOV file: each has its size in 4 bytes, then its name."""
+    end = file.stat().st_size
+    with open(file, "rb") as stream:
+        start = 0
+        while start + _BOX_HEAD_BYTES <= end:
+            stream.seek(start)
+            size, name = struct.unpack(">I4s", stream.read(_BOX_HEAD_BYTES))
+            if size == 1:  # then the size is in the 8 bytes that follow
+                size = int.from_bytes(stream.read(8))
+            if name == b"moov" and start + size <= end:
+                return True
+            if size < _BOX_HEAD_BYTES:  # 0: up to the end of the file
+                return False
+            start += size
+    return False

@@ -193,10 +193,103 @@ def test_selections_that_are_not_there(tum, values, words):
     assert words in message(Tum, path=tum, **values)
 
 
+def test_skipped_frames_are_left_out_and_the_others_keep_their_times(tum):
+    sequence = Tum.create(path=tum, start=1, stop=5, skip=[2, 0]).open()
+    np.testing.assert_allclose(sequence.timestamps_s, [100.04, 100.12, 100.16])
+    np.testing.assert_array_equal(sequence.read(1).image, picture(3))
+    assert sequence.frame_rate_hz == 25.0
+    assert sequence.notes == ("3 of 5 frames are used, from 1 to 4, without 2 that `skip` names",)
+    assert sequence.fingerprint != Tum.create(path=tum, start=1).open().fingerprint
+    assert Tum.create(path=tum, skip=[0]).open().fingerprint == Tum.create(path=tum, start=1).open().fingerprint
+    assert "skip has 5, but there are 5 frames, counted from 0" in message(Tum, path=tum, skip=[5])
+    assert "skip leaves no frame of those from 1 to 2" in message(Tum, path=tum, start=1, stop=3, skip=[1, 2])
+    with pytest.raises(ValidationError, match="greater than or equal to 0"):
+        Tum.create(path=tum, skip=[-1])
+
+
+@pytest.mark.parametrize("layout", ["tum", "kitti", "euroc", "folder"])
+def test_a_damaged_picture_costs_itself(layout, request):
+    """The error says how to leave it out, counted in the recording; so does that of a first one."""
+    path = request.getfixturevalue("tum" if layout == "folder" else layout)
+    path = path / "rgb" if layout == "folder" else path
+    dataset, more = {
+        "tum": (Tum, {}),
+        "kitti": (Kitti, {"sequence": "07"}),
+        "euroc": (Euroc, {}),
+        "folder": (Folder, {}),
+    }[layout]
+    sequence = dataset.create(path=path, start=1, **more).open()
+    file = sequence._content.files[1]
+    whole = file.read_bytes()
+    for content in (bytes(len(whole)), whole[:-20], b""):
+        file.write_bytes(content)
+        with pytest.raises(DatasetError) as caught:
+            sequence.read(1)
+        assert caught.value.without == {"skip": [2]}
+        said = f"{file}: not an image that OpenCV can read ({len(content)} bytes); fetch or copy it again"
+        assert (caught.value.what, str(caught.value)) == (said, f"{said}; set `skip: [2]` to go without it")
+        with pytest.raises(DatasetError) as caught:
+            dataset.create(path=path, start=2, fov_deg=90, **more).open()
+        assert caught.value.without == {"skip": [2]}
+    rest = dataset.create(path=path, start=1, skip=[2], **more).open()
+    np.testing.assert_array_equal(rest.read(1).image, sequence.read(2).image)
+    assert rest.timestamps_s.tolist() == sequence.timestamps_s[[0, *range(2, len(sequence))]].tolist()
+
+
+def cost(dataset, **values):
+    """The parameters that an error says open the rest, with which it is opened."""
+    with pytest.raises(DatasetError) as caught:
+        dataset.create(**values).open()
+    dataset.create(**values, **caught.value.without).open()
+    return caught.value.without
+
+
+def test_pictures_that_are_missing_cost_themselves_unless_they_are_most(tum):
+    for number in (1, 3):
+        (tum / "rgb" / f"{number}.png").unlink()
+    assert cost(Tum, path=tum) == {"skip": [1, 3]}
+    assert message(Tum, path=tum).endswith("fetch or copy the sequence again; set `skip: [1, 3]` to go without it")
+    (tum / "rgb" / "0.png").unlink()
+    assert message(Tum, path=tum).endswith("frame is missing (and 2 more of 5); fetch or copy the sequence again")
+
+
+def test_a_calibration_and_a_true_path_cost_themselves(tum, kitti, euroc, tmp_path):
+    (tmp_path / "own.yaml").write_text("width: [")
+    with pytest.raises(DatasetError) as caught:
+        Tum.create(path=tum, calibration=tmp_path / "own.yaml").open()
+    assert caught.value.without == {}  # it was asked for
+    rewrite(tum / "calib.yaml", "model: pinhole", "note: taken at 5:30: sunny")
+    assert message(Tum, path=tum) == (
+        f"{tum}/calib.yaml:1: calibration is not YAML: mapping values are not allowed here in "
+        "'note: taken at 5:30: sunny'; set `camera: none` to go without it"
+    )
+    assert cost(Tum, path=tum, fov_deg=90) == {"camera": "none"}
+    rewrite(tum / "groundtruth.txt", "99.95", "x")
+    assert cost(Tum, path=tum, camera="none") == {"ground_truth": False}
+    rewrite(kitti / "sequences/07/calib.txt", "P0: 30", "P0:")
+    drive = {"path": kitti, "sequence": "07"}
+    assert cost(Kitti, **drive) == {"calibration": "none"}
+    street = Kitti.create(**drive, calibration="none").open()
+    assert (street.camera, len(street.ground_truth)) == (None, 4)
+    assert street.notes[-1].startswith("without calibration the poses are those of camera 0")
+    assert Kitti.create(**drive, calibration="none", fov_deg=90).open().camera.fx == pytest.approx(16)
+    rewrite(kitti / "poses/07.txt", "\n", "\n1 2 3\n")
+    assert cost(Kitti, **drive, calibration="none") == {"ground_truth": False}
+    rewrite(euroc / "mav0/cam0/sensor.yaml", "  data: [", "  data: [9, ")
+    assert cost(Euroc, path=euroc) == {"ground_truth": False}  # T_BS, which only moves the poses
+    rewrite(euroc / "mav0/cam0/sensor.yaml", "30.5", "-30.5")
+    assert cost(Euroc, path=euroc) == {"calibration": "none"}
+
+
+def test_a_calibration_of_another_size_costs_itself(tum):
+    rewrite(tum / "calib.yaml", "width: 32", "width: 64")
+    assert cost(Tum, path=tum) == {"camera": "none"}
+
+
 def test_frames_that_do_not_fit_are_named_when_they_are_read(tum):
     sequence = Tum.create(path=tum).open()
     write_picture(tum / "rgb" / "2.png", picture(2, (20, 32, 3)))
-    with pytest.raises(DatasetError, match=r"2\.png: is 32x20, the first frame 32x24"):
+    with pytest.raises(DatasetError, match=r"2\.png: is 32x20, the first frame 32x24; set `skip: \[2\]` to go without"):
         sequence.read(2)
     write_picture(tum / "rgb" / "2.png", picture(2, (24, 32)))
     with pytest.raises(DatasetError, match=r"2\.png: has 1 channel\(s\), the first frame 3; choose `color: rgb`"):

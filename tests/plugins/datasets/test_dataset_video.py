@@ -68,12 +68,70 @@ def test_fingerprint_follows_bytes_and_selection(video, tmp_path):
     assert Video.create(path=copy).open().fingerprint != plain
 
 
-def test_a_file_that_is_cut_short_is_refused(video, tmp_path):
+def test_a_file_that_is_cut_short_is_used_up_to_there_if_that_is_said(video, tmp_path):
     content = video.read_bytes()
     cut = tmp_path / f"cut{video.suffix}"
     cut.write_bytes(content[: len(content) // 2])
-    with pytest.raises(DatasetError, match=r"cut\.(avi: is cut short|mp4: not a video)"):
+    with pytest.raises(DatasetError) as caught:
         Video.create(path=cut).open()
+    if video.suffix == ".mp4":
+        assert str(caught.value).startswith(f"{cut}: is cut off: it has no index (`moov`)")
+        assert Video.recognise(cut) == {"path": str(cut)}
+        return
+    stop = caught.value.without["stop"]
+    said = f"is cut short: {(stop - 1) / 25:.1f} s of 8.0 s can be decoded, {stop} frames"
+    assert 80 < stop < 120
+    assert str(caught.value) == f"{cut}: {said}; set `stop: {stop}` to go without it"
+    sequence = Video.create(path=cut, stop=stop).open()
+    assert f"the file {said}" in sequence.notes
+    np.testing.assert_array_equal(sequence.read(stop - 1).image, Video.create(path=video).open().read(stop - 1).image)
+
+
+def test_an_mp4_whose_index_is_at_its_beginning_is_another_matter(tmp_path):
+    """Only a file without its index is said to be without, and photographs in the same container are no videos."""
+    box = (16).to_bytes(4) + b"ftypisom" + bytes(4)
+    for rest, said in (
+        (b"\0\0\0\x08moov", "not a video that OpenCV can open"),
+        (b"\0\0\0\x01moov\0\0\0\0\0\0\0\x10", "not a video that OpenCV can open"),
+        (b"\0\0\0\x09moov", "is cut off"),
+        (b"\0\0\0\x00mdat" + bytes(99), "is cut off"),
+        (b"\0\0\0\x0cmdat" + bytes(4), "is cut off"),
+    ):
+        (tmp_path / "a.mp4").write_bytes(box + rest)
+        with pytest.raises(DatasetError, match=said):
+            Video.create(path=tmp_path / "a.mp4").open()
+    (tmp_path / "a.heic").write_bytes(box.replace(b"isom", b"heic"))
+    assert Video.recognise(tmp_path / "a.heic") is None
+
+
+def gray_video(file, codec, pixels):
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    with av.open(str(file), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
+        for number in range(6):
+            samples = np.full((48, 64), 40 * number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(samples, "gray").reformat(format=pixels)))
+        container.mux(stream.encode())
+    return file
+
+
+@pytest.mark.parametrize("pixels", ["gray", "gray10le", "gray12le", "gray16le"])
+def test_a_video_that_is_stored_gray_is_gray(tmp_path, pixels):
+    file = gray_video(tmp_path / "gray.mkv", "ffv1", pixels)
+    sequence = Video.create(path=file).open()
+    assert (sequence.channels, sequence.origin.params) == (1, {})
+    means = [frame.image.mean() for frame in sequence]  # FFmpeg rounds 16 bits upward
+    np.testing.assert_allclose(means, np.arange(6) * 40, atol=1)
+    assert sequence.read(0).image.shape == (48, 64)
+    color = Video.create(path=file, color="rgb").open()
+    assert (color.channels, color.read(0).image.shape) == (3, (48, 64, 3))
+
+
+def test_a_video_without_color_in_a_format_with_it_suits_gray(tmp_path, video):
+    sequence = Video.create(path=gray_video(tmp_path / "gray.mkv", "ffv1", "yuv420p")).open()
+    assert (sequence.channels, sequence.origin.params) == (3, {"color": "gray"})
+    assert Video.create(path=video).open().origin.params == {}
 
 
 def test_files_that_are_no_video(tmp_path, video):

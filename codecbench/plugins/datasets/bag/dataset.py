@@ -31,7 +31,14 @@ from codecbench.plugins.datasets.bag.transforms import frame_name
 from codecbench.plugins.datasets.bag.truth import Wanted, true_path
 from codecbench.plugins.datasets.calibration import lens_of
 from codecbench.plugins.datasets.files import digest_of, known_facts
-from codecbench.plugins.datasets.selection import FoundCamera, OwnCamera, Selection, converted, found_in_file
+from codecbench.plugins.datasets.selection import (
+    FoundCamera,
+    OwnCamera,
+    Selection,
+    converted,
+    found_in_file,
+    without,
+)
 from codecbench.plugins.datasets.tables import rate_hz
 
 _USUAL_RATE_HZ: Final = 30.0
@@ -92,20 +99,23 @@ class BagSequence(FrameSequence):
         self._recording = recording(params.path)
         self._topic = image_topic(self._recording, params.topic)
         times_ns, numbers, said = _ordered(self._recording, self._topic, params.time)
-        chosen = np.array(params.indices(len(numbers), f"{params.path} {self._topic.name}"))
+        self._chosen = params.indices(len(numbers), f"{params.path} {self._topic.name}")
+        chosen = np.array(self._chosen)
         self._numbers = numbers[chosen]
         self.name = params.path.resolve().stem
         self.timestamps_s = times_ns[chosen] / 1e9
         self.frame_rate_hz = rate_hz((times_ns - times_ns[0]) / 1e9, _USUAL_RATE_HZ * params.stride) / params.stride
-        first = self._recording.message(self._topic, int(self._numbers[0]))
-        image = self._picture(int(self._numbers[0]), first)
+        image, first = self._picture(0)
         self.channels = channel_count(image)
         self._size = image.shape[1::-1]
-        found = params.or_ideal(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
+        uncalibrated = {} if params.calibration else {"camera": "none"}
+        with without(**uncalibrated):
+            found = params.or_ideal(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
         self.camera = found.camera
         frame = frame_name(first.header.frame_id)
         wanted = Wanted(params.ground_truth, params.parent_frame, params.child_frame, frame)
-        self.ground_truth, of_truth = true_path(self._recording, wanted)
+        with without(ground_truth="none"):
+            self.ground_truth, of_truth = true_path(self._recording, wanted)
         compressed = self._topic.type == COMPRESSED
         largest = None if compressed else self._largest_sample()
         of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits, largest)
@@ -117,7 +127,8 @@ class BagSequence(FrameSequence):
         part = params.notes_of_part(len(numbers))
         self.notes = (*self._recording.remarks, described(self._recording, self._topic), *part, *of_picture, *said)
         self.notes += (*found.notes, *of_truth)
-        self._check(image, int(self._numbers[0]))
+        with without(**uncalibrated):
+            self._check(image, int(self._numbers[0]))
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
@@ -135,15 +146,19 @@ class BagSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._params.path}: frame {index} is not in 0..{len(self) - 1}")
-        number = int(self._numbers[index])
-        image = self._picture(number, self._recording.message(self._topic, number))
-        self._check(image, number)
+        image, _ = self._picture(index)
+        with without(skip=[self._chosen[index]]):
+            self._check(image, int(self._numbers[index]))
         return Frame(index, float(self.timestamps_s[index]), image)
 
-    def _picture(self, number: int, message: Any) -> Image:
+    def _picture(self, index: int) -> tuple[Image, Any]:
+        """A frame and its message."""
         picture = picture_from_compressed if self._topic.type == COMPRESSED else picture_from_image
-        image = picture(message, self._params.bits, self._recording.where(self._topic, number))
-        return converted(image, self._params.color)
+        number = int(self._numbers[index])
+        with without(skip=[self._chosen[index]]):
+            message = self._recording.message(self._topic, number)
+            image = picture(message, self._params.bits, self._recording.where(self._topic, number))
+        return converted(image, self._params.color), message
 
     def _largest_sample(self) -> int | None:
         """The largest sample of a few frames over the whole, of pictures of 16 bits."""

@@ -10,7 +10,7 @@ from bag_files import FORMATS, START_NS, STEP_NS, BagWriter, bag_file, picture, 
 from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.contracts.image import gray_from_image, png_bytes
 from codecbench.core.contracts.sequence import Camera, Origin
 from codecbench.plugins.datasets.bag.dataset import Bag
 from codecbench.plugins.datasets.bag.recording import recording
@@ -286,3 +286,26 @@ def test_a_recording_is_indexed_once_a_process_until_it_changes(tmp_path):
     path.unlink()
     write_pictures(path, "bag", count=3)
     assert recording(path) is not before
+
+
+def test_what_is_damaged_or_unreadable_costs_itself(tmp_path):
+    with BagWriter(tmp_path / "a.bag", "bag") as bag:
+        for number in (1, 0, 2):
+            content = png_bytes(picture(number))
+            content = content[:-30] if number == 1 else content
+            bag.write("/cam/image", bag.compressed_image(content, "png", time_ns(number)), time_ns(number))
+        bag.write("/cam/camera_info", bag.camera_info("fov"), time_ns(0))
+    with pytest.raises(DatasetError) as caught:
+        Bag.create(path=tmp_path / "a.bag").open()
+    assert caught.value.without == {"camera": "none"}
+    assert str(caught.value).endswith("give `calibration: FILE`, or `camera: none` to go without")
+    sequence = Bag.create(path=tmp_path / "a.bag", camera="none").open()
+    with pytest.raises(DatasetError) as caught:
+        sequence.read(1)
+    assert caught.value.without == {"skip": [1]}  # in the order of times
+    rest = Bag.create(path=tmp_path / "a.bag", camera="none", skip=[1]).open()
+    np.testing.assert_array_equal(rest.read(1).image, picture(2))
+    assert rest.timestamps_s.tolist() == sequence.timestamps_s[[0, 2]].tolist()
+    with pytest.raises(DatasetError) as caught:
+        Bag.create(path=tmp_path / "a.bag", camera="none", start=1).open()
+    assert caught.value.without == {"skip": [1]}
