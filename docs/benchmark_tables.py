@@ -102,9 +102,9 @@ def median_ms(benchmark: dict[str, Any]) -> float:
     return 1e3 * float(benchmark["stats"]["median"])
 
 
-def below_heading(text: str, heads: Heads) -> Iterator[str]:
-    """The Markdown that a command printed, without the heading above it."""
-    yield text.strip().partition("\n\n")[2]
+def without_headings(text: str, heads: Heads) -> Iterator[str]:
+    """The Markdown that a command printed, without its headings."""
+    yield re.sub(r"^### .*\n\n", "", text, flags=re.MULTILINE).strip()
 
 
 def printed(text: str, heads: Heads) -> Iterator[str]:

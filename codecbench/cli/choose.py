@@ -15,6 +15,7 @@ from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.choosing import Demand
+    from codecbench.core.analysis.run_result import RunResult
 
 
 def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
@@ -31,13 +32,13 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 
 @click.command()
 @click.argument("source", metavar="RUN|MATRIX", type=click.Path(path_type=Path))
-@click.option("--link", metavar="LINK", help="The link over which pictures come; of a RUN, by default each of its.")
+@click.option("--link", metavar="LINK", help="The link over which frames come; of a RUN, by default each of its.")
 @click.option("--deadline", type=quantity({"ms": 1.0, "s": 1000.0}), metavar="TIME",
-              help="The oldest that a picture may be when it is there, such as 100ms.")  # fmt: skip
+              help="The oldest that a frame may be when it is there, such as 100ms.")  # fmt: skip
 @click.option("--error", type=quantity({"m": 1.0, "cm": 0.01, "mm": 0.001}), metavar="LENGTH",
-              help="The largest error of what reads the pictures, such as 5cm.")  # fmt: skip
+              help="The largest error of what reads the frames, such as 5cm.")  # fmt: skip
 @click.option("--share", type=click.FloatRange(0, 1, min_open=True), default=0.95, show_default=True,
-              help="Of the pictures that are to be there in time.")  # fmt: skip
+              help="Of the frames that are to be there in time.")  # fmt: skip
 @click.option("--device-factor", type=click.FloatRange(min=0, min_open=True), metavar="FACTOR",
               help="Count the time of encoding, on a device so many times slower than the one timed.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False),
@@ -61,15 +62,15 @@ def choose(
     """Say which settings of a RUN folder are good enough over a link, and what limits the others.
 
     Of a MATRIX is run first what that takes, in its run folder, going on where an earlier run stopped. Evaluators of
-    the link that it lacks are added, and repeats of what reads the pictures as far as they decide.
+    the link that it lacks are added, and repeats of what reads the frames as far as they decide.
 
-    Settings stand in order of rate, and the first that holds is the one to take. A setting holds where more than half
-    of all runs that there could be would succeed, at 95 %. Where neither a deadline nor an error is given, the setting
-    of a RUN is named that errs least, and how sure that is; of a MATRIX one of them, and the link, are needed.
+    Settings stand in order of rate, and the first that passes is the one to take. A run over the link succeeds where
+    what reads the frames has a fresh pose at half of the moments at least, errs less than it would with nothing
+    received and as little as asked, and enough frames are in time. A setting passes where more than half of all runs
+    that there could be would succeed, at 95 %. Of a MATRIX a link, and a deadline or an error, are needed.
     """
     from codecbench.core.analysis.choosing import Demand
     from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.choosing import chosen
     from codecbench.trial.choosing import MINUTES, is_matrix
 
     if is_matrix(source):
@@ -85,8 +86,18 @@ def choose(
         raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
     if device_factor is not None and deadline is None and error is None:
         raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
-    result = open_nonempty_run(source)
-    show_found(result, chosen(result, Demand(link or "", deadline, error, share, device_factor)), format_)
+    _show(open_nonempty_run(source), Demand(link or "", deadline, error, share, device_factor), format_)
+
+
+def _show(run: RunResult, demand: Demand, format_: str) -> None:
+    """What is chosen; on the screen the answers last, below all that is noted."""
+    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.report.choosing import chosen
+
+    *tables, answer = chosen(run, demand)
+    show_found(run, tables if format_ == "text" else [*tables, answer], format_)
+    if format_ == "text":
+        click.echo("\n".join(clean_line(sentence) for sentence in answer.sentences))
 
 
 def _run_and_choose(
@@ -97,7 +108,6 @@ def _run_and_choose(
     from codecbench.cli.run import end, show_cells
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.registry import installed
-    from codecbench.core.report.choosing import choices
     from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 
@@ -108,6 +118,5 @@ def _run_and_choose(
         summary = run_matrix(made.matrix, out, workers=workers, listener=display.show, minutes=minutes)
     show_cells(summary, err=True)
     if not summary.interrupted and "ok" in summary.statuses:
-        result = open_nonempty_run(summary.folder)
-        show_found(result, choices(result, made.demand), format_)
+        _show(open_nonempty_run(summary.folder), made.demand, format_)
     end(summary)

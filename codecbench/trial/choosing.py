@@ -37,10 +37,10 @@ def choose(
 
     source: a run folder, or a matrix, a file or as a dict, of which is run what it takes; evaluators that it lacks are
     added. out, workers: as of `codecbench.run`. minutes: repeats that are to tell more begin only within that time.
-    What is asked: in at least `share` of the pictures an age of at most `deadline_ms`, and an error of at most
-    `error_m`; one of the two at least. device_factor: how many times slower the device encodes than the machine that
-    timed it. Raises ParamsError where nothing is asked, CodecbenchError where nothing was measured, PluginError for a
-    link that is not known, MatrixError and StoreError.
+    What is asked: in at least `share` of the frames an age of at most `deadline_ms`, and an error of at most
+    `error_m`; of a matrix one of the two at least. device_factor: how many times slower the device encodes than the
+    machine that timed it. Raises ParamsError where nothing is asked of a matrix, CodecbenchError where nothing was
+    measured, PluginError for a link that is not known, MatrixError and StoreError.
     """
     from codecbench.core.analysis.choosing import Demand, candidates
     from codecbench.core.analysis.collect import open_nonempty_run
@@ -48,11 +48,11 @@ def choose(
     from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 
-    if deadline_ms is None and error_m is None:
-        raise ParamsError("say what is asked: deadline_ms, error_m or both")
     demand = Demand(link, deadline_ms, error_m, share, device_factor)
     if not is_matrix(source):
         return candidates(open_nonempty_run(Path(str(source))), demand)
+    if deadline_ms is None and error_m is None:
+        raise ParamsError("say what is asked: deadline_ms, error_m or both")
     made = link_matrix(source if isinstance(source, Mapping) else Path(source), demand, installed())
     summary = run_matrix(made.matrix, out, workers=workers, minutes=minutes)
     return candidates(open_nonempty_run(summary.folder), made.demand)

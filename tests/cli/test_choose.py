@@ -1,4 +1,4 @@
-"""Quantities on the command line of `codecbench choose`."""
+"""The command line of `codecbench choose`, and its last line."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+import codecbench
 from codecbench.cli.choose import choose, quantity
 
 TIME = quantity({"ms": 1.0, "s": 1000.0})
@@ -31,3 +32,30 @@ def test_of_a_matrix_a_link_and_something_else_must_be_asked(tmp_path: Path) -> 
         result = CliRunner().invoke(choose, [str(matrix), *given])
         assert result.exit_code == 2
         assert wanted in result.output
+
+
+def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(tmp_path: Path) -> None:
+    """A room over a link that changes nothing, and over one that lets hardly a frame through."""
+    links = {"grid": ["ideal", "underwater_acoustic"]}
+    room = {"world": "room", "frames": 60, "width": 320, "height": 240}
+    matrix = {
+        "version": 1,
+        "sequences": [{"use": "synthetic", "params": room}],
+        "codecs": [{"use": "jpeg", "params": {"quality": 40}}],
+        "evaluators": [
+            {"use": "stream", "params": {"joins": 0}},
+            {"use": "trajectory", "params": {"link": links, "start_offsets": [0, 1, 2, 3]}},
+        ],
+    }
+    codecbench.run(matrix, out=tmp_path / "run", workers=1)
+    result = CliRunner().invoke(choose, [str(tmp_path / "run"), "--error", "50cm"])
+    assert result.exit_code == 0, result.output
+    use, nothing = result.stdout.splitlines()[-2:]
+    assert use.startswith("Over ideal use jpeg quality=40: ")
+    assert " Mbit/s at 30 fps (" in use
+    assert " GB/h); passes in 4 of 4 runs (at least 51 % at 95 %): error 0." in use
+    assert use.endswith(" of the moments (50 % needed).")
+    assert nothing == (
+        "Nothing passes over underwater_acoustic, because 1 of 1 settings have a fresh pose too seldom, such as "
+        "jpeg quality=40 (a pose no older than 0.5 s at 0 % of the moments < 50 %)."
+    )

@@ -163,7 +163,7 @@ def test_a_task_that_every_setting_does_alike_ranks_nobody(place: Place, run: st
 
 def test_a_setting_is_chosen_for_a_link(place: Place, run: str) -> None:
     said = succeeded(place, "choose", run, "--link", "ideal", "--deadline", "10ms")
-    assert "Over ideal take jpeg2000 cr_percent=97" in said
+    assert "Over ideal use jpeg2000 cr_percent=97" in said
 
 
 def test_a_report_is_a_page(place: Place, run: str) -> None:

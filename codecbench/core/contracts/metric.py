@@ -10,13 +10,16 @@ from codecbench.core.contracts.errors import PluginError
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
 Scale = Literal["linear", "log"]
-Need = Literal["", "delay", "error", "cause", "encoding", "decoding", "reading"]
+Need = Literal["", "delay", "error", "idle", "fresh", "cause", "encoding", "decoding", "reading"]
 Aggregate = Literal[
     "mean", "std", "median", "p95", "iqr", "min", "max", "sum", "infinite", "ci95_low", "ci95_high"
 ]  # fmt: skip
 
 AGGREGATES: Final[tuple[Aggregate, ...]] = get_args(Aggregate)
 """How many values may become one; docs/results.md defines each."""
+
+FRESH_S: Final = 0.5
+"""How old a pose may be, in seconds, that a robot can still act by."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +45,10 @@ class Metric:
     the raw frames' value, or twice it if lower is better. A task that has one is asked for beside a success.
     caveat: what a reader must know beside every number of it; it stands below the tables that show the metric.
     need: what others look for in it, whichever evaluator measures it. `codecbench choose` judges by a frame's `delay`,
-    missing where it never came, by the `error` of what reads the frames, and by the `cause` for which a share of them
-    did not come in time; the times, in milliseconds, of `encoding`, `decoding` and `reading` a frame are for whoever
-    awaits them (`Evaluator.awaits`).
+    missing where it never came, by the `error` of what reads the frames, beside that of one that gets none (`idle`), by
+    the share of the moments at which that knows a pose of the last FRESH_S (`fresh`), and by the `cause` for which a
+    share of the frames did not come in time; the times, in milliseconds, of `encoding`, `decoding` and `reading` a
+    frame are for whoever awaits them (`Evaluator.awaits`).
     """
 
     name: str

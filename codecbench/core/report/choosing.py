@@ -1,101 +1,91 @@
-"""One table for all links of a run: which setting to take over each, how sure that is, what limits the others."""
+"""Which setting to take over each link of a run, and what keeps the others from it."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 from typing import Final
 
 from codecbench.core.analysis.choosing import (
+    FRESH_SHARE,
+    UNTOLD,
     Candidate,
     Demand,
-    LeastError,
-    NotMeasured,
+    Shortfall,
     candidates,
-    least_errors,
     links_of,
+    links_read,
+    median,
 )
-from codecbench.core.analysis.limits import POOLED
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.contracts.metric import FRESH_S
+from codecbench.core.report.costs import rate_words
 from codecbench.core.report.formatting import Verdict, where
 from codecbench.core.report.tables import three_digits
 
-_MUCH: Final = 0.05
-"""Share of the pictures that must be missing more than of the best setting to be what limits another."""
 _NAMED: Final = 3
 """Settings that a cell names before it counts the rest."""
+_FRESH: Final = f"a pose no older than {FRESH_S:g} s at"
+_GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
+    "time": ("frames in time", "have too few frames in time"),
+    "failed": ("failed runs", "failed in most runs"),
+    "fresh": ("poses too seldom", "have a fresh pose too seldom"),
+    "error": ("the error", "err too much"),
+    "idle": ("no better than nothing received", "err no less than with nothing received"),
+    "unmeasured": ("not measured", "are not measured in full"),
+    "runs": ("too few runs", "have too few runs"),
+}
+"""What keeps settings from passing: in a cell of a table, and in a sentence."""
+
+
+def over_links(run: RunResult) -> list[Verdict]:
+    """What a run says of each link over which something reads the frames, where nothing more is asked."""
+    return chosen(run, Demand("")) if links_read(run) else []
 
 
 def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
-    """What a run says of a demand, over each of its links where that names none ("").
+    """What a run says of a demand over a link, or over each where that names none (""): tables, and last the answers.
 
-    Where neither a deadline nor an error is asked, the setting that errs least. Raises NotMeasured.
+    A table of all links comes first where there are several. Raises NotMeasured.
     """
-    links = [demand.link] if demand.link else links_of(run)
-    for_links = [replace(demand, link=link) for link in links]
-    if not links:
-        raise NotMeasured(f"{run.folder}: no evaluator of it has a link, so that there is nothing to choose for")
-    if demand.deadline_ms is None and demand.error_m is None:
-        for asked in for_links:
-            candidates(run, asked)  # says what there is in the place of a link that is not
-        found = least_error_verdicts(run, demand.link or None)
-        if not found:
-            raise NotMeasured(f"{run.folder}: no error was measured over {', '.join(links)}; ask for a deadline")
-        return found
-    overview = [demand_verdict(run, demand)] if len(links) > 1 else []
-    return overview + [verdict for asked in for_links for verdict in choices(run, asked)]
+    able = links_read(run) if demand.deadline_ms is None else links_of(run)
+    links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
+    every = [_by_sequence(candidates(run, replace(demand, link=link))) for link in links]
+    overview = [_overview(run, [groups[0] for groups in every])] if len(every) > 1 else []
+    tables = [_table(run, found, is_first=found is groups[0]) for groups in every for found in groups]
+    answers = tuple(answer(run, groups[0]) for groups in every)
+    return [*overview, *tables, Verdict("answer", (), (), answers)]
 
 
-def least_error_verdicts(run: RunResult, link: str | None = None) -> list[Verdict]:
-    """The setting that errs least over each link, or one: first of all sequences together, where there are several.
-
-    Nothing where no error was measured over a link.
-    """
-    found: dict[bool, list[LeastError]] = defaultdict(list)
-    for answer in least_errors(run):
-        if link in (None, answer.link):
-            found[answer.sequence == POOLED].append(answer)
-    title = "least error over each link" if link is None else f"least error over {link}"
-    pooled, single = f"{where(POOLED)}: {title}", f"by sequence: {title}" if found[True] else title
-    return [_table(run, name, found[key]) for key, name in ((True, pooled), (False, single)) if found[key]]
+def _by_sequence(found: list[Candidate]) -> list[list[Candidate]]:
+    """All sequences together first, where there are several."""
+    return [list(members) for _, members in groupby(found, key=lambda candidate: candidate.sequence)]
 
 
-def _table(run: RunResult, title: str, answers: list[LeastError]) -> Verdict:
-    several = len({answer.sequence for answer in answers}) > 1
-    heads = ["link", *(["sequence"] if several else []), "take", *_rate_heads(run), "error [m]", "how sure",
-             "not told apart, at less rate", "limits of the others"]  # fmt: skip
-    rows = [
-        (answer.link, *([answer.sequence] if several else []), answer.best.name, rate_of(run, answer.best),
-         f"{answer.error_m:.3g}", _sure(answer), _some(_cheaper(run, answer)) or "–", _limits(answer) or "–")
-        for answer in answers
-    ]  # fmt: skip
-    runs = " or ".join(map(str, sorted({answer.runs for answer in answers})))
-    sentences = (
-        f"Errors are geometric means over {runs} runs of each setting. A setting is better than another with 95 % "
-        "confidence, over all comparisons of its row together; else the two are not told apart.",
-    )
-    return Verdict(title, tuple(heads), tuple(rows), sentences)
+def _passing(found: list[Candidate]) -> list[Candidate]:
+    return [candidate for candidate in found if candidate.verdict == "passes"]
 
 
-def _rate_heads(run: RunResult) -> list[str]:
-    return ["rate" if run.rate is None else f"rate [{run.rate.unit}]"]
-
-
-def _sure(answer: LeastError) -> str:
-    count = len(answer.worse) + len(answer.level)
-    if not count:
-        return "the only setting"
-    of_them = f"all {count}" if answer.is_told else f"{len(answer.worse) or 'none'} of {count}"
-    return f"better than {of_them} others"
-
-
-def _cheaper(run: RunResult, answer: LeastError) -> list[str]:
-    """Settings of less rate that may be as good."""
-    less = [candidate for candidate in answer.level if candidate.rate < answer.best.rate]
-    return [f"{candidate.name} ({rate_of(run, candidate)})" for candidate in less]
+def _overview(run: RunResult, every: list[list[Candidate]]) -> Verdict:
+    """A row a link."""
+    rows = []
+    for found in every:
+        others: dict[str, list[str]] = defaultdict(list)
+        for candidate in found:
+            if candidate.limit is not None:
+                others[_GROUPS[candidate.limit][0]].append(candidate.name)
+        cells = next(
+            ((taken.name, rate_of(run, taken), _number(taken.error_m), str(taken.least_sure))
+             for taken in _passing(found)), ("nothing passes", "–", "–", "–")
+        )  # fmt: skip
+        limits = "; ".join(f"{group}: {_some(names)}" for group, names in others.items())
+        rows.append((found[0].demand.link, *cells, limits or "–"))
+    title = f"{where(every[0][0].sequence)}: over each link, {asked_words(every[0][0].demand)}"
+    heads = ("link", "take", *_rate_heads(run), "error [m]", "how sure", "limits of the others")
+    return Verdict(title, heads, tuple(rows), ())
 
 
 def _some(names: list[str]) -> str:
@@ -103,62 +93,18 @@ def _some(names: list[str]) -> str:
     return ", ".join(names) if rest <= 1 else f"{', '.join(names[:_NAMED])} and {rest} more"
 
 
-def _limits(answer: LeastError) -> str:
-    found: dict[str, list[str]] = defaultdict(list)
-    for candidate in answer.worse:
-        missing = answer.best.share - candidate.share > _MUCH
-        cause = f"pictures {next(iter(candidate.causes))}" if missing else "the error, though pictures come"
-        found[cause if candidate.causes else "the error"].append(candidate.name)
-    return _by_cause(found)
+def _table(run: RunResult, found: list[Candidate], is_first: bool) -> Verdict:
+    """is_first: of its link, so that it says the rule; the others have an answer of their own."""
+    demand = found[0].demand
+    heads = ("setting", *_rate_heads(run), *(["in time"] if demand.deadline_ms is not None else []),
+             "error [m]", "fresh pose", "runs", "verdict", "because")  # fmt: skip
+    title = f"{where(found[0].sequence)}: over {demand.link}, {asked_words(demand)}"
+    rows = tuple(tuple(_row(run, candidate)) for candidate in found)
+    return Verdict(title, heads, rows, (_rule(found) if is_first else answer(run, found), *_notes(run, found)))
 
 
-def _by_cause(found: dict[str, list[str]]) -> str:
-    return "; ".join(f"{cause}: {_some(names)}" for cause, names in found.items())
-
-
-def demand_verdict(run: RunResult, demand: Demand) -> Verdict:
-    """What to take over each link of a run by what is asked, of all sequences together where there are several.
-
-    The link of the demand does not matter. Raises NotMeasured.
-    """
-    rows = []
-    for link in links_of(run):
-        found = candidates(run, replace(demand, link=link))
-        first = [candidate for candidate in found if candidate.sequence == found[0].sequence]
-        holding = next((candidate for candidate in first if candidate.verdict == "passes"), None)
-        others: dict[str, list[str]] = defaultdict(list)
-        for candidate in first:
-            if candidate.verdict != "passes":
-                others[limit_of(candidate).split(" (")[0]].append(candidate.name)
-        taken = (
-            ("none is known to hold", "–", "–")
-            if holding is None
-            else (holding.name, rate_of(run, holding), "; ".join(map(str, holding.standings)))
-        )
-        rows.append((link, *taken, _by_cause(others) or "–"))
-    names = [entry.name for entry in run.plan.sequences]
-    title = f"{where(POOLED) if len(names) > 1 else names[0]}: over each link, {asked_words(demand)}"
-    return Verdict(title, ("link", "take", *_rate_heads(run), "how sure", "limits of the others"), tuple(rows), ())
-
-
-def choices(run: RunResult, demand: Demand) -> list[Verdict]:
-    """A verdict for all sequences together, where there are several, and one for each. Raises NotMeasured."""
-    found = candidates(run, demand)
-    return [
-        _verdict(run, demand, sequence, list(members))
-        for sequence, members in groupby(found, key=lambda candidate: candidate.sequence)
-    ]
-
-
-def _verdict(run: RunResult, demand: Demand, sequence: str, found: list[Candidate]) -> Verdict:
-    rate = "rate" if run.rate is None else f"rate [{run.rate.unit}]"
-    heads = ["setting", rate]
-    heads += ["in time"] if demand.deadline_ms is not None else []
-    heads += ["error [m]"] if demand.error_m is not None else []
-    heads += ["verdict", "limited by"]
-    rows = tuple(tuple(_row(run, demand, candidate)) for candidate in found)
-    title = f"{where(sequence)}: over {demand.link}, {asked_words(demand)}"
-    return Verdict(title, tuple(heads), rows, tuple(_sentences(run, demand, found)))
+def _rate_heads(run: RunResult) -> list[str]:
+    return ["rate" if run.rate is None else f"rate [{run.rate.unit}]"]
 
 
 def asked_words(demand: Demand) -> str:
@@ -166,66 +112,136 @@ def asked_words(demand: Demand) -> str:
     asked = []
     if demand.deadline_ms is not None:
         device = "" if demand.device_factor is None else f" of a device {demand.device_factor:g} times slower"
-        asked.append(f"{100 * demand.share:g} % of the pictures{device} within {demand.deadline_ms:g} ms")
+        asked.append(f"{100 * demand.share:g} % of the frames{device} within {demand.deadline_ms:g} ms")
     if demand.error_m is not None:
         asked.append(f"an error of at most {demand.error_m:g} m")
-    return " and ".join(asked)
+    return " and ".join(asked) or "a smaller error than with nothing received"
 
 
-def _row(run: RunResult, demand: Demand, candidate: Candidate) -> Iterator[str]:
+def _rule(found: list[Candidate]) -> str:
+    """When a setting passes."""
+    error_m = found[0].demand.error_m
+    asked = "" if error_m is None else f"at most {error_m:g} m and "
+    reader = (
+        f"A run succeeds with {_FRESH} {_percent(FRESH_SHARE)} of the moments or more and an error {asked}less than "
+        "with nothing received (the middle of the true path)."
+    )
+    is_read = any(candidate.readings for candidate in found)
+    passes = "A setting passes where more than half of all runs that there could be succeed, at 95 %."
+    return f"{reader if is_read else 'Nothing reads the frames, so that those in time decide alone.'} {passes}"
+
+
+def _row(run: RunResult, candidate: Candidate) -> Iterator[str]:
     yield candidate.name
     yield rate_of(run, candidate)
-    if demand.deadline_ms is not None:
-        timely = candidate.timely
-        yield "–" if timely is None else f"{100 * candidate.share:.0f} % ({timely.successes}/{timely.runs} runs)"
-    if demand.error_m is not None:
-        exact = candidate.exact
-        yield "–" if exact is None else f"{candidate.error_m:.3g} ({exact.successes}/{exact.runs} runs)"
+    if candidate.demand.deadline_ms is not None:
+        yield "–" if math.isnan(candidate.share) else _percent(candidate.share)
+    yield _number(candidate.error_m)
+    yield "–" if math.isnan(candidate.fresh) else _percent(candidate.fresh)
+    counts = " and ".join(f"{standing.successes}/{standing.runs}" for standing in candidate.standings)
+    yield "–" if candidate.limit == "unmeasured" else counts
     yield candidate.verdict
-    yield "" if candidate.verdict == "passes" else limit_of(candidate)
+    yield limit_of(candidate)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
+def _number(value: float) -> str:
+    return "–" if math.isnan(value) else three_digits(value)
 
 
 def rate_of(run: RunResult, candidate: Candidate) -> str:
     """The rate of a setting in the unit that people are shown."""
-    return "–" if run.rate is None or math.isnan(candidate.rate) else three_digits(candidate.rate * run.rate.factor)
+    return "–" if run.rate is None else _number(candidate.rate * run.rate.factor)
 
 
 def limit_of(candidate: Candidate) -> str:
-    """What keeps a setting from being known to hold: why pictures are not in time, else what is made of them."""
-    if candidate.unmeasured:
+    """What keeps a setting from passing, in numbers; empty where it passes."""
+    limit, demand = candidate.limit, candidate.demand
+    if limit is None:
+        return ""
+    if limit == "unmeasured":
         return f"not measured: {', '.join(candidate.unmeasured)}"
-    if candidate.timely is not None and candidate.timely.verdict != "passes" and candidate.share < 1.0:
-        label, share = next(iter(candidate.causes.items()))
-        return f"pictures {label} ({100 * share:.0f} %)"
-    if candidate.exact is not None and candidate.exact.verdict == "fails":
-        return "the error, though pictures come in time" if candidate.timely is not None else "the error"
-    return "too few runs"
+    short = [reading for reading in candidate.readings if reading.shortfall(demand) == limit]
+    error_m, idle_m = (_number(median(getattr(reading, name) for reading in short)) for name in ("error_m", "idle_m"))
+    fresh = _percent(median(reading.fresh for reading in short))
+    cause, share = next(iter(candidate.causes.items()), ("", math.nan))
+    words = {
+        "time": f"{_percent(candidate.share)} of frames in time of {_percent(demand.share)} asked, "
+        f"{_percent(share)} {cause}",
+        "failed": "failed",
+        "fresh": f"{_FRESH} {fresh} of the moments < {_percent(FRESH_SHARE)}",
+        "error": f"error {error_m} m > {_number(demand.error_m or math.nan)} m",
+        "idle": f"error {error_m} m is no better than {idle_m} m with nothing received",
+        "runs": f"only {min((standing.runs for standing in candidate.standings), default=0)} runs",
+    }[limit]
+    if 0 < len(short) < len(candidate.readings):
+        words += f" in {len(short)} of {len(candidate.readings)} runs"
+    more = f"at least {candidate.more_runs} more would tell" if candidate.verdict == "inconclusive" else ""
+    return "; ".join(filter(None, (words, more)))
 
 
-def _sentences(run: RunResult, demand: Demand, found: list[Candidate]) -> Iterator[str]:
-    holding = [candidate for candidate in found if candidate.verdict == "passes"]
-    if holding:
-        taken = holding[0]
-        sure = "; ".join(str(standing) for standing in taken.standings)
-        spent = "" if run.rate is None else f", {rate_of(run, taken)} {run.rate.unit}"
-        many = f"{'the first' if run.rate is None else 'the least'} of {len(holding)} settings that hold"
-        why = many if len(holding) > 1 else "the only setting that holds"
-        yield f"Over {demand.link} take {taken.name}{spent}, {why} ({sure})."
-    else:
-        yield f"Over {demand.link} no setting is known to hold."
+def answer(run: RunResult, found: list[Candidate]) -> str:
+    """Which of the settings over a link to take, or why none, in one sentence."""
+    demand, passing = found[0].demand, _passing(found)
+    if not passing:
+        (limit, count), *_ = Counter(candidate.limit for candidate in found).most_common()
+        assert limit is not None
+        alike = [candidate for candidate in found if candidate.limit == limit]
+        nearest = max(alike, key=lambda candidate: [standing.successes for standing in candidate.standings])
+        why = f"{count} of {len(found)} settings {_GROUPS[limit][1]}, such as {nearest.name}"
+        none = "passes" if all(candidate.verdict == "fails" for candidate in found) else "is known to pass"
+        return f"Nothing {none} over {demand.link}, because {why} ({limit_of(nearest)})."
+    taken, sure = passing[0], passing[0].least_sure
+    chance = f"passes in {sure.successes} of {sure.runs} runs (at least {100 * sure.interval[0]:.0f} % at 95 %)"
+    spent = f"{_spent(run, taken)}{_beside_anchor(run, found)}"
+    return f"Over {demand.link} use {taken.name}: {spent}; {chance}: {_facts(taken)}."
+
+
+def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
+    """`, 70 % less than the smallest jpeg that passes (quality=10, 2 Mbit/s)`."""
+    anchor = next(iter(run.schema.anchors), "")
+    taken = _passing(found)[0]
+    anchors = [candidate for candidate in found if candidate.curve.split(" ")[0] == anchor]
+    if not anchors or taken in anchors or run.rate is None:
+        return ""
+    smallest = next(iter(_passing(anchors)), None)
+    if smallest is None:
+        return f", where no {anchor} setting tried passes"
+    less = f"{100 * (1 - taken.rate / smallest.rate):.0f} % less than the smallest {anchor} that passes"
+    return f", {less} ({smallest.point}, {_spent(run, smallest, brief=True)})"
+
+
+def _facts(taken: Candidate) -> str:
+    demand, facts = taken.demand, []
+    if taken.readings:
+        asked = "" if demand.error_m is None else f" of {demand.error_m:g} m asked"
+        facts.append(f"error {_number(taken.error_m)} m{asked} ({_number(taken.idle_m)} m with nothing received)")
+        facts.append(f"{_FRESH} {_percent(taken.fresh)} of the moments ({_percent(FRESH_SHARE)} needed)")
+    if demand.deadline_ms is not None:
+        facts.append(f"{_percent(taken.share)} of frames in time of {_percent(demand.share)} asked")
+    return ", ".join([*facts, *([] if taken.readings else ["nothing reads them"])])
+
+
+def _spent(run: RunResult, candidate: Candidate, *, brief: bool = False) -> str:
+    if run.rate is None:
+        return "its rate is not known"
+    return rate_words(run, candidate.sequence, candidate.curve, candidate.least_sure, brief=brief)
+
+
+def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:
     if run.rate is None:
         yield "No rate was measured, so that settings stand in the order of the matrix; add an evaluator that has one."
-    failing: dict[str, list[str]] = defaultdict(list)
+    missing: dict[str, list[str]] = defaultdict(list)
     for candidate in found:
-        if candidate.verdict == "fails":
-            failing[limit_of(candidate).split(" (")[0]].append(candidate.name)
-    for limit, names in failing.items():
-        yield f"Limited by {limit}: {', '.join(names)}."
-    for candidate in found:
-        if candidate.verdict == "inconclusive" and candidate.unmeasured:
-            yield (
-                f"{candidate.name} cannot be judged by {' and '.join(candidate.unmeasured)}: add an evaluator that "
-                f"measures it with the same parameters of the link."
-            )
-        elif candidate.verdict == "inconclusive":
-            yield f"{candidate.name} cannot be told: at least {candidate.more_runs} more repeats would tell."
+        if candidate.limit == "unmeasured":
+            for what in candidate.unmeasured:
+                missing[what].append(candidate.name)
+    readers = (result.cell.evaluator.name for result in run.results
+               if any(metric.need == "error" for metric in result.metrics.values()))  # fmt: skip
+    again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it again"
+    for what, names in missing.items():
+        add = "add an evaluator that measures it with the same parameters of the link"
+        yield f"{_some(names)}: {what} is not known; {again if what == UNTOLD else add}."

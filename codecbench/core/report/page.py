@@ -20,7 +20,7 @@ from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.report.answers import answers_of_settings
-from codecbench.core.report.choosing import least_error_verdicts
+from codecbench.core.report.choosing import over_links
 from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.pictures import frame_pictures
@@ -76,7 +76,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
             (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
         ),
         cards=_cards(run),
-        over_links=least_error_verdicts(run),
+        over_links=over_links(run),
         answers=answers_of_settings(run),
         ranked=ranked,
         decided=_grouped(others),

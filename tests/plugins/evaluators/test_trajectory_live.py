@@ -69,6 +69,17 @@ def test_an_old_pose_is_as_wrong_as_the_robot_has_moved(tmp_path: Path) -> None:
     assert found["live_error_max_m"].value == pytest.approx(by_hand.max())
     assert found["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     assert found["first_pose_s"].value == pytest.approx(0.3)
+    assert found["fresh_pose_fraction"].value == 57 / 60
+    seen = path[3:]
+    assert found["idle_error_m"].value == pytest.approx(rms(np.linalg.norm(seen - seen.mean(axis=0), axis=1)))
+
+
+def test_a_pose_is_fresh_for_half_a_second(tmp_path: Path) -> None:
+    """Poses of the first ten frames alone: those count until frame 14, which is half a second after frame 9."""
+    truth = helix(COUNT)
+    found = measured(Told(part(moved(truth), np.arange(10))), tmp_path, truth, link="ideal")
+    assert found["fresh_pose_fraction"].value == 15 / 60
+    assert found["live_position_error_m"].value > found["idle_error_m"].value
 
 
 def test_without_delay_the_live_error_is_that_of_tracking(tmp_path: Path) -> None:
@@ -84,6 +95,8 @@ def test_where_nothing_comes_the_error_is_the_spread_of_the_path(tmp_path: Path)
     assert found["delivered_fraction"].value == 0.0
     assert found["tracked_fraction"].value == 0.0
     assert found["live_position_error_m"].value == pytest.approx(spread)
+    assert found["idle_error_m"].value == found["live_position_error_m"].value
+    assert found["fresh_pose_fraction"].value == 0.0
     assert found["held_ate_m"].value == pytest.approx(spread)
     assert found["first_pose_s"].reason == "no pose was ever known"
 
@@ -159,7 +172,9 @@ def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
 
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:
     found = measured(Told(moved(helix(COUNT))), tmp_path, link="ideal")
-    assert found["live_position_error_m"].reason == "the sequence has no ground truth"
+    for metric in ("live_position_error_m", "idle_error_m"):
+        assert found[metric].reason == "the sequence has no ground truth"
+    assert found["fresh_pose_fraction"].value == 1.0
 
 
 def test_a_link_is_judged_by_a_limit_and_not_beside_raw_frames(tmp_path: Path) -> None:

@@ -35,7 +35,12 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
 )
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 from codecbench.plugins.evaluators.trajectory.feed import Feed, architecture_of
-from codecbench.plugins.evaluators.trajectory.live import live_errors, live_positions
+from codecbench.plugins.evaluators.trajectory.live import (
+    fresh_fraction,
+    live_errors,
+    live_positions,
+    newest_poses,
+)
 from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
@@ -99,9 +104,9 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         yield Measurement("sent_size_bytes", float(size_bytes))
         yield Measurement("sent_rate_kbps", 8e-3 * size_bytes * coded.sequence.frame_rate_hz / len(stamps_s))
         if delivery is not None:
-            positions = live_positions(
-                run, accuracy.before or accuracy.after, feed.read_at, delivery.captured_s[offset:]
-            )
+            newest = newest_poses(run, feed.read_at, delivery.captured_s[offset:])
+            yield Measurement("fresh_pose_fraction", fresh_fraction(run, newest, stamps_s))
+            positions = live_positions(run, accuracy.before or accuracy.after, newest)
             yield from _live(positions, feed, coded.sequence.ground_truth, params.association_s)
             files.write_live(context.artifacts / files.LIVE, delivery, feed.read_at, positions, offset)
         _save(run, accuracy, coded.sequence, context)
@@ -167,8 +172,14 @@ def _live(
     yield _or_missing("first_pose_s", first_s, "no pose was ever known")
     reason = "the sequence has no ground truth" if truth is None else "no frame has ground truth"
     errors_m = np.full(1, np.nan) if truth is None else live_errors(positions, stamps_s, truth, tolerance_s)
-    known = errors_m[~np.isnan(errors_m)]
+    is_known = ~np.isnan(errors_m)
+    known = errors_m[is_known]
     yield _or_missing("live_position_error_m", rms(known) if len(known) else None, reason)
+    nothing = np.full((len(known), 3), np.nan)
+    idle_m = (
+        rms(live_errors(nothing, stamps_s[is_known], truth, tolerance_s)) if truth is not None and len(known) else None
+    )
+    yield _or_missing("idle_error_m", idle_m, reason)
     yield _or_missing("live_error_max_m", known.max() if len(known) else None, reason)
 
 

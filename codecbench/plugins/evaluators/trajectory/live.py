@@ -7,29 +7,43 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.metric import FRESH_S
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.plugins.evaluators.trajectory.alignment import Similarity, nearest_stamps
 
 
-def live_positions(
-    run: SlamRun, world_from_map: Similarity | None, read_at: Mapping[int, float], moments_s: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def newest_poses(run: SlamRun, read_at: Mapping[int, float], moments_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(M,) which pose of tracking is the newest that is known at each moment, -1 before there is one.
+
+    read_at: when the pose of a frame was known, by its index, in the time of `moments_s`.
+    """
+    stamps_s = np.array([frame.timestamp_s for frame in run.frames])
+    frames = nearest_stamps(run.trajectory_before_loops.timestamps_s, stamps_s, 0.0)
+    known_s = np.array([read_at[run.frames[frame].index] for frame in frames])
+    return np.asarray(np.searchsorted(known_s, moments_s + 1e-9, side="right") - 1)
+
+
+def live_positions(run: SlamRun, world_from_map: Similarity | None, newest: NDArray[np.int64]) -> NDArray[np.float64]:
     """(M, 3) the newest position that is known at each moment, NaN before there is one.
 
-    read_at: when the pose of a frame was known, by its index, in the time of `moments_s`. Poses are those of tracking,
-    before anything corrected them later.
+    Poses are those of tracking, before anything corrected them later.
     """
-    positions = np.full((len(moments_s), 3), np.nan)
-    if world_from_map is None:
-        return positions
-    tracked = world_from_map.trajectory(run.trajectory_before_loops)
-    stamps_s = np.array([frame.timestamp_s for frame in run.frames])
-    frames = nearest_stamps(tracked.timestamps_s, stamps_s, 0.0)
-    known_s = np.array([read_at[run.frames[frame].index] for frame in frames])
-    newest = np.searchsorted(known_s, moments_s + 1e-9, side="right") - 1
-    positions[newest >= 0] = tracked.positions_world[newest[newest >= 0]]
+    positions = np.full((len(newest), 3), np.nan)
+    if world_from_map is not None:
+        tracked = world_from_map.trajectory(run.trajectory_before_loops)
+        positions[newest >= 0] = tracked.positions_world[newest[newest >= 0]]
     return positions
+
+
+def fresh_fraction(run: SlamRun, newest: NDArray[np.int64], stamps_s: NDArray[np.float64]) -> float:
+    """The share of the moments at which a pose of the last half second is known.
+
+    stamps_s: (M,) of the moments, in the time of the frames.
+    """
+    known = newest >= 0
+    ages_s = stamps_s[known] - run.trajectory_before_loops.timestamps_s[newest[known]]
+    return float(np.count_nonzero(ages_s <= FRESH_S + 1e-6)) / len(newest)
 
 
 def live_errors(

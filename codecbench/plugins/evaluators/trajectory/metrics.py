@@ -36,6 +36,14 @@ LIVE: Final = (
         "live_position_error_m", "m", "lower", "RMS distance of the newest known position from the true one",
         _SPREAD, role="task", headline=True, label="live position error", brief="live m", scale="log", need="error",
     ),
+    Metric(
+        "idle_error_m", "m", "neither", "the same of the middle of the true path, which a reader may say unseen",
+        label="error of a reader that gets nothing", scale="log", need="idle",
+    ),
+    Metric(
+        "fresh_pose_fraction", "1", "higher", "share of the moments at which a pose of the last half second is known",
+        label="moments with a fresh pose", need="fresh",
+    ),
     Metric("first_pose_s", "s", "lower", "from the first frame until a pose is known", label="time to the first pose"),
     Metric("live_error_max_m", "m", "lower", "the largest such distance", label="worst live error", scale="log"),
     Metric("delivered_fraction", "1", "higher", "share of the frames that SLAM was given", label="delivered share"),
