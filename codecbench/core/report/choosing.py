@@ -79,7 +79,7 @@ def _overview(run: RunResult, every: list[list[Candidate]]) -> Verdict:
                 others[_GROUPS[candidate.limit][0]].append(candidate.name)
         cells = next(
             ((taken.name, rate_of(run, taken), _number(taken.error_m), str(taken.least_sure))
-             for taken in _passing(found)), ("nothing passes", "–", "–", "–")
+             for taken in _passing(found)), ("none is known to pass", "–", "–", "–")
         )  # fmt: skip
         limits = "; ".join(f"{group}: {_some(names)}" for group, names in others.items())
         rows.append((found[0].demand.link, *cells, limits or "–"))

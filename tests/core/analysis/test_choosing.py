@@ -313,7 +313,7 @@ def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -
 def test_where_nothing_passes_over_a_link_its_row_says_so() -> None:
     cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire")]
     overview, *_ = chosen(run_of(*cells), Demand("", error_m=0.5))
-    assert overview.rows[1] == ("wire", "nothing passes", "–", "–", "–", "the error: plain q=1.0")
+    assert overview.rows[1] == ("wire", "none is known to pass", "–", "–", "–", "the error: plain q=1.0")
 
 
 def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:
