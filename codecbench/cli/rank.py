@@ -45,7 +45,7 @@ def show_answer(result: RunResult) -> None:
     from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.report.answers import answers
 
-    click.echo(clean_line(str(answers(result))))
+    click.echo("\n".join(clean_line(line) for line in str(answers(result)).splitlines()))
 
 
 @click.command()

@@ -65,7 +65,8 @@ def test_the_example_is_what_is_printed(tmp_path: Path) -> None:
 def sentences(text: str) -> list[str]:
     """Lines below the table without what depends on libraries: rates, and as how many frames they count."""
     lines = [line for line in text.splitlines() if line.rstrip().endswith(".")]
-    return [re.sub(r"about \d+|\([+-]\d.*? vs\. |\d[\d.]* (?:Mbit/s|GB/h|%)|0\.\d+ ± [\d.]+", "", line) for line in lines]
+    varying = r"about \d+|\([+-]\d.*? vs\. |\d[\d.]* (?:Mbit/s|GB/h|%)|0\.\d+ ± [\d.]+"
+    return [re.sub(varying, "", line) for line in lines]
 
 
 def test_the_table_of_runs_is_what_intervals_say() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Final
 
@@ -13,6 +13,7 @@ from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits
 from codecbench.core.analysis.passing import Level, Standing, Test, described, parts
 from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.choosing import over_links
 from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, times_decide
 from codecbench.core.report.formatting import ranked_verdict, share_of_rate, uninformative, where
 
@@ -31,7 +32,7 @@ class Answer:
 @dataclass(frozen=True)
 class Answers:
     """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out. about:
-    by what, in a few words. sentence: what to take, what that costs and saves, and how sure it is."""
+    by what, in a few words. sentence: what to take, its cost, what it saves and how sure that is; and a line a link."""
 
     basis: str
     answers: tuple[Answer, ...] = ()
@@ -60,7 +61,12 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
     if run.rate is None:
         return [Answers(_NO_RATE, sentence=f"Nothing can be named: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
     judged = [found for columns in criteria(run) if (found := _judged(run, columns)) is not None]
-    return judged or [_ranked(run)]
+    linked = over_links(run)
+    if not linked:
+        return judged or [_ranked(run)]
+    first, *others = judged or [Answers("Settings are judged by what comes over each link.", about="links")]
+    lines = [*filter(None, [first.sentence]), *linked[-1].sentences]
+    return [replace(first, sentence="\n".join(lines)), *others]
 
 
 def _ranked(run: RunResult) -> Answers:

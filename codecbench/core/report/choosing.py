@@ -205,13 +205,22 @@ def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
     anchor = next(iter(run.schema.anchors), "")
     taken = _passing(found)[0]
     anchors = [candidate for candidate in found if candidate.curve.split(" ")[0] == anchor]
-    if not anchors or taken in anchors or run.rate is None:
+    if run.rate is None:
+        return ""
+    if taken in anchors:
+        others = [candidate for candidate in _passing(found) if candidate not in anchors]
+        return f", {_less(taken, others[0])} than the next codec that passes ({others[0].name})" if others else ""
+    if not anchors:
         return ""
     smallest = next(iter(_passing(anchors)), None)
     if smallest is None:
         return f", where no {anchor} setting tried passes"
-    less = f"{100 * (1 - taken.rate / smallest.rate):.0f} % less than the smallest {anchor} that passes"
+    less = f"{_less(taken, smallest)} than the smallest {anchor} that passes"
     return f", {less} ({smallest.point}, {_spent(run, smallest, brief=True)})"
+
+
+def _less(taken: Candidate, other: Candidate) -> str:
+    return f"{100 * (1 - taken.rate / other.rate):.0f} % less"
 
 
 def _facts(taken: Candidate) -> str:

@@ -356,5 +356,5 @@ def test_the_report_begins_with_what_to_take_over_each_link() -> None:
     html = render(run_of(*BY_ERROR), lambda _: {"frames": [], "originals": []})
     section = html[html.index('<section id="answer"') :]
     shown = section[section.index('<div id="links">') : section.index("</table>")]
-    assert "<li>Over radio use plain q=2.0: 2 bpp; passes in 5 of 5 runs" in shown
+    assert '<p class="answer">Over radio use plain q=2.0: 2 bpp; passes in 5 of 5 runs' in shown
     assert "<td" in shown
