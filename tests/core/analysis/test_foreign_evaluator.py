@@ -102,7 +102,7 @@ def test_it_has_rates_and_limits(place: Path, page: tuple[str, dict[str, Any]]) 
     assert ranking["heads"][:2] == ["codec", "rate vs. jpeg"]
     assert {row[0]: row[1] for row in ranking["rows"]} == {name: rows[name][-2] for name in ("jpeg", "posterize")}
     assert rows["posterize"][-2] == "≤ -30 %"
-    assert re.match(r"cannot tell of quality=\d+ \(1/1 runs; at least 3 more would tell\)", rows["jpeg"][-1])
+    assert re.match(r"quality=\d+ is inconclusive \(1/1 runs; at least 3 more would tell\)", rows["jpeg"][-1])
 
 
 def test_its_curves_are_offered_with_its_labels(page: tuple[str, dict[str, Any]]) -> None:
