@@ -1,7 +1,7 @@
 """Statistics of codec comparisons: BD-rates that say when they mean nothing, paired differences, Pareto fronts."""
 
-from codecbench.core.analysis.bjontegaard import BdRate, bd_rate, bd_rate_with_interval
-from codecbench.core.analysis.evidence import PairedDifference, block_length, paired_difference
+from codecbench.core.analysis.bjontegaard import BdRate, bd_rate
+from codecbench.core.analysis.evidence import PairedDifference, paired_difference
 from codecbench.core.analysis.verdicts import pareto_front
 from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval
 
@@ -11,8 +11,6 @@ __all__ = [
     "PairedDifference",
     "aggregate",
     "bd_rate",
-    "bd_rate_with_interval",
-    "block_length",
     "median_interval",
     "paired_difference",
     "pareto_front",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from codecbench.core.analysis.ranking import rankings_on
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.analysis.verdicts import bd_rates
+from codecbench.core.report.formatting import signed_percent
 from codecbench.core.report.tables import cell, table
 
 Heads = tuple[str, ...]
@@ -121,29 +123,17 @@ def coding_table(run: RunResult, sequence: str, heads: Heads) -> str:
     return table(heads, [[row[head] if head in SETTING else CODING[head].shown(row) for head in heads] for row in rows])
 
 
-BD_RATES = {head: CODING[shown].name for head, shown in (("PSNR", "PSNR dB"), ("SSIM", "SSIM"))}
-BD_RATES["features kept"] = CODING["features kept"].name
-
-
 def rates_beside_anchor(run: RunResult, heads: Heads) -> Iterator[str]:
-    """How much more rate each curve takes than the anchor for the same quality, in percent, sequence by sequence."""
-    rates = _bd_rates(run)
-    shown = [head for head in heads if head in BD_RATES]
-    curves = sorted({key for found in rates.values() for key in found})
-    rows = [[key[0], key[1], *(rates[head].get(key, "–") for head in shown)] for key in curves]
-    yield table(heads, rows)
-
-
-def _bd_rates(run: RunResult) -> dict[str, dict[tuple[str, str], str]]:
-    """By quality, then by sequence and curve: percent beside the anchor, as shown."""
-    columns = {column.name: column for column in run.headlines("quality", "task")}
-    return {
-        head: {
-            key: "–" if rate.reason else f"{rate.percent:+.1f}"
-            for key, rate in bd_rates(run, columns[name], resamples=0).items()
-        }
-        for head, name in BD_RATES.items()
-    }
+    """How much more rate each curve takes than the anchor for the same quality, sequence by sequence."""
+    sequences = [[entry.name] for entry in run.plan.sequences]
+    shown: dict[tuple[str, str], dict[str, str]] = {}
+    for head in heads[2:]:
+        name = next(column.name for known, column in CODING.items() if known.startswith(head))
+        for ranking in rankings_on(run, run.columns[name], sequences):
+            for anchor, ranked in product(ranking.anchors[:1], ranking.ranked):
+                if found := ranking.evidence(ranked.curve, anchor):
+                    shown.setdefault((ranking.sequence, ranked.curve), {})[head] = signed_percent(found)
+    yield table(heads, [[*key, *(shown[key].get(head, "–") for head in heads[2:])] for key in sorted(shown)])
 
 
 def rows_of(run: RunResult, sequence: str) -> list[Row]:

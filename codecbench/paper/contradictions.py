@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from codecbench.core.analysis.verdicts import bd_rates
+from codecbench.core.analysis.ranking import rankings_on
+from codecbench.core.report.formatting import less_rate
 from codecbench.core.report.tables import escaped
 from codecbench.paper import facts
 from codecbench.paper.measured import Measured
@@ -142,11 +143,14 @@ def _rounding(measured: Measured) -> list[str]:
 
 def _real_jpeg(measured: Measured) -> list[str]:
     column = measured.run.columns.get("quality.psnr_gray_db.mean")
-    rates = {} if column is None else bd_rates(measured.run, column)
+    if column is None:
+        return []
     return [
-        f"BD-rate against libjpeg-turbo, PSNR of gray, {escaped(curve)} on {escaped(sequence)}: {rate}"
-        for (sequence, curve), rate in rates.items()
-        if curve.startswith("multilevel")
+        f"PSNR of gray, {escaped(ranked.curve)} on {escaped(ranking.sequence)}: {less_rate(found, escaped(anchor))}"
+        for ranking in rankings_on(measured.run, column, [[sequence] for sequence in measured.sequences])
+        for anchor in ranking.anchors
+        for ranked in ranking.ranked
+        if ranked.curve.startswith("multilevel") and (found := ranking.evidence(ranked.curve, anchor))
     ]
 
 

@@ -13,8 +13,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from codecbench.core.analysis.evidence import drawn_blocks
-
 _LEAST_POINTS: Final = 3
 """A curve of fewer points is not the shape that the interpolation assumes."""
 
@@ -27,47 +25,30 @@ class BdRate:
     """How much more rate a test codec needs than an anchor for the same quality, on average.
 
     percent: negative where the test codec is better; NaN where `reason` says why there is none. overlap:
-    share of the smaller quality range that both curves cover. dropped: points that the monotone hull left
-    out, (anchor, test). failures: settings that gave no quality at all, (anchor, test). interval: bootstrap
-    95 % interval or None.
+    share of the smaller quality range that both curves cover. failures: settings that gave no quality at all, (anchor,
+    test).
     """
 
     percent: float
     overlap: float
     reason: str = ""
-    dropped: tuple[int, int] = (0, 0)
     failures: tuple[int, int] = (0, 0)
-    interval: tuple[float, float] | None = None
 
     def __str__(self) -> str:
-        if self.reason:
-            return f"no BD-rate: {self.reason}"
-        text = f"{self.percent:+.1f} %"
-        return text if self.interval is None else f"{text} [{self.interval[0]:+.1f}, {self.interval[1]:+.1f}]"
+        return f"no BD-rate: {self.reason}" if self.reason else f"{self.percent:+.1f} %"
 
 
 def bd_rate(
-    anchor_rates: ArrayLike,
-    anchor_qualities: ArrayLike,
-    test_rates: ArrayLike,
-    test_qualities: ArrayLike,
-    *,
-    hull: bool = False,
+    anchor_rates: ArrayLike, anchor_qualities: ArrayLike, test_rates: ArrayLike, test_qualities: ArrayLike
 ) -> BdRate:
     """Average rate difference of two rate-quality curves over the qualities that both reach.
 
     Rates are positive, in any unit; qualities are better when higher (negate or take -log of an error);
-    NaN marks a setting that failed: it is counted, and its curve ends before it. With `hull` each curve is
-    first reduced to the settings that no cheaper one matches, for noisy qualities such as trajectory
-    errors; without it a curve on which more rate buys less quality is refused.
+    NaN marks a setting that failed: it is counted, and its curve ends before it. A curve on which more rate buys less
+    quality is refused.
     """
     curves = [_curve(anchor_rates, anchor_qualities, "anchor"), _curve(test_rates, test_qualities, "test")]
     failures = (curves[0].failures, curves[1].failures)
-    dropped = (0, 0)
-    if hull:
-        before = [len(curve.rates) for curve in curves]
-        curves = [curve.hull() for curve in curves]
-        dropped = (before[0] - len(curves[0].rates), before[1] - len(curves[1].rates))
     low = max(curve.qualities.min() if len(curve.rates) else np.inf for curve in curves)
     high = min(curve.qualities.max() if len(curve.rates) else -np.inf for curve in curves)
     with np.errstate(invalid="ignore"):  # of infinite qualities, which are at fault
@@ -75,49 +56,13 @@ def bd_rate(
         overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
     reason = next(filter(None, (curve.fault() for curve in curves)), "") or _poor(overlap, low, high)
     if reason:
-        return BdRate(float("nan"), overlap, reason, dropped, failures)
+        return BdRate(float("nan"), overlap, reason, failures)
     from scipy.interpolate import PchipInterpolator  # loads for half a second
 
     areas = [PchipInterpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
     anchor, test = (float(area(high) - area(low)) for area in areas)
     percent = 100.0 * (10.0 ** ((test - anchor) / (high - low)) - 1.0)
-    return BdRate(float(percent), overlap, "", dropped, failures)
-
-
-def bd_rate_with_interval(
-    anchor_rates: NDArray[np.float64],
-    anchor_qualities: NDArray[np.float64],
-    test_rates: NDArray[np.float64],
-    test_qualities: NDArray[np.float64],
-    *,
-    rng: np.random.Generator,
-    hull: bool = False,
-    resamples: int = 1000,
-    block: int = 1,
-) -> BdRate:
-    """BD-rate of mean curves with a 95 % percentile-bootstrap interval over samples.
-
-    All arrays are (settings, samples), a sample being a frame or a sequence; the same samples are drawn for
-    both codecs, because they share the pictures. Samples that resemble their neighbours, as frames do, are drawn in
-    runs of `block`. The interval is left out where more than one resample in twenty gives no number, and without
-    resamples.
-    """
-    arrays = [np.asarray(a, dtype=np.float64) for a in (anchor_rates, anchor_qualities, test_rates, test_qualities)]
-    samples = {array.shape[1] for array in arrays}
-    if len(samples) != 1:
-        raise ValueError(f"all four arrays need the same samples; got {sorted(samples)} columns")
-    whole = bd_rate(*(array.mean(axis=1) for array in arrays), hull=hull)
-    count = samples.pop()
-    if whole.reason or count < 3 or not resamples:
-        return whole
-    values = np.empty(resamples)
-    for index in range(resamples):
-        picks = drawn_blocks(rng, count, block)
-        values[index] = bd_rate(*(array[:, picks].mean(axis=1) for array in arrays), hull=hull).percent
-    if np.isnan(values).mean() > 0.05:
-        return whole
-    low, high = np.nanpercentile(values, [2.5, 97.5])
-    return BdRate(**{**vars(whole), "interval": (float(low), float(high))})
+    return BdRate(float(percent), overlap, "", failures)
 
 
 @dataclass(frozen=True)
@@ -128,11 +73,6 @@ class _Curve:
     rates: NDArray[np.float64]
     qualities: NDArray[np.float64]
     failures: int
-
-    def hull(self) -> _Curve:
-        best = np.maximum.accumulate(np.concatenate([[-np.inf], self.qualities[:-1]]))
-        keep = (self.qualities > best) | np.isnan(self.rates)
-        return _Curve(self.side, self.rates[keep], self.qualities[keep], self.failures)
 
     def fault(self) -> str:
         """Why no curve can be drawn through these points, or nothing."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Final
 
 import numpy as np
@@ -149,23 +149,29 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     rates; all rates that two codecs share, without it.
     """
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
+    sequences = [entry.name for entry in run.plan.sequences]
+    groups = [sequences] if len(sequences) > 1 else []
+    groups += [] if groups and brief else [[name] for name in sequences]
+    return [
+        ranking
+        for column in columns
+        for ranking in rankings_on(run, column, groups, at)
+        if len(ranking.ranked) > 1 or not ranking.sequences
+    ]
+
+
+def rankings_on(
+    run: RunResult, column: Column, groups: Sequence[Sequence[str]], at: float | None = None
+) -> Iterator[Ranking]:
+    """The ranking by a column over each group of sequences, whatever it compares. Nothing if the run has no rate."""
     if run.rate is None:
-        return []
-    found = []
-    for column in columns:
-        sequences = [entry.name for entry in run.plan.sequences]
-        gathered = {name: curve_values(run, column, name) for name in sequences}
-        mute = {name: reason for name, each in gathered.items() if (reason := objection(run, column, *each))}
-        groups = [sequences] if len(sequences) > 1 else []
-        groups += [] if groups and brief else [[name] for name in sequences]
-        for group in groups:
-            informative = [name for name in group if name not in mute]
-            ranking = _ranking(run, column, informative, gathered, at)
-            if len(ranking.ranked) > 1 or not informative:
-                why = {name: mute[name] for name in group if name in mute}
-                sequence = group[0] if len(group) == 1 else POOLED
-                found.append(replace(ranking, sequence=sequence, uninformative=why))
-    return found
+        return
+    gathered = {name: curve_values(run, column, name) for name in dict.fromkeys(chain(*groups))}
+    mute = {name: reason for name, each in gathered.items() if (reason := objection(run, column, *each))}
+    for group in groups:
+        ranking = _ranking(run, column, [name for name in group if name not in mute], gathered, at)
+        why = {name: mute[name] for name in group if name in mute}
+        yield replace(ranking, sequence=group[0] if len(group) == 1 else POOLED, uninformative=why)
 
 
 _Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]

@@ -1,4 +1,4 @@
-"""What a run says about each codec, sequence by sequence: rate at equal quality, and what no other setting beats.
+"""What a run says about each codec, sequence by sequence: values, their intervals, and what no other setting beats.
 
 All of it goes by what evaluators declare of their metrics: role, direction, headline.
 """
@@ -14,9 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from codecbench.core.analysis.bjontegaard import BdRate, bd_rate_with_interval
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.evidence import evidence_of_frames, evidence_of_repeats, longest_block, student_quantile
+from codecbench.core.analysis.evidence import evidence_of_frames, evidence_of_repeats, student_quantile
 from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.aggregate import aggregate, percentile
@@ -35,38 +34,6 @@ def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tup
     return [result.cell.codec.label for result in results], rows
 
 
-def bd_rates_by_anchor(run: RunResult, column: Column) -> dict[str, dict[SequenceCurve, BdRate]]:
-    """`bd_rates` against each anchor by its curve; where the run has but one, by "" against each sequence's own."""
-    curves: dict[str, list[str]] = defaultdict(list)
-    for point in run.curves.values():
-        curves[point.curve].append(point.point)
-    several = anchors_of(curves, run.schema.anchors)
-    named = several if len(several) > 1 else ("",)
-    return {anchor: bd_rates(run, column, anchor=anchor) for anchor in named}
-
-
-def bd_rates(run: RunResult, column: Column, *, anchor: str = "", resamples: int = 200) -> dict[SequenceCurve, BdRate]:
-    """BD-rate of every curve against the anchor at equal values of a column, with an interval.
-
-    anchor: a curve; by default the first of `anchors_of` each sequence's curves.
-
-    The interval is over frames where the metric is measured a frame, drawn in blocks as neighbours are alike, else over
-    repeats; repeats are noisy, so that their curves are first reduced to monotone hulls. A metric that is better when
-    lower counts as its negative, or as minus its logarithm where its scale is logarithmic, so that halving an error
-    counts the same everywhere. Nothing where the run has no rate.
-    """
-    if run.rate is None:
-        return {}
-    results = run.of(column.evaluator.title)
-    key = (column.metric.name, column.stage, column.aggregate)
-    if any(key in result.summaries for result in results):
-        return _bd_rates_over_frames(run, run.rate, results, column, anchor, resamples)
-    measured = values_of_repeats(run, column)
-    values = {row: as_quality(np.array(list(many.values())), column) for row, many in measured.items()}
-    anchors = run.schema.anchors
-    return bd_rates_over_repeats(run.rates, values, run.curves, anchors, anchor=anchor, resamples=resamples)
-
-
 def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
     """Values that are better when higher."""
     if column.metric.better == "higher":
@@ -80,39 +47,6 @@ def from_quality(quality: float, column: Column) -> float:
     if column.metric.better == "higher":
         return quality
     return float(10.0**-quality) if column.metric.scale == "log" else -quality
-
-
-def _bd_rates_over_frames(
-    run: RunResult, rate: Column, qualities: list[CellResult], column: Column, anchor: str, resamples: int
-) -> dict[SequenceCurve, BdRate]:
-    """Frames that lack the metric in every setting do not count; repeats of a setting count with their mean."""
-    coded = {result.row: result for result in run.of(rate.evaluator.title)}
-    curves: dict[str, dict[str, dict[Key, list[CellResult]]]] = defaultdict(lambda: defaultdict(dict))
-    for result in qualities:
-        if (row := result.row) in coded:
-            curves[row[0]][run.curves[row[1:]].curve].setdefault(row, []).append(result)
-
-    def arrays(members: dict[Key, list[CellResult]]) -> tuple[np.ndarray, np.ndarray]:
-        rates = frame_matrix([coded[row] for row in members], rate.metric.name, rate.stage)[1]
-        values = [
-            frame_matrix(repeats, column.metric.name, column.stage)[1].mean(axis=0) for repeats in members.values()
-        ]
-        return rates, as_quality(np.array(values), column)
-
-    found = {}
-    for sequence, lines in curves.items():
-        against = _against({curve: list(rows) for curve, rows in lines.items()}, anchor, run.schema.anchors)
-        if against is None:
-            continue
-        base = arrays(lines[against])
-        for curve, members in lines.items():
-            if curve != against and len(members) > 1:
-                test = arrays(members)
-                there = ~(np.isnan(base[1]).all(axis=0) | np.isnan(test[1]).all(axis=0))
-                four = [array[:, there] for array in (*base, *test)]
-                rng, block = np.random.default_rng(0), longest_block(np.concatenate([four[1], four[3]]))
-                found[sequence, curve] = bd_rate_with_interval(*four, rng=rng, resamples=resamples, block=block)
-    return found
 
 
 def values_of_repeats(run: RunResult, column: Column, *, failed: float = math.nan) -> dict[Key, dict[Place, float]]:
@@ -142,43 +76,6 @@ def values_in(result: CellResult, column: Column) -> list[float]:
     return [over_frames] if over_frames is not None and not own else own
 
 
-def bd_rates_over_repeats(
-    rates: Mapping[Key, float],
-    qualities: Mapping[Key, np.ndarray],
-    points: Points,
-    anchors: Iterable[str],
-    *,
-    anchor: str = "",
-    resamples: int = 200,
-) -> dict[SequenceCurve, BdRate]:
-    """BD-rate of every curve against the anchor at equal quality, by sequence and curve, with an interval over repeats.
-
-    qualities: one value a repeat, better when higher. The curves are monotone hulls. A setting with a NaN among its
-    repeats is a failure. Codecs that were not repeated as often as the anchor have no BD-rate.
-    """
-    curves: dict[str, dict[str, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
-    for (sequence, codec, setting), values in qualities.items():
-        rate = rates.get((sequence, codec, setting), np.nan)
-        curves[sequence][points[codec, setting].curve].append((rate, values))
-    found = {}
-    for sequence, members in curves.items():
-        against = _against(members, anchor, anchors)
-        for curve, settings in members.items():
-            repeats = {len(values) for name in (against, curve) if name for _, values in members[name]}
-            if against is None or curve == against or len(settings) < 2 or len(repeats) != 1:
-                continue
-            base, test = (_repeated(members[name]) for name in (against, curve))
-            rng = np.random.default_rng(0)
-            found[sequence, curve] = bd_rate_with_interval(*base, *test, rng=rng, hull=True, resamples=resamples)
-    return found
-
-
-def _repeated(settings: list[tuple[float, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """(settings, repeats) each: the rate, the same for all repeats, and the quality."""
-    qualities = np.array([values for _, values in settings])
-    return np.repeat(np.array([[rate] for rate, _ in settings]), qualities.shape[1], axis=1), qualities
-
-
 def anchors_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> tuple[str, ...]:
     """The curves that others are compared with: the first of each codec that is an anchor, or else the first of all.
 
@@ -189,13 +86,6 @@ def anchors_of(curves: Mapping[str, Sequence[Any]], anchors: Iterable[str]) -> t
     for curve in several:
         firsts.setdefault(curve.split(" ")[0], curve)
     return tuple(firsts[name] for name in anchors if name in firsts) or tuple(several[:1])
-
-
-def _against(curves: Mapping[str, Sequence[Any]], anchor: str, anchors: Iterable[str]) -> str | None:
-    """The curve of a sequence that others are compared with there: `anchor`, if it is named and there, or the first."""
-    if not anchor:
-        return next(iter(anchors_of(curves, anchors)), None)
-    return anchor if len(curves.get(anchor, ())) > 1 else None
 
 
 def pareto_settings(wide: pd.DataFrame, criteria: Iterable[Column]) -> tuple[list[str], np.ndarray]:

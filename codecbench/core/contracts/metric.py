@@ -34,7 +34,7 @@ class Metric:
     role: what it means to a ranking. `rate` is what a codec spends; `quality` what is left of the images; `task`
     how well something that reads them does; `time` and `operations` what coding takes; `success` is 1 where a run
     succeeds and 0 where not; `behaviour` describes and ranks nothing.
-    headline: shown first, and by its role in Pareto fronts, BD-rates and curves.
+    headline: shown first, and by its role in Pareto fronts, rankings and curves.
     label: for people ("PSNR"), by default made from the name. brief: a narrow column head, which
     may have several lines, by default the label.
     scale: of its axis. display_unit, display_factor: what people are shown in place of `unit`, where that is unwieldy.

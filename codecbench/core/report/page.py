@@ -49,7 +49,6 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     parts = files("codecbench.core.report")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((parts / "page.html.j2").read_text(encoding="utf-8"))
-    tables, anchor = verdict_tables(run)
     failures = _failures(run)
     told_bytes = sum(len(text.encode()) for failure in failures for text in failure.values())
     spent_bytes = len(_script_json(data).encode()) + len(run.plan.matrix_text.encode()) + told_bytes
@@ -80,14 +79,13 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         answers=answers_of_settings(run),
         ranked=ranked,
         decided=_grouped(others),
-        verdicts=tables,
+        verdicts=verdict_tables(run),
         sequence_notes=sequence_notes(run),
         notes=[*caveats(run), *setting_notes(run)],
         answer_caveats=_caveats(run, [judged, *(column for columns in succeeded[:1] for column in columns)]),
         verdict_caveats=_caveats(
             run, [*(verdict.about for verdict in others), *(column for columns in succeeded for column in columns)]
         ),
-        anchor=anchor,
         failures=failures,
         failures_left_out=sum(result.status != "ok" for result in run.results) - len(failures),
         codes=_codes(run),

@@ -8,22 +8,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from codecbench.core.analysis.bjontegaard import BdRate
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import Limit, limits
+from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranking, rankings_on
 from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import json_value
 from codecbench.core.analysis.verdicts import (
     SequenceCurve,
-    anchors_of,
-    bd_rates_by_anchor,
     intervals,
     pareto_criteria,
     pareto_settings,
     spread,
 )
 from codecbench.core.contracts.view import Course, Lane
-from codecbench.core.report.formatting import limit_words
+from codecbench.core.report.formatting import limit_words, signed_percent, uninformative
 from codecbench.core.report.tables import caveats, three_digits
 from codecbench.core.report.views import PALETTE, STROKES, Map, bars_views, curve_views, map_views, styles_of
 
@@ -202,14 +200,9 @@ def _steps(values: np.ndarray, step: float) -> list[float | None]:
 _LEADS: Final = "on the Pareto front"
 
 
-def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
-    """A table for each sequence as the template takes it, and the names of the anchors of BD-rates, if any."""
-    rates = {
-        (column, anchor): found
-        for column in run.headlines("quality", "task")
-        for anchor, found in bd_rates_by_anchor(run, column).items()
-    }
-    rates = {key: found for key, found in rates.items() if found}
+def verdict_tables(run: RunResult) -> list[dict[str, Any]]:
+    """A table for each sequence as the template takes it."""
+    judged = [column for column in run.headlines("quality", "task") if column.metric.better != "neither"]
     limits_of = {column: limits(run, [column]) for column in run.headlines("success")}
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
@@ -217,7 +210,7 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
     last_heads = [f"{column.label} down to" for column in limits_of]
     last_heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
-    tables, anchors = [], dict.fromkeys(anchor for _, anchor in rates if anchor)
+    tables = []
     for entry in run.plan.sequences:
         wide = run.wide[run.wide["sequence"] == entry.name]
         used, front = pareto_settings(wide, criteria)
@@ -225,46 +218,47 @@ def verdict_tables(run: RunResult) -> tuple[list[dict[str, Any]], str]:
         for record, leads in zip(wide.to_dict("records"), front, strict=True):
             curve = run.curves[record["codec"], record["setting"]].curve
             curves.setdefault(curve, []).append({**record, _LEADS: leads})
-        own = next(iter(anchors_of(curves, run.schema.anchors)), "")
-        if not any(anchor for _, anchor in rates) and own:
-            anchors[own] = None
+        rankings = [ranking for column in judged for ranking in rankings_on(run, column, [[entry.name]])]
+        beside = [
+            (f"rate vs. {anchor}, {ranking.column.label}", found)
+            for ranking in rankings
+            for anchor in ranking.anchors
+            if (found := {curve: known for curve in curves if (known := ranking.evidence(curve, anchor))})
+        ]
         rows = []
-        told = {key: found for key, found in rates.items() if _has_number(found, entry.name)}
         for curve, records in curves.items():
             key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
-            row += [
-                "anchor" if curve == (anchor or own) else str(found.get(key, "–"))
-                for (_, anchor), found in told.items()
-            ]
+            row += [signed_percent(found[curve]) if curve in found else "–" for _, found in beside]
             row += [limit_words(found[key], run.rate) if key in found else "–" for found in limits_of.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
-        note = f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else ""
-        words = _in_words(entry.name, limits_of, run.rate)
-        untold = _untold({key: found for key, found in rates.items() if key not in told}, entry.name)
-        bd_heads = [f"BD-rate{f' vs. {anchor}' if anchor else ''}, {column.label}" for column, anchor in told]
-        own_heads = [*heads, *bd_heads, *last_heads]
         tables.append(
-            {"sequence": entry.name, "heads": own_heads, "rows": rows, "note": note, "words": words, "untold": untold}
+            {
+                "sequence": entry.name,
+                "heads": [*heads, *(head for head, _ in beside), *last_heads],
+                "rows": rows,
+                "note": f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else "",
+                "words": _in_words(entry.name, limits_of, run.rate),
+                "compared": bool(beside),
+                "missing": _missing(rankings),
+            }
         )
-    return tables, " and ".join(anchors) if rates else ""
+    return tables
 
 
-def _has_number(found: dict[SequenceCurve, BdRate], sequence: str) -> bool:
-    return any(name == sequence and not rate.reason for (name, _), rate in found.items())
-
-
-def _untold(judged: dict[tuple[Column, str], dict[SequenceCurve, BdRate]], sequence: str) -> list[str]:
-    """What has no BD-rate of any curve on a sequence, each reason once."""
-    found: dict[str, list[str]] = {}
-    for (column, _), rates in judged.items():
-        for reason in [rate.reason for (name, _), rate in rates.items() if name == sequence][:1]:
-            found.setdefault(reason.split(":")[0], []).append(column.label)
-    return [
-        f"No curve has a BD-rate at equal {', '.join(dict.fromkeys(labels))}: {reason}."
-        for reason, labels in found.items()
-    ]
+def _missing(rankings: list[Ranking]) -> list[str]:
+    """Why codecs have no rate vs. an anchor, each reason once for all columns that it holds for."""
+    columns: dict[str, list[str]] = {}
+    for ranking in rankings:
+        reasons = [f"{curve} has no place: {reason}" for curve, reason in ranking.left_out.items()]
+        for anchor in ranking.anchors:
+            apart = ranking.not_compared(anchor)
+            reasons += [f"{curve} was not compared with {anchor}: {NO_COMMON_RATE}" for curve in apart]
+        for reason in reasons:
+            columns.setdefault(reason, []).append(ranking.column.label)
+    silent = [sentence for ranking in rankings for sentence in uninformative(ranking)]
+    return [*silent, *(f"{', '.join(labels)}: {reason}." for reason, labels in columns.items())]
 
 
 def _in_words(sequence: str, limits_of: dict[Column, dict[SequenceCurve, Limit]], rate: Column | None) -> list[str]:

@@ -90,16 +90,19 @@ def test_it_is_a_criterion_of_the_pareto_front(page: tuple[str, dict[str, Any]])
     assert "settings that no other beats in all of rate, PSNR, SSIM, edges kept." in page[0]
 
 
-def test_it_has_bd_rates_and_limits(page: tuple[str, dict[str, Any]]) -> None:
-    """Its two codecs share no quality, and that is said once, in the place of a column that says nothing else."""
+def test_it_has_rates_and_limits(place: Path, page: tuple[str, dict[str, Any]]) -> None:
+    """Of two codecs that share no quality one is better at no more rate: a bound, as `codecbench rank` prints it."""
     summary = page[0].split('<section id="summary">')[1].split("</section>")[0]
     table = summary.split("<thead>")[1].split("</table>")[0]
     heads = re.findall(r"<th [^>]*>([^<]*)</th>", table)
     assert heads[-1] == "edges hold down to"
     rows = {cells[0]: cells for cells in (re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in table.split("<tr>")[2:])}
-    assert "BD-rate, edges kept" not in heads
-    assert re.search(r"No curve has a BD-rate at equal [^:]*edges kept[^:]*: ", summary)
-    assert re.match(r"cannot tell of quality=\d+ \(1/1 runs; at least 3 more would tell\)", rows["jpeg"][-1])
+    assert heads[-4:-1] == ["rate vs. jpeg, PSNR", "rate vs. jpeg, SSIM", "rate vs. jpeg, edges kept"]
+    (ranking,) = json.loads(call(place, "rank", "runs/foreign", "--format", "json"))[:1]
+    assert ranking["heads"][:2] == ["codec", "rate vs. jpeg"]
+    assert {row[0]: row[1] for row in ranking["rows"]} == {name: rows[name][-2] for name in ("jpeg", "posterize")}
+    assert rows["posterize"][-2] == "≤ -30 %"
+    assert re.match(r"quality=\d+ is inconclusive \(1/1 runs; at least 3 more would tell\)", rows["jpeg"][-1])
 
 
 def test_its_curves_are_offered_with_its_labels(page: tuple[str, dict[str, Any]]) -> None:
@@ -142,5 +145,5 @@ def test_without_a_rate_a_limit_is_refused_with_the_reason(place: Path) -> None:
     html, data = page_of(place, "runs/alone")
     reason = "no rate was measured; add an evaluator with a headline of role rate"
     assert html.count(reason) == 2 * 3, "in the sentence on each of three codecs, and in the table of them all"
-    assert "BD-rate" not in html.split('id="curves"')[0]
+    assert "rate vs." not in html.split('id="curves"')[0]
     assert data["presets"]

@@ -50,7 +50,7 @@ class Matrix:
     """A matrix file whose every name and parameter has been checked.
 
     codecs: also all settings that the searches may try. until: what is to be decided by adding repeats. anchors: codecs
-    that BD-rates are against; None for those that declare themselves one.
+    that rates are compared with; None for those that declare themselves one.
     """
 
     path: Path
@@ -236,7 +236,7 @@ class _Reader:
 
 
 def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple[str, ...] | None:
-    """The codecs that BD-rates are to be against, each of them in the matrix and no baseline; None where not said."""
+    """The codecs to compare rates with, each of them in the matrix and no baseline; None where not said."""
     if items is None:
         return None
     if not isinstance(items, list) or not items:
