@@ -155,6 +155,13 @@ class Stray(Toss):
     metrics = (Metric("stray_m", "m", "lower", "a distance", need="error"),)
 
 
+class Sight(Toss):
+    """How well something is seen."""
+
+    name = "sight"
+    metrics = (Metric("seen", "1", "higher", "a share", role="task", headline=True, label="seen", enough=0.9),)
+
+
 class LagParams(Params):
     runs: int = Field(default=1, ge=1)
 
@@ -232,6 +239,7 @@ def codecbench_evaluators() -> list[PluginSpec]:
         PluginSpec("scales", "search_plugins:Scales", "what a frame spends"),
         PluginSpec("toss", "search_plugins:Toss", "caught or not"),
         PluginSpec("stray", "search_plugins:Stray", "goes astray"),
+        PluginSpec("sight", "search_plugins:Sight", "sees"),
         PluginSpec("lag", "search_plugins:Lag", "times encoding"),
         PluginSpec("waiter", "search_plugins:Waiter", "awaits a time"),
     ]

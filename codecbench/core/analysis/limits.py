@@ -95,11 +95,20 @@ def _over_link(column: Column) -> bool:
 
 
 def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:
-    """The limit of each curve on each sequence: a setting passes if it does by all columns.
+    """The limit of each curve on each sequence, see `tests_of`. With several sequences there is a limit over all of
+    them too, under POOLED, where a setting fails that fails on one.
+    """
+    found = limits_of(_complete(tests_of(run, columns)), run.curves)
+    if run.rate is None:
+        return dict.fromkeys(found, Limit(reason="no rate was measured; add an evaluator with a headline of role rate"))
+    return {key: _failing_anywhere(key, limit, found) for key, limit in found.items()}
+
+
+def tests_of(run: RunResult, columns: Sequence[Column]) -> dict[Key, Test]:
+    """What was measured of each setting on each sequence and over all: it passes if it does by all columns.
 
     Of columns of role `success` those runs count that succeed in all; by every other column, the mean has to be on the
-    right side of what is enough. With several sequences there is a limit over all of them too, under POOLED, where a
-    setting fails that fails on one.
+    right side of what is enough.
     """
     counted = [column for column in columns if column.metric.role == "success"]
     tests: dict[Key, dict[str, Test]] = defaultdict(dict)
@@ -109,11 +118,20 @@ def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Lim
         if column not in counted:
             for row, level in _levels(run, column).items():
                 tests[row][level.label] = level
-    joined = {row: Joint(named) if len(named) > 1 else next(iter(named.values())) for row, named in tests.items()}
-    found = limits_of(joined, run.curves)
-    if run.rate is None:
-        return dict.fromkeys(found, Limit(reason="no rate was measured; add an evaluator with a headline of role rate"))
-    return {key: _failing_anywhere(key, limit, found) for key, limit in found.items()}
+    several = any(len(named) > 1 for named in tests.values())
+    return {row: Joint(named) if several else next(iter(named.values())) for row, named in tests.items()}
+
+
+def _complete(tests: Mapping[Key, Test]) -> dict[Key, Test]:
+    """The tests without settings that would pass, but of which less was measured than of others: a search asks for no
+    more than it needs, and none of what is missing is known to pass."""
+    sizes: dict[Key, int] = Counter()
+    for row, test in tests.items():
+        if row[0] != POOLED:
+            for on in (row[0], POOLED):
+                sizes[on, *row[1:]] += len(list(parts(test)))
+    most = {row[0]: max(size for other, size in sizes.items() if other[0] == row[0]) for row in tests}
+    return {row: test for row, test in tests.items() if test.verdict != "passes" or sizes[row] == most[row[0]]}
 
 
 def _failing_anywhere(key: SequenceCurve, limit: Limit, found: Mapping[SequenceCurve, Limit]) -> Limit:
@@ -144,12 +162,13 @@ def limits_of(tests: Mapping[Key, Test], points: Points) -> dict[SequenceCurve, 
 def _limit(members: list[Test]) -> Limit:
     if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
         return Limit(reason=f"no rate is known of {', '.join(unknown)}")
-    if empty := next((test for member in members for test in parts(member) if _is_empty(test)), None):
+    if empty := next((test for member in members for test in parts(member) if is_empty(test)), None):
         return Limit(reason=empty.why or "its runs cannot be judged here")
     return Limit(tuple(sorted(members, key=lambda member: -member.rate)))
 
 
-def _is_empty(test: Standing | Level) -> bool:
+def is_empty(test: Standing | Level) -> bool:
+    """Whether nothing that was measured can be judged."""
     return test.runs == 0 if isinstance(test, Standing) else test.margin.count == 0
 
 

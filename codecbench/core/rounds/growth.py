@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.awaited import sources
 from codecbench.core.engine.planning.entry import Entry
+from codecbench.core.engine.planning.estimate import START_S, estimate
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, SearchFinding
 from codecbench.core.engine.planning.plan import make_plan
@@ -28,6 +30,7 @@ from codecbench.core.engine.planning.search import EVERY, Extent
 from codecbench.core.engine.planning.until import repeats_of
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.rounds.edge import Edge
 from codecbench.core.rounds.searching import Searching
 from codecbench.core.rounds.trials import CellKey, Trials, column_of, runs_to_make, verdict
 
@@ -36,8 +39,11 @@ class Growth:
     """Makes the plan of a matrix again, as far as the records in a run folder lead.
 
     What is planned follows from the matrix and those records alone. So a run that was stopped, however it ended, plans
-    the same again and computes what is missing of it.
+    the same again and computes what is missing of it. end_s: of the monotonic clock; searches try more only if that can
+    be expected to be done by then.
     """
+
+    end_s = math.inf
 
     def __init__(self, matrix: Matrix, folder: Path, registry: Registry) -> None:
         self._matrix, self._store, self._registry = matrix, Store(folder), registry
@@ -61,9 +67,36 @@ class Growth:
         return self(make_plan(self._matrix, self._registry, extent=Extent(begun=self._begun)))
 
     def __call__(self, plan: Plan) -> Plan:
-        """The plan with all that is to be computed by now; the plan itself where that is all there is."""
+        """The plan with all that is to be computed by now; the plan itself where that is all there is.
+
+        If time is short, the first searches that fit go on.
+        """
+        known = {cell.id for cell in plan.cells}
+        for searches in range(len(self._matrix.searches), 0, -1):
+            grown = self._grown(plan, searches)
+            more = [cell for cell in grown.cells
+                    if cell.id not in known and not self._store.record_folder(cell.id).exists()]  # fmt: skip
+            if self._in_time(plan, grown, more):
+                return grown
+            left = {cell.id for cell in more}
+            plan = replace(plan, cells=tuple(cell for cell in grown.cells if cell.id not in left))
+        return self._grown(plan, 0)
+
+    def _in_time(self, plan: Plan, grown: Plan, more: list[Cell]) -> bool:
+        """Whether more cells of a plan that has grown can be expected to be done by the end."""
+        if self.end_s == math.inf or not more:
+            return True
+        begun = {job.id for job in plan.jobs}
+        results = read_run(self._store, self._read_of(plan), self._registry).results
+        durations = {result.cell.id: result.duration_s for result in results if result.duration_s}
+        seconds = estimate(grown, more, sum(job.id not in begun for job in grown.jobs), durations).seconds - START_S
+        return time.monotonic() + seconds <= self.end_s
+
+    def _grown(self, plan: Plan, searches: int) -> Plan:
+        """As `__call__`; only so many searches, the first ones, may try more."""
         while True:
-            extent, findings = self._asked(read_run(self._store, self._read_of(plan), self._registry))
+            run = read_run(self._store, self._read_of(plan), self._registry)
+            extent, findings = self._asked(run, searches)
             grown = make_plan(self._matrix, self._registry, extent=extent, sequences=plan.sequences)
             grown = replace(grown, searches=tuple(findings))
             known = {cell.id for cell in plan.cells}
@@ -76,6 +109,8 @@ class Growth:
 
     def _read_of(self, plan: Plan) -> Plan:
         """The plan with the cells alone that decide how it goes on."""
+        if any(search.aim is None for search in self._matrix.searches):
+            return plan
         needed = {evaluator.title for search in self._matrix.searches for evaluator in search.evaluators}
         needed |= self._awaited.all_titles
         if self._matrix.until is not None:
@@ -84,18 +119,29 @@ class Growth:
             needed |= {title for title, declared in rates if _measures_rate(declared)}
         return replace(plan, cells=tuple(cell for cell in plan.cells if cell.evaluator.title in needed))
 
-    def _asked(self, run: RunResult) -> tuple[Extent, list[SearchFinding]]:
+    def _asked(self, run: RunResult, searches: int) -> tuple[Extent, list[SearchFinding]]:
         matrix, trials = self._matrix, Trials(run, self._totals)
         findings: list[SearchFinding] = []
         settings = [entry.setting for entry in matrix.codecs if entry.wanted is None]
         always = [(sequence.name, setting) for sequence in run.plan.sequences for setting in settings]
         found: list[tuple[str, PluginSetting]] = []
-        for search in matrix.searches:
-            for sequence in run.plan.sequences:
-                finding, answer = Searching(search, sequence.name, trials, matrix.run.seed).result()
+        names = [sequence.name for sequence in run.plan.sequences]
+        for place, search in enumerate(matrix.searches):
+            before, in_time = dict(trials.asked), place < searches
+            answers: dict[str, PluginSetting] = {}
+            for name in names:
+                seeking = (Edge(search, name, trials, in_time) if search.aim is None else
+                           Searching(search, name, trials, matrix.run.seed, in_time))  # fmt: skip
+                finding, answer = seeking.result()
                 findings.append(finding)
                 if answer is not None:
-                    found.append((sequence.name, answer))
+                    answers[name] = answer
+            if not in_time:
+                trials.withdraw(before)
+            if search.aim is None and len(answers) == len(names):  # each on all, to be judged over all
+                found += [(name, setting) for name in names for setting in dict.fromkeys(answers.values())]
+            else:
+                found += answers.items()
         repeats: dict[CellKey, int] = {}
         for sequence_name, setting in found:
             repeats |= {(sequence_name, setting, title): EVERY for title in self._totals}

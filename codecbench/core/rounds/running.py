@@ -32,7 +32,8 @@ def run_matrix(
 ) -> RunSummary:
     """Compute what is missing of a matrix, round by round where its plan grows; parameters as of `run`.
 
-    minutes: rounds of nothing but more repeats begin only within that time.
+    minutes: rounds of nothing but more repeats begin only within that time, and trials of searches if they can be
+    expected to end within it.
     """
     plan, folder, growth = planned(matrix, out)
     rounds = growth if growth is None or minutes is None else _repeated_within(minutes, growth)
@@ -42,8 +43,9 @@ def run_matrix(
 
 
 def _repeated_within(minutes: float, growth: Growth) -> Callable[[Plan], Plan]:
-    """The growth of a plan without more repeats once so many minutes have passed from now on."""
-    end_s = time.monotonic() + 60.0 * minutes
+    """The growth of a plan that ends within so many minutes from now on: without more repeats once they have passed,
+    and without more trials of searches that could not be done by then."""
+    growth.end_s = end_s = time.monotonic() + 60.0 * minutes
 
     def grown(plan: Plan) -> Plan:
         larger = growth(plan)

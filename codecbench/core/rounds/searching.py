@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Final, Literal, TypeVar
 
 from codecbench.core.analysis.columns import Column
+from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.search import Search
 from codecbench.core.rounds.trials import Stopped, Trial, Trials, Unfinished
@@ -22,12 +23,14 @@ _SHOWN: Final = 5
 
 @dataclass
 class Searching:
-    """A search on a sequence. tried: what is known of each place, in the order in which they were tried."""
+    """A search on a sequence. in_time: whether it may ask for more. tried: what is known of each place, in the order in
+    which they were tried."""
 
     search: Search
     sequence: str
     trials: Trials
     seed: int
+    in_time: bool = True
     tried: dict[int, Trial] = field(default_factory=dict)
 
     def result(self) -> tuple[SearchFinding, PluginSetting | None]:
@@ -37,11 +40,18 @@ class Searching:
                 self._follow(sampling(self.search.lengths, self.search.budget, self.seed), self._score)
                 return self._of_several()
             ended = self._follow(bisection(len(self.search.settings), self.search.budget), self._side)
-            return self._nearest(ended) if self.search.aim.bound == "equal" else self._boundary(ended)
+            return self._nearest(ended) if self._aim.bound == "equal" else self._boundary(ended)
         except Unfinished:
-            return self._finding("under way", None, f"{len(self.tried)} settings tried so far"), None
+            if self.in_time:
+                return self._finding("under way", None, f"{len(self.tried)} settings tried so far"), None
+            return self._finding("stopped", None, f"no more time; {self._effort()}"), None
         except Stopped as stop:
             return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
+
+    @property
+    def _aim(self) -> Aim:
+        assert self.search.aim is not None, "what passes is sought by Edge"
+        return self.search.aim
 
     def _follow(self, questions: Generator[list[int], dict[int, A], E], answer: Callable[[int], A]) -> E:
         """Answer questions to their end. Raises Unfinished once all of a question are asked for, and Stopped."""
@@ -59,7 +69,7 @@ class Searching:
         for place in places:
             setting = self.search.settings[place]
             try:
-                self.tried[place] = self.trials.trial(self.sequence, setting, self.search.aim)
+                self.tried[place] = self.trials.trial(self.sequence, setting, self._aim)
             except Unfinished:
                 unfinished = True
             if self.search.least is not None:
@@ -72,7 +82,7 @@ class Searching:
             raise Unfinished
 
     def _side(self, place: int) -> Side:
-        trial, aim = self.tried[place], self.search.aim
+        trial, aim = self.tried[place], self._aim
         if aim.bound != "equal":
             return 1 if trial.meets else -1
         if math.isnan(trial.value):
@@ -82,7 +92,7 @@ class Searching:
         return 1 if trial.value > aim.value else -1
 
     def _score(self, place: int) -> Score:
-        trial, aim = self.tried[place], self.search.aim
+        trial, aim = self.tried[place], self._aim
         if aim.bound == "equal":
             return Score(0.0 if self._near_enough(trial) else aim.distance(trial.value), 0.0)
         distance = aim.distance(trial.value)
@@ -100,7 +110,7 @@ class Searching:
 
     def _nearest(self, ended: Bisected | None) -> tuple[SearchFinding, PluginSetting | None]:
         """The setting that comes nearest to an aim."""
-        aim = self.search.aim
+        aim = self._aim
         place = min(self.tried, key=lambda place: (aim.distance(self.tried[place].value), place))
         trial = self.tried[place]
         if not math.isfinite(trial.value) and math.isfinite(aim.value) and trial.value != aim.value:
@@ -116,11 +126,11 @@ class Searching:
         return self._finding(state, trial, f"{words}; {self._effort()}"), trial.setting
 
     def _near_enough(self, trial: Trial) -> bool:
-        return abs(trial.value - self.search.aim.value) <= self.search.within
+        return abs(trial.value - self._aim.value) <= self.search.within
 
     def _boundary(self, ended: Bisected) -> tuple[SearchFinding, PluginSetting | None]:
         """The last setting that will do before those that will not."""
-        aim, meeting = self.search.aim, {place: trial for place, trial in self.tried.items() if trial.meets}
+        aim, meeting = self._aim, {place: trial for place, trial in self.tried.items() if trial.meets}
         if not meeting:
             best = min(self.tried.values(), key=lambda trial: aim.distance(trial.value))
             came = f"the nearest is {self._told(best)}" if not math.isnan(best.value) else best.reason
@@ -142,7 +152,7 @@ class Searching:
 
     def _of_several(self) -> tuple[SearchFinding, PluginSetting | None]:
         """The best of the settings of several parameters that were tried."""
-        if self.search.aim.bound == "equal":
+        if self._aim.bound == "equal":
             return self._nearest(None)
         meeting = [place for place, trial in self.tried.items() if trial.meets]
         if not meeting:
@@ -181,7 +191,7 @@ class Searching:
         reached = trial.value if trial is not None and math.isfinite(trial.value) else None
         codec = self.search.settings[0].name
         label = trial.setting.label if trial is not None else ""
-        return SearchFinding(self.sequence, codec, str(self.search.aim), state, label, reached, len(self.tried), words)
+        return SearchFinding(self.sequence, codec, str(self._aim), state, label, reached, len(self.tried), words)
 
 
 def _number(value: float) -> str:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.passing import PASSES_ABOVE, Passing, Standing
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.limits import criteria, is_empty, tests_of
+from codecbench.core.analysis.passing import PASSES_ABOVE, Joint, Passing, Standing, Test, parts
+from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
 from codecbench.core.engine.planning.aim import Aim
@@ -62,6 +63,7 @@ class Trials:
     def __init__(self, run: RunResult, totals: Mapping[str, int]) -> None:
         self.asked: dict[CellKey, int] = {}
         self._run, self.totals = run, totals
+        self._tests: dict[tuple[str, ...], dict[Key, Test]] = {}
         self._found: dict[CellKey, dict[int, CellResult]] = defaultdict(dict)
         for result in run.results:
             cell = result.cell
@@ -104,6 +106,88 @@ class Trials:
             raise Unfinished
         return present
 
+    def stages(self, sequence: str) -> list[bool]:
+        """By what the settings of a sequence are judged, the cheapest first: by means over frames, and (True) by
+        success. Raises Unfinished before the baseline has its results, and Stopped if nothing judges them."""
+        run, known = self._run, {result.cell.id for result in self._run.results}
+        cells = [cell for cell in run.plan.cells if cell.sequence.name == sequence]
+        if any(cell.id not in known for cell in cells if cell.codec.name in run.schema.baselines):
+            raise Unfinished
+        found = sorted({_of_success(column) for columns in self._criteria(sequence) for column in columns})
+        if not found or run.rate is None:
+            raise Stopped("no evaluator says whether a setting passes, or none what it spends")
+        return found
+
+    def judged(self, sequence: str, setting: PluginSetting, *, succeeding: bool) -> Test:
+        """Whether a setting passes what is asked of the run: by means over frames and, if it passes by them and
+        `succeeding`, by success. Raises Unfinished and Stopped."""
+        assert self._run.rate is not None
+        found: dict[str, Test] = {}
+        for columns in self._criteria(sequence):
+            means = [column for column in columns if not _of_success(column)]
+            self._all_repeats(sequence, setting, [self._run.rate, *means])
+            if means:
+                found[" and ".join(column.label for column in means)] = self._test(sequence, setting, means)
+        if succeeding and all(test.verdict == "passes" for test in found.values()):
+            found = {}
+            for columns in self._criteria(sequence):
+                self._enough_repeats(sequence, setting, columns)
+                found[columns[0].evaluator.title] = self._test(sequence, setting, columns)
+        test = next(iter(found.values()))
+        return Joint(found) if len(found) > 1 else test if isinstance(test, Joint) else Joint({test.label: test})
+
+    def _criteria(self, sequence: str) -> list[list[Column]]:
+        """What is asked on a sequence, as far as its evaluators can be computed there."""
+        there = {result.cell.evaluator for result in self._run.results
+                 if result.status == "ok" and result.cell.sequence.name == sequence}  # fmt: skip
+        asked = [[column for column in columns if column.evaluator in there] for columns in self._asked_of_all]
+        return [columns for columns in asked if columns]
+
+    @cached_property
+    def _asked_of_all(self) -> list[list[Column]]:
+        return criteria(self._run)
+
+    def _test(self, sequence: str, setting: PluginSetting, columns: Sequence[Column]) -> Test:
+        """What columns say of a setting that was measured."""
+        key = tuple(column.name for column in columns)
+        if key not in self._tests:
+            self._tests[key] = tests_of(self._run, columns)
+        test = self._tests[key].get((sequence, setting.name, setting.label))
+        if test is None or any(is_empty(part) for part in parts(test)):
+            raise Stopped(f"{setting.label} cannot be judged by {' and '.join(column.label for column in columns)}")
+        return test
+
+    def _all_repeats(self, sequence: str, setting: PluginSetting, columns: Sequence[Column]) -> None:
+        """Ask for all repeats of the evaluators of columns, before any is found missing."""
+        missing = False
+        for title in dict.fromkeys(column.evaluator.title for column in columns):
+            try:
+                self.repeats(sequence, setting, title, self.totals[title])
+            except Unfinished:
+                missing = True
+        if missing:
+            raise Unfinished
+
+    def _enough_repeats(self, sequence: str, setting: PluginSetting, columns: Sequence[Column]) -> None:
+        """Ask for repeats until it stands whether a setting succeeds, or there are no more."""
+        counted = [column for column in columns if _of_success(column)]
+        title = counted[0].evaluator.title
+        total = self.totals[title]
+        count = runs_to_make(0, 0, total)
+        while True:
+            self.repeats(sequence, setting, title, count)
+            (standing,) = parts(self._test(sequence, setting, counted))
+            assert isinstance(standing, Standing)
+            if count == total or stands(standing.successes, standing.runs):
+                return
+            count = min(total, count + runs_to_make(standing.successes, standing.runs, total) - standing.runs)
+
+    def withdraw(self, before: Mapping[CellKey, int]) -> None:
+        """Ask no more, of what was asked for since `before`, than what is recorded."""
+        for key, count in list(self.asked.items()):
+            if count > before.get(key, 0):
+                self.asked[key] = max(before.get(key, 0), len(self.recorded(*key)))
+
     def recorded(self, sequence: str, setting: PluginSetting, evaluator: str) -> list[CellResult]:
         """The repeats that have a record, up to the first that has none."""
         found = self._found[sequence, setting, evaluator]
@@ -129,6 +213,10 @@ class Trials:
                 if measured.metric == column.metric.name and measured.reason:
                     return measured.reason
         return f"{column.evaluator.title} gives no {column.measure}.{column.aggregate} here"
+
+
+def _of_success(column: Column) -> bool:
+    return column.metric.role == "success"
 
 
 CHANCE: Final = 0.05

@@ -8,7 +8,7 @@ from typing import Any, Final
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.matrix import RunSection
-from codecbench.core.engine.planning.search_section import SearchSection
+from codecbench.core.engine.planning.search_section import PASSES, SearchSection
 from codecbench.core.engine.plugin import Plugin
 from codecbench.core.engine.registry import Registry
 
@@ -80,7 +80,7 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
         if kind == "dataset":
             properties["name"] = {"type": "string"}
         if kind == "codec":
-            properties |= {"search": SearchSection.model_json_schema(), "at": _AT}
+            properties |= {"search": {"anyOf": [SearchSection.model_json_schema(), {"const": PASSES}]}, "at": _AT}
         required = ["use", "params"] if params.get("required") else ["use"]
         choices.append(
             {

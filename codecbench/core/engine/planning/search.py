@@ -2,7 +2,7 @@
 
     - use: jpeg
       params: {quality: {range: [1, 100]}}
-      search: {metric: psnr_gray_db, min: 35}          # or, for short, `at: {rate_bpp: 0.5}`
+      search: {metric: psnr_gray_db, min: 35}          # or, for short, `at: {rate_bpp: 0.5}`; or `passes`
 
 Without `search` the axes of an entry are a sweep: all of their settings are in the plan. With it none is at first. The
 plan grows in rounds: when all of its cells have ended, `core.rounds` reads what was stored, finds out which
@@ -35,14 +35,15 @@ EVERY: Final = 1 << 30
 class Search:
     """A codec entry with an aim. axes: of more than one value. settings: of all their combinations, the last axis
     turning fastest. least: of the settings that will do, the one with the least of this column is sought; None where
-    there is one axis, of which the last setting that will do is.
+    there is one axis, of which the last setting that will do is. aim: None where the coarsest setting is sought that
+    passes what is asked of the run.
     """
 
-    aim: Aim
+    aim: Aim | None
     axes: tuple[Axis, ...]
     settings: tuple[PluginSetting, ...]
-    within: float
-    budget: int
+    within: float = 0.0
+    budget: int = EVERY
     least: tuple[PluginSetting, Metric] | None = None
 
     @property
@@ -51,8 +52,8 @@ class Search:
 
     @property
     def evaluators(self) -> tuple[PluginSetting, ...]:
-        """Those that a trial needs."""
-        return tuple(dict.fromkeys((self.aim.evaluator, *(self.least or ())[:1])))
+        """Those that a trial needs, as far as the matrix says it."""
+        return tuple(dict.fromkeys((*([self.aim.evaluator] if self.aim else ()), *(self.least or ())[:1])))
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,15 @@ def made_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems
     for where, entries in members.items():
         wanted = entries[0].wanted
         assert wanted is not None
+        settings = tuple(entry.setting for entry in entries)
+        if wanted.section is None:
+            if not any(entry.description and entry.description.declared["reference"] == "baseline" for entry in codecs):
+                problems.add(where, "a setting passes beside the baseline, and there is none; add the codec raw")
+            searches.append(Search(None, wanted.axes, settings))
+            continue
         aim = find_aim(wanted.section, evaluators, where, problems)
         if aim is not None:
             least = _rate_of(evaluators) if len(wanted.axes) > 1 else None
-            settings = tuple(entry.setting for entry in entries)
             searches.append(Search(aim, wanted.axes, settings, wanted.section.within, wanted.section.budget, least))
     return tuple(searches)
 

@@ -17,6 +17,8 @@ Bound = Literal["min", "max", "equal"]
 
 _BOUNDS: Final[tuple[Bound, ...]] = ("min", "max", "equal")
 _Number = Annotated[StrictInt | StrictFloat, Field(allow_inf_nan=False)]
+PASSES: Final = "passes"
+"""A search for the coarsest setting that passes what is asked of the run."""
 _MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
 
 
@@ -51,10 +53,11 @@ class SearchSection(AimSection):
 
 @dataclass(frozen=True)
 class Wanted:
-    """The `search` or `at` of an entry, before its metric is looked up. where: in the file."""
+    """The `search` or `at` of an entry, before its metric is looked up. where: in the file. section: None where the
+    setting is sought that passes."""
 
     where: Where
-    section: SearchSection
+    section: SearchSection | None
     axes: tuple[Axis, ...]
 
 
@@ -62,6 +65,7 @@ def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) 
     """A section as its model; None, and problems, where it is not one."""
     if not isinstance(value, Mapping):
         example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
+        example += f", or {PASSES}" if where[-1] == "search" else ""
         problems.add(where, f"must be a mapping such as {example}; got {plain(value)}")
         return None
     problems.unknown(where, value, kind.model_fields)
@@ -86,7 +90,8 @@ def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], pro
         problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
         return None
     value = _spelled_out(item[word]) if word == "at" else item[word]
-    section = read_section(SearchSection, value, place, problems)
+    passes = word == "search" and value == PASSES
+    section = None if passes else read_section(SearchSection, value, place, problems)
     varied = tuple(axis for axis in axes if len(axis) > 1)
     if not varied:
         message = "there is nothing to choose from; give a parameter `{range: [first, last, step]}` or `{grid: [...]}`"
@@ -94,9 +99,12 @@ def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], pro
         return None
     for axis in varied:
         _require_ordered(axis, (*where, "params", axis.name), problems)
+    if len(varied) > 1 and passes:
+        problems.add(place, f"one parameter may vary; got {' and '.join(axis.name for axis in varied)}")
+        return None
     if len(varied) > 1 and find_spec("optuna") is None:
         problems.add(place, _MISSING_EXTRA)
-    return None if section is None else Wanted(place, section, varied)
+    return None if section is None and not passes else Wanted(place, section, varied)
 
 
 def _spelled_out(value: Any) -> Any:

@@ -52,14 +52,21 @@ def problems(bench: SearchBench, matrix: str) -> str:
         ("search: {metric: weight_bytes, min: heavy}", "codecs[0].search.min: "),
         ("search: {metric: weight_bytes, equal: 3, within: -1}", "search.within: Input should be greater"),
         ("search: {metric: weight_bytes, least: 3}", "codecs[0].search.least: unknown; allowed: metric, min"),
-        ("search: 3", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}; got 3"),
+        ("search: 3", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}, or passes; got 3"),
         ("at: {weight_bytes: 3, caught: 1}", "codecs[0].at: must be a mapping such as {METRIC: NUMBER}; got"),
         ("at: 0.5", "codecs[0].at: must be a mapping such as {METRIC: NUMBER}; got 0.5"),
+        ("search: passes", "codecs[0].search: a setting passes beside the baseline, and there is none; add the codec raw"),
+        ("search: fails", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}, or passes; got"),
         ("at: {weight_bytes: 3}, search: {metric: weight_bytes, min: 3}", "codecs[0].at: is short for a search"),
     ],
 )
 def test_what_cannot_be_sought_is_said_with_its_place(bench: SearchBench, entry: str, said: str) -> None:
     assert said in problems(bench, text(DIAL % entry))
+
+
+def test_what_passes_is_sought_along_one_parameter(bench: SearchBench) -> None:
+    entry = "{use: dial, params: {level: {range: [0, 9]}, share: {grid: [0, 1]}}, search: passes}"
+    assert "codecs[1].search: one parameter may vary; got level and share" in problems(bench, text("still", entry))
 
 
 def test_a_metric_of_several_evaluators_is_to_be_told_apart(bench: SearchBench) -> None:
@@ -166,7 +173,9 @@ def test_editors_know_searches() -> None:
     (dial,) = [item for item in schema["properties"]["codecs"]["items"]["anyOf"]
                if item.get("properties", {}).get("use") == {"const": "dial"}]  # fmt: skip
     assert {"search", "at"} <= set(dial["properties"])
-    assert {"metric", "min", "max", "equal", "within", "budget"} == set(dial["properties"]["search"]["properties"])
+    aim, word = dial["properties"]["search"]["anyOf"]
+    assert {"metric", "min", "max", "equal", "within", "budget"} == set(aim["properties"])
+    assert word == {"const": "passes"}
     used = json.dumps(schema)
     for name in ("UntilSection", "AimSection"):
         assert f"#/$defs/{name}" in used
