@@ -77,13 +77,16 @@ def run(
     end(summary)
 
 
-def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool) -> None:
-    """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser."""
+def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool, minutes: float) -> None:
+    """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser.
+
+    minutes: what there is no time for is not tried, and that is said.
+    """
     from codecbench.core.report.page import write_report
     from codecbench.core.rounds.running import run_matrix
 
     with Display(Screen(stderr=True), True) as display:
-        summary = run_matrix(matrix, out, workers=workers, listener=display.show)
+        summary = run_matrix(matrix, out, workers=workers, listener=display.show, minutes=minutes)
     result = _show(summary, False, in_sentences=True)
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
     if result is not None and "ok" in summary.statuses:
@@ -109,7 +112,8 @@ def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> Ru
 
         result = open_run(summary.folder)
         if in_sentences:
-            click.echo("\n" + "\n".join(clean_line(line) for line in answers(result).lines) + "\n")
+            stopped = [f"{found.codec}: {found.words}." for found in result.plan.searches if found.state == "stopped"]
+            click.echo("\n" + "\n".join(clean_line(line) for line in (*answers(result).lines, *stopped)) + "\n")
         else:
             show_verdicts(verdicts(result, brief=True))
         show_summary(result)

@@ -59,15 +59,15 @@ def try_(
     """
     click.echo(f"looking at {path} ...", err=True)
     made = _made(path, codecs, aim, minutes, fov, set_)
-    about = max(1, round(made.estimated_s / 60))
     from codecbench.trial.recording import counted
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
-    click.echo(f"{work}: about {about} min{', some of it to compile kernels, once' if made.compiles else ''}")
+    click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")
     from codecbench.cli.run import run_and_report
     from codecbench.core.engine.planning.matrix import matrix_from
 
-    run_and_report(matrix_from(made.text), out, workers=workers, show=_on_desktop() if show is None else show)
+    show = _on_desktop() if show is None else show
+    run_and_report(matrix_from(made.text), out, workers=workers, show=show, minutes=made.minutes)
 
 
 @click.command()

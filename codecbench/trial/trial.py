@@ -116,7 +116,8 @@ def trial(
 
     registry = installed()
     made = fitted(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
-    return open_run(run_matrix(matrix_from(made.text, registry), out, workers=workers).folder)
+    matrix = matrix_from(made.text, registry)
+    return open_run(run_matrix(matrix, out, workers=workers, minutes=made.minutes).folder)
 
 
 def added_params(texts: Sequence[str]) -> dict[str, Any]:

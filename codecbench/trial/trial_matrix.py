@@ -3,33 +3,43 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, Literal, get_args
 
+from codecbench.core.contracts.codec import StreamCodec
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
-from codecbench.core.engine.planning.estimate import estimate
+from codecbench.core.engine.planning.estimate import START_S, estimate
 from codecbench.core.engine.planning.matrix import matrix_from
-from codecbench.core.engine.planning.model import Plan
+from codecbench.core.engine.planning.model import Plan, SequenceEntry
 from codecbench.core.engine.planning.plan import make_plan
+from codecbench.core.engine.planning.search import EVERY, Extent
+from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.running.warm_up import kernels_to_compile
+from codecbench.trial.pace import Pace, measured_pace
 from codecbench.trial.recording import Recording, counted
 from codecbench.trial.wanted_codecs import WantedCodec, read_codec
 
 Aim = Literal["tracking", "quality", "speed"]
 AIMS: Final = get_args(Aim)
 
-_STILLS: Final = ("jpeg:5|10|20|40|75", "jpeg2000:ratio=12|30|75", "webp:10|40|75")
-_STREAMS: Final = ("h264:crf=22|30|38",)
+_USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
+"""From coarse to fine. The last ones are left out first if there is no time."""
+_STEPS: Final = (15, 7)
+"""Of a range, and if there is little time or each takes long: one less than a power of 2, as bisection halves them."""
 _STARTS: Final = (0, 1, 2, 3)
 """Four runs are the fewest of which a success rate can be told."""
 _TYPICAL_PIXELS: Final = 640 * 480
 _FEWEST: Final[dict[str, int]] = {"tracking": 150, "quality": 10, "speed": 10}
 """Frames below which an aim tells nothing: a map takes a few seconds of a recording to begin."""
-_COMPILE_S: Final[dict[str, float]] = {"tracking": 60.0, "quality": 30.0, "speed": 5.0}
-"""What compiling kernels takes the first time, on two cores."""
+_FEWEST_WITH_MEMORY: Final = 60
+"""Frames below which the first picture, which costs most, is too large a part of a video."""
+_ROUND_S: Final = 3.0
+"""What a round of trials takes besides its cells: workers wait for the last, and tables are made."""
 _MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2.5}
 """How long a user waits who said nothing of it: SLAM from several starts takes its time, pictures need not."""
 
@@ -38,7 +48,8 @@ _MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2
 class TrialMatrix:
     """The text of a matrix, and what its user is told of how it was chosen.
 
-    estimated_s: wall time; `compiles` where that of compiling kernels is in it, which the cache does not have.
+    settings: about how many will be tried. estimated_s: wall time on this machine as busy as it is now; `compiles`
+    where that of compiling kernels is in it, which the cache does not have.
     """
 
     text: str
@@ -48,6 +59,11 @@ class TrialMatrix:
     estimated_s: float
     compiles: bool
     choices: tuple[str, ...]
+
+    @property
+    def minutes(self) -> int:
+        """What is announced."""
+        return max(1, math.ceil(self.estimated_s / 60.0 - 0.1))
 
 
 def suited_aim(recording: Recording) -> Aim:
@@ -82,31 +98,55 @@ def trial_matrix(
         chosen.append(
             "there is no ground truth: the paths that SLAM finds on raw pictures stand in for it, as far as they agree"
         )
-    wanted = [read_codec(registry, text) for text in codecs] or _usual(registry, recording)
     if recording.sizes and not codecs:
-        names = ", ".join(text.partition(":")[0] for text in _STREAMS)
+        names = ", ".join(text.partition(":")[0] for text in _USUAL if _has_memory(registry, text))
         chosen.append(f"codecs with memory ({names}) are left out: they need pictures of one size")
-    draft = _Draft(recording, tuple(wanted), aim, recording.frames)
-    seconds = draft.seconds(registry)
-    budget_s = max(60.0 * minutes - _COMPILE_S[aim], 0.0)
-    if seconds > budget_s:
-        fewest = min(_FEWEST[aim], recording.frames)
-        few_s = replace(draft, frames=fewest).seconds(registry)
-        share = 0.0 if seconds <= few_s else min(1.0, max(0.0, (budget_s - few_s) / (seconds - few_s)))
-        draft = replace(draft, frames=fewest + int(share * (recording.frames - fewest)))
-        seconds = draft.seconds(registry)
-        about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"
-        if draft.frames < recording.frames:
-            chosen.append(
-                f"the first {draft.frames:,} of {counted(recording.frames, 'frame')}, to be done in {about}; "
-                f"the other frames are not looked at"
-            )
-        else:
-            chosen.append(f"all {counted(draft.frames, 'frame')} are needed, which may take more than {about}")
-    settings = 1 + sum(len(codec) for codec in wanted)
-    compiles = len(kernels_to_compile(draft.plan(registry).cells, registry)) > 0
-    estimated_s = seconds + (_COMPILE_S[aim] if compiles else 0.0)
-    return TrialMatrix(draft.text(), aim, draft.frames, settings, estimated_s, compiles, tuple(chosen))
+    draft = _fitting(registry, recording, list(codecs), aim, minutes, chosen)
+    settings = len({cell.codec for cell in draft.plan.cells})
+    compiles = draft.pace.compiling_s > 0.0
+    return TrialMatrix(draft.text(), aim, draft.frames, settings, draft.seconds, compiles, tuple(chosen))
+
+
+def _fitting(
+    registry: Registry, recording: Recording, codecs: list[str], aim: Aim, minutes: float, chosen: list[str]
+) -> _Draft:
+    """The matrix that can be expected to take the `minutes`: with fewer steps, codecs and frames; that is said."""
+    texts = codecs or _usual(registry, recording)
+    fewest = max(_FEWEST[aim], *(_FEWEST_WITH_MEMORY * _has_memory(registry, text) for text in texts))
+    budget_s = 60.0 * minutes
+    few_steps = aim == "tracking" and not recording.has_ground_truth
+    pace = measured_pace(registry, recording)
+
+    def drafted(steps: int) -> _Draft:
+        wanted = tuple(read_codec(registry, text, steps) for text in texts)
+        return _Draft(registry, recording, wanted, aim, min(fewest, recording.frames), pace)
+
+    pace = replace(pace, compiling_s=kernels_to_compile(drafted(_STEPS[-1]).plan.cells, registry).seconds)
+    draft = drafted(_STEPS[few_steps])
+    if draft.seconds > budget_s:
+        draft = drafted(_STEPS[-1])
+    left_out: list[str] = []
+    while not codecs and len(texts) > 2 and draft.seconds > budget_s:
+        left_out.append(texts.pop().partition(":")[0])
+        draft = drafted(_STEPS[-1])
+    if left_out:
+        chosen.append(f"left out for lack of time (--minutes): {', '.join(left_out)}")
+    about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"
+    if draft.seconds > budget_s:
+        which = f"the first {draft.frames:,} of" if draft.frames < recording.frames else "all"
+        total = counted(recording.frames, "frame")
+        chosen.append(f"{which} {total} are needed, which may take more than {about}")
+        return draft
+    whole = replace(draft, frames=recording.frames)
+    if whole.seconds <= budget_s:
+        return whole
+    share = (budget_s - draft.seconds) / (whole.seconds - draft.seconds)
+    draft = replace(draft, frames=draft.frames + int(share * (recording.frames - draft.frames)))
+    chosen.append(
+        f"the first {draft.frames:,} of {counted(recording.frames, 'frame')}, to be done in {about}; "
+        f"the other frames are not looked at"
+    )
+    return draft
 
 
 def _why(aim: Aim, recording: Recording) -> str:
@@ -122,37 +162,65 @@ def _why(aim: Aim, recording: Recording) -> str:
     return f"the camera is not known, {so}{how}"
 
 
-def _usual(registry: Registry, recording: Recording) -> list[WantedCodec]:
+def _usual(registry: Registry, recording: Recording) -> list[str]:
     """Codecs that anybody would ask for, those of them that are installed and take the recording's pictures."""
-    return [
-        read_codec(registry, text)
-        for text in (*_STILLS, *(() if recording.sizes else _STREAMS))
-        if registry.find("codec", text.partition(":")[0]).missing is None
-    ]
+    there = [text for text in _USUAL if registry.find("codec", text.partition(":")[0]).missing is None]
+    return [text for text in there if not (recording.sizes and _has_memory(registry, text))]
+
+
+def _has_memory(registry: Registry, text: str) -> bool:
+    name = text.partition(":")[0]
+    return bool(registry.ask(_is_stream, name, of=[("codec", name)]))
+
+
+def _is_stream(registry: Registry, name: str) -> bool:
+    return issubclass(registry.load("codec", name), StreamCodec)
 
 
 @dataclass(frozen=True)
 class _Draft:
     """A matrix of so many frames."""
 
+    registry: Registry
     recording: Recording
     codecs: tuple[WantedCodec, ...]
     aim: Aim
     frames: int
+    pace: Pace
 
-    def seconds(self, registry: Registry) -> float:
+    @cached_property
+    def plan(self) -> Plan:
+        """What is expected to be computed: of a search the settings that bisection tries, the longest work of one."""
+        matrix, recording = matrix_from(self.text(), self.registry), self.recording
+        entry = SequenceEntry(
+            recording.name, matrix.sequences[0].setting, "", self.frames, recording.channels, recording.has_camera,
+            recording.has_ground_truth,
+        )  # fmt: skip
+        titles = [evaluator.setting.title for evaluator in matrix.evaluators]
+        often = {"trajectory"} if titles == ["quality", "trajectory", "timing"] else set(titles) - {"trajectory"}
+        repeats = {
+            (entry.name, setting, title): EVERY
+            for search in matrix.searches
+            for place, setting in enumerate(search.settings[: _tries(len(search.settings))])
+            for title in titles
+            if place == 0 or title == "quality" or (title in often and title != "timing")
+        }
+        return make_plan(matrix, self.registry, extent=Extent(repeats), sequences=[entry])
+
+    @cached_property
+    def seconds(self) -> float:
         """How long it can be expected to take. Typical costs are of frames of 640x480."""
-        plan = self.plan(registry)
+        plan = self.plan
         cells = [cell for cell in plan.cells if cell.unsupported is None]
         if not cells:
             reasons = "; ".join(dict.fromkeys(str(cell.unsupported) for cell in plan.cells))
             raise CodecbenchError(f"nothing of this can be run here: {reasons}")
-        pixels = self.recording.width * self.recording.height
-        return estimate(plan, cells, len(plan.jobs), {}).seconds * max(pixels / _TYPICAL_PIXELS, 0.2)
-
-    def plan(self, registry: Registry) -> Plan:
-        """The plan of the matrix."""
-        return make_plan(matrix_from(self.text(), registry), registry)
+        pixels = max(self.recording.width * self.recording.height / _TYPICAL_PIXELS, 0.2)
+        typical_s = estimate(plan, cells, len(plan.jobs), {}).seconds - START_S
+        reads = self.frames * (len(plan.jobs) + sum(not cell.exclusive for cell in cells))
+        rounds = 3 + max((_tries(len(codec)) for codec in self.codecs if codec.searched), default=0)
+        shared_s = self.pace.compiling_s + reads * self.pace.reading_ms / 1e3
+        return self.pace.slowness * (START_S + _ROUND_S * rounds + typical_s * pixels + shared_s / plan.run.workers)
 
     def text(self) -> str:
         """The YAML text."""
@@ -171,17 +239,29 @@ class _Draft:
         ]
         for codec in self.codecs:
             lines.append(f"  - use: {codec.name}")
+            if codec.searched:
+                lines.append(f"    search: {PASSES}  # the coarsest of these that does; without it all are run")
             if codec.values:
                 lines.append(f"    params: {_flow({key: _values(span) for key, span in codec.values.items()})}")
-        lines += ["evaluators:", *_EVALUATORS[self.aim]]
+        without_truth = self.aim == "tracking" and not recording.has_ground_truth
+        lines += ["evaluators:", *(line for line in _EVALUATORS[self.aim] if not (without_truth and line == _PLACES))]
         return "\n".join(lines) + "\n"
 
 
 _QUALITY: Final = "  - quality  # bits a pixel, PSNR, SSIM"
+_PLACES: Final = "  - localization  # where each frame is in a map of the raw ones"
 _FEATURES: Final = "  - features  # what a tracker's keypoints lose"
+
+
+def _tries(settings: int) -> int:
+    """How many settings of an axis a bisection tries."""
+    return settings.bit_length()
+
+
 _EVALUATORS: Final[dict[str, list[str]]] = {
     "tracking": [
         _QUALITY,
+        _PLACES,
         "  - use: trajectory  # what SLAM makes of the camera's path, from several starts: single runs scatter",
         f"    params: {{start_offsets: {list(_STARTS)}}}",
         "  - use: timing",

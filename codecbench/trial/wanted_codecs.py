@@ -12,7 +12,6 @@ from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import Registry
 
-_STEPS: Final = 5
 _SPELLING: Final = "NAME, NAME:VALUE, NAME:FIRST..LAST or NAME:PARAM=..,PARAM=.., such as jpeg:5..90 or h264:crf=18..40"
 _RANGE: Final = re.compile(r"(?P<first>-?[\d.]+?)\.\.(?P<last>-?\d+(?:\.\d+)?)(?:/(?P<count>\d+))?")
 _FACTOR: Final = 4.0
@@ -21,34 +20,45 @@ _FACTOR: Final = 4.0
 
 @dataclass(frozen=True)
 class WantedCodec:
-    """A codec of a matrix: its name and, for each parameter, the values to span."""
+    """A codec of a matrix: its name and, for each parameter, the values to span. ranges: parameters whose values were
+    asked for by their ends."""
 
     name: str
     values: dict[str, list[Any]]
+    ranges: frozenset[str] = frozenset()
+
+    @property
+    def searched(self) -> bool:
+        """Whether the values are those of one range, of which some may be tried."""
+        return {key for key, values in self.values.items() if len(values) > 1} == self.ranges and len(self.ranges) == 1
 
     def __len__(self) -> int:
         """How many settings it spans."""
         return math.prod(len(values) for values in self.values.values())
 
 
-def read_codec(registry: Registry, text: str) -> WantedCodec:
+def read_codec(registry: Registry, text: str, steps: int = 5) -> WantedCodec:
     """What a `--codec` asks for. A value without a parameter's name is of the codec's first numeric parameter.
+    steps: of a range without a count.
 
     Raises PluginError for an unknown codec and ParamsError for another spelling.
     """
     name, _, rest = text.partition(":")
     registry.find("codec", name)
     values: dict[str, list[Any]] = {}
+    ranges: set[str] = set()
     for part in rest.split(",") if rest else []:
         key, equals, value = part.rpartition("=")
         key = key if equals else _first_number(registry, name)
         if not value or not key or key in values:
             raise ParamsError(f"--codec {text}: {part!r} is not understood; write {_SPELLING}")
-        values[key] = _span(registry, name, key, value)
-    return WantedCodec(name, values)
+        values[key] = _span(registry, name, key, value, steps)
+        if _RANGE.fullmatch(value):
+            ranges.add(key)
+    return WantedCodec(name, values, frozenset(ranges))
 
 
-def _span(registry: Registry, codec: str, key: str, text: str) -> list[Any]:
+def _span(registry: Registry, codec: str, key: str, text: str, steps_wanted: int) -> list[Any]:
     """The values of `5..90`, `5..90/7`, `5|10|20` or one value."""
     found = _RANGE.fullmatch(text)
     if found is None:
@@ -58,7 +68,7 @@ def _span(registry: Registry, codec: str, key: str, text: str) -> list[Any]:
         first, last = float(found["first"]), float(found["last"])
     except ValueError:
         raise ParamsError(f"--codec {codec}: {text!r} is no range; write FIRST..LAST, such as 5..90") from None
-    count = int(found["count"] or _STEPS)
+    count = int(found["count"] or steps_wanted)
     if not 2 <= count <= 100:
         raise ParamsError(f"--codec {codec}: {text!r} has {count} steps; 2 to 100 are possible")
     low, high = sorted((first, last))
@@ -68,7 +78,8 @@ def _span(registry: Registry, codec: str, key: str, text: str) -> list[Any]:
     whole = "integer" in _kinds(registry, codec, key) or (
         low.is_integer() and high.is_integer() and high - low >= count
     )
-    return list(dict.fromkeys(round(step) if whole else float(f"{step:.4g}") for step in steps))
+    values = list(dict.fromkeys(round(step) if whole else float(f"{step:.4g}") for step in steps))
+    return values if first == low else values[::-1]
 
 
 def _value(word: str) -> Any:

@@ -23,7 +23,8 @@ Measure = Callable[[Cell], "float | str"]
 
 
 _METRICS = {
-    "scales": "weight_bytes", "toss": "caught", "stray": "stray_m", "lag": "lag_ms", "sight": "seen", "waiter": "paused_ms"
+    "scales": "weight_bytes", "toss": "caught", "stray": "stray_m", "lag": "lag_ms", "waiter": "paused_ms",
+    "sight": "seen",
 }  # fmt: skip
 
 

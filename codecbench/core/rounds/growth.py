@@ -22,7 +22,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.awaited import sources
 from codecbench.core.engine.planning.entry import Entry
-from codecbench.core.engine.planning.estimate import START_S, estimate
+from codecbench.core.engine.planning.estimate import estimate
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, SearchFinding
 from codecbench.core.engine.planning.plan import make_plan
@@ -89,7 +89,7 @@ class Growth:
         begun = {job.id for job in plan.jobs}
         results = read_run(self._store, self._read_of(plan), self._registry).results
         durations = {result.cell.id: result.duration_s for result in results if result.duration_s}
-        seconds = estimate(grown, more, sum(job.id not in begun for job in grown.jobs), durations).seconds - START_S
+        seconds = estimate(grown, more, sum(job.id not in begun for job in grown.jobs), durations).seconds
         return time.monotonic() + seconds <= self.end_s
 
     def _grown(self, plan: Plan, searches: int) -> Plan:

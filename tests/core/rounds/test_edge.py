@@ -112,7 +112,9 @@ def test_success_alone_is_bisected_too(bench: SearchBench) -> None:
 
 
 def test_each_sequence_has_its_edge_and_what_is_found_is_measured_on_all(bench: SearchBench) -> None:
-    text = matrix(evaluators="scales, {use: toss, params: {runs: 4}}, lag", sequences="flat, {use: flat, params: {gray: 3}}")
+    text = matrix(
+        evaluators="scales, {use: toss, params: {runs: 4}}, lag", sequences="flat, {use: flat, params: {gray: 3}}"
+    )
     found = bench.run(text, World(0, 6))
     assert [(one.sequence, one.setting) for one in found] == [("flat0", "level=6"), ("flat3", "level=9")]
     both = {(cell.sequence.name, cell.codec.params["level"]) for cell in bench.computed if cell.evaluator.name == "lag"}

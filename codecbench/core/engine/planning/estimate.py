@@ -29,13 +29,19 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
     """The time for the missing cells and the coding jobs that have no file yet, spread over the workers.
 
     durations: seconds of finished cells by id. A cell is estimated from the median cost per frame of finished
-    cells of the same codec and evaluator, where there are any, else from what its evaluator declares as typical.
+    cells of the same codec and evaluator, where there are any, else from what its evaluator declares as typical, as
+    many times as finished cells took what theirs declare.
     """
     declared = typical_costs_ms(plan)
     costs: dict[tuple[str, str], list[float]] = defaultdict(list)
+    taken = expected = 0.0
     for cell in plan.cells:
         if cell.id in durations and cell.sequence.frames:
             costs[cell.codec.name, cell.evaluator.name].append(durations[cell.id] / cell.sequence.frames)
+            if typical := declared.get(cell.evaluator.title):
+                taken += durations[cell.id]
+                expected += typical / 1000 * cell.sequence.frames
+    slowness = taken / expected if expected else 1.0
     shared = alone = 0.0
     measured = 0
     for cell in missing:
@@ -45,13 +51,13 @@ def estimate(plan: Plan, missing: list[Cell], jobs: int, durations: Mapping[str,
             seconds = known[len(known) // 2] * cell.sequence.frames
             measured += 1
         else:
-            seconds = TYPICAL_CELL_S if typical is None else typical / 1000 * cell.sequence.frames
+            seconds = TYPICAL_CELL_S if typical is None else slowness * typical / 1000 * cell.sequence.frames
         if cell.exclusive:
             alone += seconds
         else:
             shared += seconds
     frames = max((entry.frames for entry in plan.sequences), default=0)
-    shared += jobs * TYPICAL_CODING_MS / 1000 * frames
+    shared += jobs * slowness * TYPICAL_CODING_MS / 1000 * frames
     total = START_S + shared / plan.run.workers + alone if missing else 0.0
     return Estimate(total, measured, len(missing) - measured)
 

@@ -58,6 +58,11 @@ class WarmUp:
         return self.total - self.done
 
     @property
+    def seconds(self) -> float:
+        """What compiling them takes one worker, as it did where their lists were made."""
+        return sum(entry.seconds for entry in (*self._coding, *self._evaluating, *self._later))
+
+    @property
     def progress(self) -> str:
         """How far it is, for people; empty once it is over."""
         return f"compiling kernels, once: {self.done} of {self.total}" if self.done < self.total else ""

@@ -55,7 +55,10 @@ def problems(bench: SearchBench, matrix: str) -> str:
         ("search: 3", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}, or passes; got 3"),
         ("at: {weight_bytes: 3, caught: 1}", "codecs[0].at: must be a mapping such as {METRIC: NUMBER}; got"),
         ("at: 0.5", "codecs[0].at: must be a mapping such as {METRIC: NUMBER}; got 0.5"),
-        ("search: passes", "codecs[0].search: a setting passes beside the baseline, and there is none; add the codec raw"),
+        (
+            "search: passes",
+            "codecs[0].search: a setting passes beside the baseline, and there is none; add the codec raw",
+        ),
         ("search: fails", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}, or passes; got"),
         ("at: {weight_bytes: 3}, search: {metric: weight_bytes, min: 3}", "codecs[0].at: is short for a search"),
     ],
