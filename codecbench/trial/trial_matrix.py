@@ -29,8 +29,8 @@ AIMS: Final = get_args(Aim)
 
 _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
 """From coarse to fine. The last ones are left out first if there is no time."""
-_STEPS: Final = (15, 7)
-"""Of a range, and if there is little time or each takes long: one less than a power of 2, as bisection halves them."""
+_STEPS: Final = {False: 15, True: 7}
+"""Of a range; True: where each takes several runs. One less than a power of 2, as bisection halves them."""
 _STARTS: Final = (0, 1, 2, 3)
 """Four runs are the fewest of which a success rate can be told."""
 _TYPICAL_PIXELS: Final = 640 * 480
@@ -110,25 +110,23 @@ def trial_matrix(
 def _fitting(
     registry: Registry, recording: Recording, codecs: list[str], aim: Aim, minutes: float, chosen: list[str]
 ) -> _Draft:
-    """The matrix that can be expected to take the `minutes`: with fewer steps, codecs and frames; that is said."""
+    """The matrix that can be expected to take the `minutes`: with fewer codecs and frames, and that is said."""
     texts = codecs or _usual(registry, recording)
     fewest = max(_FEWEST[aim], *(_FEWEST_WITH_MEMORY * _has_memory(registry, text) for text in texts))
     budget_s = 60.0 * minutes
-    few_steps = aim == "tracking" and not recording.has_ground_truth
+    steps = _STEPS[aim == "tracking" and not recording.has_ground_truth]
     pace = measured_pace(registry, recording)
 
-    def drafted(steps: int) -> _Draft:
+    def drafted() -> _Draft:
         wanted = tuple(read_codec(registry, text, steps) for text in texts)
         return _Draft(registry, recording, wanted, aim, min(fewest, recording.frames), pace)
 
-    pace = replace(pace, compiling_s=kernels_to_compile(drafted(_STEPS[-1]).plan.cells, registry).seconds)
-    draft = drafted(_STEPS[few_steps])
-    if draft.seconds > budget_s:
-        draft = drafted(_STEPS[-1])
+    pace = replace(pace, compiling_s=kernels_to_compile(drafted().plan.cells, registry).seconds)
+    draft = drafted()
     left_out: list[str] = []
     while not codecs and len(texts) > 2 and draft.seconds > budget_s:
         left_out.append(texts.pop().partition(":")[0])
-        draft = drafted(_STEPS[-1])
+        draft = drafted()
     if left_out:
         chosen.append(f"left out for lack of time (--minutes): {', '.join(left_out)}")
     about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"

@@ -12,19 +12,45 @@ from codecbench.core.contracts.errors import MatrixError, Unsupported
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
+from codecbench.core.engine.running.warm_up import WarmUp
+from codecbench.core.kernels.manifest import Entry
+from codecbench.trial.pace import Pace
 from codecbench.trial.trial import looked_at
 from codecbench.trial.trial_matrix import trial_matrix
+
+
+class Machine:
+    """What is measured of the machine, said instead."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.pace, self.kernels = Pace(1.0, 0.0), WarmUp()
+        monkeypatch.setattr("os.cpu_count", lambda: 2)
+        monkeypatch.setattr("codecbench.trial.trial_matrix.measured_pace", lambda *_: self.pace)
+        monkeypatch.setattr("codecbench.trial.trial_matrix.kernels_to_compile", lambda *_: self.kernels)
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(monkeypatch)
+
+
+def codecs_of(text: str) -> set[str]:
+    return {entry.setting.name for entry in matrix_from(text).codecs}
 
 
 def test_it_is_a_matrix_with_raw_and_what_was_asked_for(tmp_path: Path) -> None:
     pictures(tmp_path / "my pictures", [f"{n}.png" for n in range(12)])
     made = trial_matrix(installed(), looked_at(tmp_path / "my pictures"), ["jpeg:5..90"])
-    plan = make_plan(matrix_from(made.text))
+    matrix = matrix_from(made.text)
+    plan = make_plan(matrix)
     assert plan.name == "try-my-pictures"
-    assert {(cell.codec.name, cell.codec.label) for cell in plan.cells} == {
-        ("raw", ""), *(("jpeg", f"quality={quality}") for quality in (5, 10, 21, 44, 90)),
-    }  # fmt: skip
-    assert made.settings == 6
+    assert codecs_of(made.text) == {"raw", "jpeg"}
+    (search,) = matrix.searches
+    assert search.aim is None, "what is sought is the coarsest that passes"
+    assert [setting.params["quality"] for setting in search.settings] == [
+        5, 6, 8, 9, 11, 14, 17, 21, 26, 32, 39, 48, 60, 73, 90
+    ]  # fmt: skip
+    assert made.settings == 1 + 4, "so many of them bisection tries"
     assert [entry.frames for entry in plan.sequences] == [12]
     assert made.aim == "quality"
     assert "--fov" not in made.choices[0]
@@ -33,16 +59,22 @@ def test_it_is_a_matrix_with_raw_and_what_was_asked_for(tmp_path: Path) -> None:
 def test_every_usual_codec_that_is_installed_can_be_planned(tmp_path: Path) -> None:
     pictures(tmp_path, [f"{n}.png" for n in range(12)])
     made = trial_matrix(installed(), looked_at(tmp_path))
-    cells = make_plan(matrix_from(made.text)).cells
-    assert {"raw", "jpeg", "jpeg2000", "webp", "h264"} == {cell.codec.name for cell in cells}
-    assert not [cell.unsupported for cell in cells if cell.unsupported]
+    assert codecs_of(made.text) == {"raw", "jpeg", "jpeg2000", "webp", "h264"}
+    assert [len(search.settings) for search in matrix_from(made.text).searches] == [14, 15, 15, 15]
+
+
+def test_values_that_were_named_are_tried_as_they_are(tmp_path: Path) -> None:
+    pictures(tmp_path, ["1.png", "2.png"])
+    made = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10", "webp:5|40", "jpeg2000:ratio=9..90/3,layers=1|2"])
+    assert not matrix_from(made.text).searches
+    assert made.settings == 1 + 1 + 2 + 6
 
 
 def test_codecs_with_memory_are_left_out_where_sizes_differ(tmp_path: Path) -> None:
     pictures(tmp_path, [f"{n}.png" for n in range(6)])
     pictures(tmp_path, ["6.png"], size=(48, 32))
     made = trial_matrix(installed(), looked_at(tmp_path))
-    assert {cell.codec.name for cell in make_plan(matrix_from(made.text)).cells} == {"raw", "jpeg", "jpeg2000", "webp"}
+    assert codecs_of(made.text) == {"raw", "jpeg", "jpeg2000", "webp"}
     assert "codecs with memory (h264) are left out: they need pictures of one size" in made.choices
     assert "h264" in trial_matrix(installed(), looked_at(tmp_path), ["h264"]).text
 
@@ -64,39 +96,72 @@ def test_one_and_few_are_said_as_they_are(tmp_path: Path) -> None:
 
 def test_a_long_recording_is_cut_to_the_minutes_and_that_is_said(tmp_path: Path) -> None:
     pictures(tmp_path, [f"{n}.png" for n in range(400)])
-    recording = looked_at(tmp_path)
-    frames = [trial_matrix(installed(), recording, ["jpeg:10"], minutes=minutes).frames for minutes in (0.5, 0.6, 60)]
+    recording = replace(looked_at(tmp_path), width=640, height=480)
+    frames = [trial_matrix(installed(), recording, ["jpeg:10"], minutes=minutes).frames for minutes in (0.2, 0.6, 60)]
     assert frames[0] == 10
     assert 10 < frames[1] < 400
     assert frames[2] == 400
     cut = trial_matrix(installed(), recording, ["jpeg:10"], minutes=0.6)
     assert f"the first {frames[1]} of 400 frames" in cut.choices[-1]
     assert make_plan(matrix_from(cut.text)).sequences[0].frames == frames[1]
+    assert cut.minutes == 1
 
 
-def test_compiling_is_in_the_estimate_only_where_kernels_have_to_be_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_that_is_busy_gets_less(tmp_path: Path, machine: Machine) -> None:
+    pictures(tmp_path, [f"{n}.png" for n in range(400)])
+    recording = replace(looked_at(tmp_path), width=640, height=480)
+    frames = []
+    for machine.pace in (Pace(1.0, 0.0), Pace(2.0, 0.0), Pace(1.0, 20.0)):
+        made = trial_matrix(installed(), recording, ["jpeg:10"], minutes=0.7)
+        frames.append(made.frames)
+        assert made.estimated_s <= 42.0
+    assert frames[1] < frames[0]
+    assert frames[2] < frames[0], "frames take long to be read"
+
+
+def test_codecs_are_left_out_where_time_is_short(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
-    estimates: dict[bool, float] = {}
-    for cold in (False, True):
-        found = ["a kernel"] if cold else []
-        monkeypatch.setattr("codecbench.trial.trial_matrix.kernels_to_compile", lambda *_, found=found: found)
-        made = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
-        assert made.compiles == cold
-        estimates[cold] = made.estimated_s
-    assert estimates[True] - estimates[False] == pytest.approx(30.0)
+    recording = replace(looked_at(tum(tmp_path / "walk")), frames=500, width=640, height=480)
+    counts = [len(codecs_of(trial_matrix(installed(), recording, minutes=minutes).text)) for minutes in (30, 3, 1)]
+    assert counts == [5, 4, 3], "raw is one of them"
+    short = trial_matrix(installed(), recording, minutes=1)
+    assert "left out for lack of time (--minutes): jpeg2000, webp" in short.choices
+    assert short.frames == 150
+    assert short.choices[-1] == (
+        "the first 150 of 500 frames are needed, which may take more than about 1 minute (--minutes)"
+    )
+    assert codecs_of(trial_matrix(installed(), recording, ["webp:1..9", "jpeg:1..9"], minutes=1).text) > {"webp"}
+
+
+def test_codecs_with_memory_get_two_seconds(tmp_path: Path) -> None:
+    pictures(tmp_path, [f"{n}.png" for n in range(100)])
+    for codec, frames in (("jpeg:10", 10), ("h264:crf=30", 60)):
+        assert trial_matrix(installed(), looked_at(tmp_path), [codec], "speed", minutes=0.01).frames == frames
+
+
+def test_compiling_is_in_the_estimate_only_where_kernels_have_to_be_compiled(tmp_path: Path, machine: Machine) -> None:
+    pictures(tmp_path, ["1.png", "2.png"])
+    warm = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
+    machine.kernels = WarmUp([Entry("module:kernel", "fast", "f8", 10.0)], [Entry("module:other", "fast", "f8", 14.0)])
+    machine.pace = Pace(1.0, 0.0)
+    cold = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
+    assert (warm.compiles, cold.compiles) == (False, True)
+    workers = matrix_from(cold.text).run.workers
+    assert cold.estimated_s - warm.estimated_s == pytest.approx(24.0 / workers)
 
 
 def test_what_the_pictures_are_for_says_what_is_measured(tmp_path: Path) -> None:
     recording = looked_at(tum(tmp_path / "walk"))
     for aim, evaluators in (
-        ("tracking", {"quality", "trajectory", "timing"}),
+        ("tracking", {"quality", "localization", "trajectory", "timing"}),
         ("quality", {"quality", "features", "timing"}),
         ("speed", {"quality", "timing"}),
     ):
         made = trial_matrix(installed(), recording, ["jpeg:10"], aim)  # type: ignore[arg-type]
         assert {cell.evaluator.name for cell in make_plan(matrix_from(made.text)).cells} == evaluators
+    blind = trial_matrix(installed(), replace(recording, has_ground_truth=False), ["jpeg:1..95"], "tracking", 30)
+    assert "localization" not in blind.text, "it needs ground truth"
+    assert len(matrix_from(blind.text).searches[0].settings) == 7, "four runs a setting take their time"
     few = trial_matrix(installed(), recording)
     assert few.aim == "quality"
     assert "too few for SLAM" in few.choices[0]

@@ -21,6 +21,7 @@ from codecbench.trial.wanted_codecs import read_codec
         ("jpeg:60..80/3", {"quality": [60, 70, 80]}),
         ("jpeg:quality=5..80/5,subsampling=444", {"quality": [5, 10, 20, 40, 80], "subsampling": ["444"]}),
         ("jpeg2000:8..128/5", {"ratio": [8, 16, 32, 64, 128]}),
+        ("h264:crf=51..15/4", {"crf": [51, 39, 27, 15]}),
         ("jpegxl:0.5..4/4", {"distance": [0.5, 1.0, 2.0, 4.0]}),
         ("multilevel:5|20,levels=2", {"qf": [5, 20], "levels": [2]}),
         ("jpeg:optimize=true", {"optimize": [True]}),
@@ -29,6 +30,12 @@ from codecbench.trial.wanted_codecs import read_codec
 def test_what_is_asked_for(text: str, values: dict[str, Any]) -> None:
     wanted = read_codec(installed(), text)
     assert (wanted.name, wanted.values) == (text.partition(":")[0], values)
+
+
+def test_a_range_of_one_parameter_can_be_searched() -> None:
+    texts = ("jpeg:5..90", "jpeg:5|10", "jpeg:5", "jpeg:5..90,optimize=true", "jpeg:5..90,subsampling=444|420")
+    assert [read_codec(installed(), text).searched for text in texts] == [True, False, False, True, False]
+    assert len(read_codec(installed(), "jpeg:5..90", steps=15)) == 15
 
 
 def test_the_settings_are_counted() -> None:
