@@ -67,7 +67,7 @@ def try_(
     from codecbench.core.engine.planning.matrix import matrix_from
 
     show = _on_desktop() if show is None else show
-    run_and_report(matrix_from(made.text), out, workers=workers, show=show, minutes=made.minutes)
+    run_and_report(matrix_from(made.text), out, workers=workers, show=show, minutes=made.most_minutes)
 
 
 @click.command()

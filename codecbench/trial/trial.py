@@ -117,7 +117,7 @@ def trial(
     registry = installed()
     made = fitted(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
     matrix = matrix_from(made.text, registry)
-    return open_run(run_matrix(matrix, out, workers=workers, minutes=made.minutes).folder)
+    return open_run(run_matrix(matrix, out, workers=workers, minutes=made.most_minutes).folder)
 
 
 def added_params(texts: Sequence[str]) -> dict[str, Any]:

@@ -65,6 +65,11 @@ class TrialMatrix:
         """What is announced."""
         return max(1, math.ceil(self.estimated_s / 60.0 - 0.1))
 
+    @property
+    def most_minutes(self) -> float:
+        """After which nothing more is tried: what is announced, and a quarter of it for what cannot be foreseen."""
+        return 1.25 * self.minutes
+
 
 def suited_aim(recording: Recording) -> Aim:
     """Tracking where SLAM can run, else the quality of the pictures."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from codecbench.core.engine.planning.estimate import estimate
@@ -36,3 +38,14 @@ def test_without_a_word_a_cell_is_taken_to_look_at_a_few_frames() -> None:
 def test_what_was_measured_comes_before_what_was_declared() -> None:
     start = seconds(0.0, {})
     assert seconds(40.0, {"cell2": 7.0}) - start == pytest.approx(7.0)
+
+
+def test_what_is_declared_is_scaled_by_what_was_measured_of_others() -> None:
+    made = plan(40.0)
+    other = [replace(cell, id=f"other {cell.id}", codec=PluginSetting("codec", "other", "1")) for cell in made.cells]
+    made = replace(made, cells=(*made.cells, *other))
+    start = estimate(made, other[:1], 0, {}).seconds - 40.0 / 2
+    assert estimate(made, other[:1], 0, {"cell0": 60.0}).seconds - start == pytest.approx(60.0 / 2)
+    coded = estimate(made, other[:1], 2, {}).seconds - estimate(made, other[:1], 0, {}).seconds
+    slow = [estimate(made, other[:1], jobs, {"cell0": 80.0}).seconds for jobs in (0, 2)]
+    assert slow[1] - slow[0] == pytest.approx(2 * coded)
