@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -63,7 +62,7 @@ class TrialMatrix:
     @property
     def minutes(self) -> int:
         """What is announced."""
-        return max(1, math.ceil(self.estimated_s / 60.0 - 0.1))
+        return max(1, round(self.estimated_s / 60.0 + 0.2))
 
     @property
     def most_minutes(self) -> float:
