@@ -130,7 +130,9 @@ def _complete(tests: Mapping[Key, Test]) -> dict[Key, Test]:
         if row[0] != POOLED:
             for on in (row[0], POOLED):
                 sizes[on, *row[1:]] += len(list(parts(test)))
-    most = {row[0]: max(size for other, size in sizes.items() if other[0] == row[0]) for row in tests}
+    most: dict[str, int] = {}
+    for (on, *_), size in sizes.items():
+        most[on] = max(size, most.get(on, 0))
     return {row: test for row, test in tests.items() if test.verdict != "passes" or sizes[row] == most[row[0]]}
 
 

@@ -139,3 +139,11 @@ def test_what_there_is_no_time_for_is_not_tried_and_another_run_goes_on(
     monkeypatch.setattr(growth.Growth, "end_s", float("inf"))
     assert bench.run(matrix(), World(6, 3))[0].setting == "level=6"
     assert 8 not in bench.levels("sight")
+
+
+def test_a_setting_of_which_only_a_part_was_measured_is_not_known_to_pass(bench: SearchBench) -> None:
+    bench.run(matrix(), World(6, 3), most_rounds=5)
+    assert set(bench.levels("toss")) == {100}
+    assert answers(open_run(bench.folder / "run", bench.registry)).sentence == (
+        "Nothing passes here, because the finest settings tried do not: dial level=5 (seen 0.5, ≥ 0.9 asked)."
+    )
