@@ -66,8 +66,8 @@ class TrialMatrix:
 
     @property
     def most_minutes(self) -> float:
-        """After which nothing more is tried: what is announced, and a quarter of it for what cannot be foreseen."""
-        return 1.25 * self.minutes
+        """After which nothing more is tried: what is announced, and a tenth of it for what cannot be foreseen."""
+        return 1.1 * self.minutes
 
 
 def suited_aim(recording: Recording) -> Aim:
