@@ -69,28 +69,28 @@ class Growth:
     def __call__(self, plan: Plan) -> Plan:
         """The plan with all that is to be computed by now; the plan itself where that is all there is.
 
-        If time is short, the first searches that fit go on.
+        If time is short, the first searches that fit go on: several only if as much time again is left to end them.
         """
         known = {cell.id for cell in plan.cells}
         for searches in range(len(self._matrix.searches), 0, -1):
             grown = self._grown(plan, searches)
             more = [cell for cell in grown.cells
                     if cell.id not in known and not self._store.record_folder(cell.id).exists()]  # fmt: skip
-            if self._in_time(plan, grown, more):
+            if self._in_time(plan, grown, more, times=2 if searches > 1 else 1):
                 return grown
             left = {cell.id for cell in more}
             plan = replace(plan, cells=tuple(cell for cell in grown.cells if cell.id not in left))
         return self._grown(plan, 0)
 
-    def _in_time(self, plan: Plan, grown: Plan, more: list[Cell]) -> bool:
-        """Whether more cells of a plan that has grown can be expected to be done by the end."""
+    def _in_time(self, plan: Plan, grown: Plan, more: list[Cell], times: int) -> bool:
+        """Whether more cells of a plan that has grown can be expected to be done so many times by the end."""
         if self.end_s == math.inf or not more:
             return True
         begun = {job.id for job in plan.jobs}
         results = read_run(self._store, self._read_of(plan), self._registry).results
         durations = {result.cell.id: result.duration_s for result in results if result.duration_s}
         seconds = estimate(grown, more, sum(job.id not in begun for job in grown.jobs), durations).seconds
-        return time.monotonic() + seconds <= self.end_s
+        return time.monotonic() + times * seconds <= self.end_s
 
     def _grown(self, plan: Plan, searches: int) -> Plan:
         """As `__call__`; only so many searches, the first ones, may try more."""
