@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count, islice
 from typing import Any, Final, Literal, get_args
 
 from codecbench.core.contracts.codec import StreamCodec
@@ -224,10 +225,18 @@ class _Draft:
         shared_s = self.pace.compiling_s + reads * self.pace.reading_ms / 1e3
         return self.pace.slowness * (START_S + _ROUND_S * rounds + typical_s * pixels + shared_s / plan.run.workers)
 
+    @property
+    def _stop(self) -> int:
+        """The number, in the source, of the frame after the last one that is used."""
+        params = self.recording.params
+        left_out = set(params.get("skip", ()))
+        used = (number for number in count(int(params.get("start", 0)), int(params.get("stride", 1))) if number not in left_out)
+        return next(islice(used, self.frames - 1, None)) + 1
+
     def text(self) -> str:
         """The YAML text."""
         recording = self.recording
-        params = {**recording.params, **({"stop": self.frames} if self.frames < recording.frames else {})}
+        params = {**recording.params, **({"stop": self._stop} if self.frames < recording.frames else {})}
         lines = [
             "# What codecbench chose for this recording. Edit it and run it again: codecbench run FILE --out RUN",
             f"# {recording}",

@@ -107,6 +107,15 @@ def test_a_long_recording_is_cut_to_the_minutes_and_that_is_said(tmp_path: Path)
     assert cut.minutes == 1
 
 
+def test_a_recording_that_is_cut_has_as_many_frames_whatever_is_left_out(tmp_path: Path) -> None:
+    pictures(tmp_path, [f"{n:04}.png" for n in range(300)], size=(640, 480))
+    recording = looked_at(tmp_path, params={"start": 100, "stride": 2, "skip": [104]})
+    made = trial_matrix(installed(), recording, ["jpeg:10"], "quality", minutes=0.1)
+    (sequence,) = make_plan(matrix_from(made.text)).sequences
+    assert (made.frames, sequence.frames) == (10, 10)
+    assert sequence.dataset.params["stop"] == 121
+
+
 def test_a_machine_that_is_busy_gets_less(tmp_path: Path, machine: Machine) -> None:
     pictures(tmp_path, [f"{n}.png" for n in range(400)])
     recording = replace(looked_at(tmp_path), width=640, height=480)
