@@ -230,7 +230,11 @@ class _Draft:
         """The number, in the source, of the frame after the last one that is used."""
         params = self.recording.params
         left_out = set(params.get("skip", ()))
-        used = (number for number in count(int(params.get("start", 0)), int(params.get("stride", 1))) if number not in left_out)
+        used = (
+            number
+            for number in count(int(params.get("start", 0)), int(params.get("stride", 1)))
+            if number not in left_out
+        )
         return next(islice(used, self.frames - 1, None)) + 1
 
     def text(self) -> str:

@@ -113,7 +113,7 @@ def evidence_of_repeats(differences: Array, alike: Array | None = None) -> Evide
     return Evidence(mean, variance / count, min(known, freedom * _independent(series)), 0.0, count, count)
 
 
-def evidence_of_frames(differences: Array, alike: Array | None = None) -> Evidence:
+def evidence_of_frames(differences: Array, alike: Array | None = None, *, halved: bool = True) -> Evidence:
     """What (N,) differences of neighbors in time say of their mean.
 
     Equal-weighted cosines (Lazarus, Lewis, Stock and Watson 2018, doi:10.1080/07350015.2018.1506926): N times the
@@ -125,6 +125,9 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
     has B M^2 / sum(r^2) degrees of freedom, r the correlations of all (Satterthwaite 1946, doi:10.2307/3002019). B is
     at most twice that number of independent series, and may be halved down to 1; a fifth of the degrees of freedom is
     spent on choosing it.
+
+    halved: whether B may be halved. Not for the interval of one setting's own mean: which settings have few cosines then
+    is much by chance, and one that is no better than another would pass before it.
     """
     count = len(differences)
     mean, same = _mean(differences)
@@ -145,7 +148,7 @@ def evidence_of_frames(differences: Array, alike: Array | None = None) -> Eviden
         nearby = powers[:, : 3 * cosines] / np.maximum(powers[:, : 3 * cosines].mean(axis=1, keepdims=True), _TINY)
         rise = float(nearby[:, :cosines].mean() / max(float(nearby[:, cosines:].mean()), _TINY))
         chance = float(fdtrc(cosines * independent, 2.0 * cosines * independent, rise))
-        if chance >= level or cosines // 2 < fewest:
+        if not halved or chance >= level or cosines // 2 < fewest:
             break
         cosines //= 2
     ratios = powers[:, :cosines].mean(axis=1) / powers.mean(axis=1)

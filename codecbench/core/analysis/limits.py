@@ -298,8 +298,9 @@ def _level(column: Column, values: np.ndarray, raw: np.ndarray | None, over_fram
     finite = np.where(np.isinf(values), 2.0 * limit, values)  # PSNR of equal images is infinite
     margins = (finite - bound)[there] * (1.0 if metric.better == "higher" else -1.0)
     in_time = over_frames and len(margins) >= FEWEST_FRAMES  # fewer are taken as pictures on their own
-    evidence = evidence_of_frames if in_time else evidence_of_repeats
-    margin = evidence(margins) if len(margins) else _NO_MARGIN
+    margin = _NO_MARGIN
+    if len(margins):
+        margin = evidence_of_frames(margins, halved=False) if in_time else evidence_of_repeats(margins)
     value = float(values[there].mean()) if len(margins) else math.nan
     missing = np.count_nonzero(~there)
     why = f"{missing} of {len(there)} values of {column.label} are missing" if missing else ""

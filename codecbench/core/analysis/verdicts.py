@@ -177,7 +177,7 @@ def _interval(results: list[CellResult], column: Column) -> Interval | None:
 
 
 def _of_mean(values: NDArray[np.float64], *, over_frames: bool) -> Interval | None:
-    evidence = evidence_of_frames(values) if over_frames else evidence_of_repeats(values)
+    evidence = evidence_of_frames(values, halved=False) if over_frames else evidence_of_repeats(values)
     if not (evidence.freedom >= 1 and math.isfinite(evidence.variance)):
         return None
     half = student_quantile(0.5 + CONFIDENCE / 2, evidence.freedom) * math.sqrt(evidence.variance)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal
 from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
@@ -103,3 +104,16 @@ def test_where_each_sequence_has_one_run_sequences_are_the_samples(rng: np.rando
     means = rng.normal(0.5, 1.0, 6)
     found = combined([evidence_of_repeats(np.array([mean])) for mean in means])
     assert found == evidence_of_repeats(means)
+
+
+@pytest.mark.parametrize(("correlation", "least"), [(0.0, 0.92), (0.5, 0.91), (0.8, 0.87)])
+def test_the_interval_of_one_mean_covers_it_and_varies_little(
+    correlation: float, least: float, rng: np.random.Generator
+) -> None:
+    noise = rng.normal(size=(400, 450))
+    series = scipy.signal.lfilter([1.0], [1.0, -correlation], noise, axis=1)[:, 300:]
+    found = [evidence_of_frames(values, halved=False) for values in series]
+    reach = np.array([evidence.reach(0.95) for evidence in found])
+    covered = np.mean([abs(evidence.mean) <= own for evidence, own in zip(found, reach, strict=True)])
+    assert least <= covered <= 0.98
+    assert np.std(np.log(reach)) < 0.35
