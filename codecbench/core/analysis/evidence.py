@@ -126,8 +126,8 @@ def evidence_of_frames(differences: Array, alike: Array | None = None, *, halved
     at most twice that number of independent series, and may be halved down to 1; a fifth of the degrees of freedom is
     spent on choosing it.
 
-    halved: whether B may be halved. Not for the interval of one setting's own mean: which settings have few cosines then
-    is much by chance, and one that is no better than another would pass before it.
+    halved: whether B may be halved. Not for the interval of one setting's own mean: which settings have few cosines is
+    then much by chance, and one that is no better than another would pass before it.
     """
     count = len(differences)
     mean, same = _mean(differences)

@@ -244,6 +244,8 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     if likely:
         curve, nearest = min(likely, key=lambda item: item[1].rate)
         return f"Nothing is known to pass here: nearest is {_named(curve, nearest)} ({described(nearest)})."
+    if stopped := next((each for each in found.run.plan.searches if each.state == "stopped"), None):
+        return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
     failing = "; ".join(f"{_named(curve, test)} ({described(test)})" for curve, test in finest[:2])
     beside = f"; raw itself: {described(raw.settings[0])}" if raw.settings and raw.lowest is None else ""

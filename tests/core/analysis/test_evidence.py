@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.signal
 from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
@@ -111,7 +110,7 @@ def test_the_interval_of_one_mean_covers_it_and_varies_little(
     correlation: float, least: float, rng: np.random.Generator
 ) -> None:
     noise = rng.normal(size=(400, 450))
-    series = scipy.signal.lfilter([1.0], [1.0, -correlation], noise, axis=1)[:, 300:]
+    series = lfilter([1.0], [1.0, -correlation], noise, axis=1)[:, 300:]
     found = [evidence_of_frames(values, halved=False) for values in series]
     reach = np.array([evidence.reach(0.95) for evidence in found])
     covered = np.mean([abs(evidence.mean) <= own for evidence, own in zip(found, reach, strict=True)])
