@@ -72,7 +72,7 @@ def _span(registry: Registry, codec: str, key: str, text: str, steps_wanted: int
     if not 2 <= count <= 100:
         raise ParamsError(f"--codec {codec}: {text!r} has {count} steps; 2 to 100 are possible")
     low, high = sorted((first, last))
-    ratios = low > 0 and high / low > _FACTOR
+    ratios = key != "quality" and low > 0 and high / low > _FACTOR  # a quality is no amount of anything
     steps = [low * (high / low) ** (i / (count - 1)) if ratios else low + (high - low) * i / (count - 1)
              for i in range(count)]  # fmt: skip
     whole = "integer" in _kinds(registry, codec, key) or (
