@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Final, TypeVar
@@ -209,7 +209,9 @@ def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key
 def _standings(run: RunResult, columns: Sequence[Column]) -> dict[Key, Standing]:
     """How often the runs of each row succeeded; a value that is missing counts as a run without success."""
     values = together([values_of_repeats(run, column, failed=0.0) for column in columns])
-    reasons = {good: {row: _reasons(run, row, columns, good=good) for row in values} for good in (True, False)}
+    runs = _by_row(each for each in run.results if each.cell.evaluator == columns[0].evaluator)
+    names = {column.metric.name for column in columns}
+    reasons = {good: {row: _reasons(runs[row], names, good=good) for row in values} for good in (True, False)}
     rates = _with_pooled(run.rates, lambda rates: float(np.mean(rates)))
     values = _with_pooled(values, lambda lists: [value for each in lists for value in each])
     why, asked = (_with_pooled(reasons[good], lambda found: sum(found, Counter())) for good in (False, True))
@@ -223,16 +225,21 @@ def _standings(run: RunResult, columns: Sequence[Column]) -> dict[Key, Standing]
     }  # fmt: skip
 
 
-def _reasons(run: RunResult, row: Key, columns: Sequence[Column], *, good: bool) -> Counter[str]:
-    """What was said of the runs of a row that succeeded, or of the others, and how often."""
-    names = {column.metric.name for column in columns}
+def _by_row(results: Iterable[CellResult]) -> dict[Key, list[CellResult]]:
+    found: dict[Key, list[CellResult]] = defaultdict(list)
+    for result in results:
+        found[result.row].append(result)
+    return found
+
+
+def _reasons(runs: Sequence[CellResult], names: Collection[str], *, good: bool) -> Counter[str]:
+    """The reasons that came with metrics of these names where a run succeeded, or where not, and how often each did."""
     found: Counter[str] = Counter()
-    for result in run.results:
-        if result.row == row and result.cell.evaluator == columns[0].evaluator:
-            told = [measured for measured in result.measurements if measured.metric in names and measured.reason]
-            found.update(str(measured.reason) for measured in told if (measured.value == 1.0) == good)
-            if result.reason and not good:
-                found[result.reason] += 1
+    for result in runs:
+        told = [measured for measured in result.measurements if measured.metric in names and measured.reason]
+        found.update(str(measured.reason) for measured in told if (measured.value == 1.0) == good)
+        if result.reason and not good:
+            found[result.reason] += 1
     return found
 
 
@@ -247,10 +254,10 @@ def _in_common(asked: Counter[str]) -> str:
 
 def _levels(run: RunResult, column: Column) -> dict[Key, Level]:
     """Where each row stands beside what is enough; nothing if neither the metric nor raw frames say what that is."""
-    rows = dict.fromkeys(result.row for result in run.of(column.evaluator.title))
-    series = {row: _series(run.of(column.evaluator.title), row, column) for row in rows}
+    rows = _by_row(run.of(column.evaluator.title))
+    series = {row: _series(results, column) for row, results in rows.items()}
     raw = {row[0]: values for row, (values, _) in series.items() if row[1] in run.schema.baselines}
-    mute = {sequence: _uninformative(run, column, sequence) for sequence, *_ in rows}
+    mute = {sequence: _uninformative(run, column, sequence) for sequence in {row[0] for row in rows}}
     found = {}
     for row, (values, over_frames) in series.items():
         level = _level(column, values, raw.get(row[0]), over_frames)
@@ -271,9 +278,8 @@ def _uninformative(run: RunResult, column: Column, sequence: str) -> str:
     return f"{column.label} is uninformative on {sequence}: {reason}" if reason else ""
 
 
-def _series(results: Sequence[CellResult], row: Key, column: Column) -> tuple[np.ndarray, bool]:
-    """The values of a row, and whether they are of frames, each the mean of its repeats, or of repeats."""
-    own = [result for result in results if result.row == row]
+def _series(own: Sequence[CellResult], column: Column) -> tuple[np.ndarray, bool]:
+    """The values of a row's results, and whether they are of frames, each the mean of its repeats, or of repeats."""
     if all((column.metric.name, column.stage, column.aggregate) in result.summaries for result in own):
         frames = [result.values_of_frames(column.metric.name, column.stage) for result in own]
         return np.mean(frames, axis=0), True
