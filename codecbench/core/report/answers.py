@@ -13,6 +13,7 @@ from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits
 from codecbench.core.analysis.passing import Level, Standing, Test, described, parts
 from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, times_decide
 from codecbench.core.report.formatting import ranked_verdict, share_of_rate, uninformative, where
@@ -115,6 +116,11 @@ class _Judged:
         return f"{share:.0f} % less{' time' if times_decide(self.run) else ''}"
 
     @property
+    def stopped(self) -> dict[str, SearchFinding]:
+        """Of the codecs whose searches were stopped, by name."""
+        return {each.codec: each for each in self.run.plan.searches if each.state == "stopped"}
+
+    @property
     def anchors(self) -> list[str]:
         return [curve for name in self.run.schema.anchors for curve in self.limits if _codec(curve) == name]
 
@@ -201,6 +207,9 @@ def _use(found: _Judged, curve: str, limit: Limit) -> str:
         coarser = [name for name in dict.fromkeys([curve, *found.anchors[:1]]) if found.limits[name].next is None]
         more = [spelled for name in coarser if (spelled := coarser_settings(found.run, name))]
         words.append(f"nothing failed, so the limit is lower{': try ' if more else ''}{' and '.join(more)}")
+    passing = {_codec(name) for name, each in found.limits.items() if each.lowest is not None}
+    if untried := [codec for codec in found.stopped if codec not in passing]:
+        words.append(f"not tried to the end: {', '.join(untried)}")
     return f"{'; '.join(words)}."
 
 
@@ -221,7 +230,7 @@ def _saved(found: _Judged, curve: str, taken: Test) -> str:
         others = [(other, limit.lowest) for other, limit in found.limits.items() if other != curve]
         following = [(other, lowest) for other, lowest in others if lowest is not None]
         if not following:
-            return "the only codec that passes" if others else ""
+            return "the only codec known to pass" if others else ""
         other, least = following[0]
         return f"{found.less(curve, taken, other, least)} than the next codec that passes ({_named(other, least)})"
     if not name:
@@ -244,7 +253,7 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     if likely:
         curve, nearest = min(likely, key=lambda item: item[1].rate)
         return f"Nothing is known to pass here: nearest is {_named(curve, nearest)} ({described(nearest)})."
-    if stopped := next((each for each in found.run.plan.searches if each.state == "stopped"), None):
+    if stopped := next(iter(found.stopped.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
     failing = "; ".join(f"{_named(curve, test)} ({described(test)})" for curve, test in finest[:2])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured_runs import cell_result, run_of
 
 from codecbench.core.analysis.run_result import judged_column
 from codecbench.core.analysis.table import CellResult
+from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.answers import Answers, answers
 
 
@@ -66,6 +69,19 @@ def test_the_anchor_is_compared_with_the_next_codec_and_what_never_failed_has_a_
         "Use plain q=0.5 or coarser: 0.5 bpp, 75 % less than the next codec that passes (good q=2.0); "
         "held in 5 of 5 runs (at least 57 % at 95 %), s, 5 frames; "
         "nothing failed, so the limit is lower: try coarser plain."
+    )
+
+
+def test_codecs_whose_search_was_stopped_are_named() -> None:
+    plain, good = tracked("plain", 1.0, [1.0] * 5), tracked("good", 0.5, [0.0] * 5)
+    run = run_of(*tracked("raw", 24.0, [1.0] * 5), *plain, *good)
+    search = SearchFinding("s", "good", "passes", "stopped", "", None, 1, "not tried for lack of time: q=1.0")
+    stopped = replace(run, plan=replace(run.plan, searches=(search,)))
+    assert "; not tried to the end" not in str(answers(run))
+    assert str(answers(stopped)).endswith("; not tried to the end: good.")
+    nothing = replace(run_of(*tracked("raw", 24.0, [1.0] * 5), *good), plan=stopped.plan)
+    assert str(answers(nothing)) == (
+        "Nothing is known to pass here, as not all was tried: good: not tried for lack of time: q=1.0."
     )
 
 
