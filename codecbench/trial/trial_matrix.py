@@ -38,6 +38,8 @@ _FEWEST: Final[dict[str, int]] = {"tracking": 150, "quality": 10, "speed": 10}
 """Frames below which an aim tells nothing: a map takes a few seconds of a recording to begin."""
 _FEWEST_WITH_MEMORY: Final = 60
 """Frames below which the first picture, which costs most, is too large a part of a video."""
+_ROOM: Final = 1.4
+"""Times what typical costs say, so that searches come to their ends where frames are dearer than typical ones."""
 _ROUND_S: Final = 3.0
 """What a round of trials takes besides its cells: workers wait for the last, and tables are made."""
 _MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2.5}
@@ -222,8 +224,9 @@ class _Draft:
         typical_s = estimate(plan, cells, len(plan.jobs), {}).seconds - START_S
         reads = self.frames * (len(plan.jobs) + sum(not cell.exclusive for cell in cells))
         rounds = 3 + max((_tries(len(codec)) for codec in self.codecs if codec.searched), default=0)
-        shared_s = self.pace.compiling_s + reads * self.pace.reading_ms / 1e3
-        return self.pace.slowness * (START_S + _ROUND_S * rounds + typical_s * pixels + shared_s / plan.run.workers)
+        reading_s = reads * self.pace.reading_ms / 1e3 / plan.run.workers
+        working_s = START_S + _ROUND_S * rounds + typical_s * pixels + reading_s
+        return self.pace.slowness * (_ROOM * working_s + self.pace.compiling_s / plan.run.workers)
 
     @property
     def _stop(self) -> int:

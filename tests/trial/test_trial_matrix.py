@@ -121,9 +121,9 @@ def test_a_machine_that_is_busy_gets_less(tmp_path: Path, machine: Machine) -> N
     recording = replace(looked_at(tmp_path), width=640, height=480)
     frames = []
     for machine.pace in (Pace(1.0, 0.0), Pace(2.0, 0.0), Pace(1.0, 20.0)):
-        made = trial_matrix(installed(), recording, ["jpeg:10"], minutes=0.7)
+        made = trial_matrix(installed(), recording, ["jpeg:10"], minutes=1)
         frames.append(made.frames)
-        assert made.estimated_s <= 42.0
+        assert made.estimated_s <= 60.0
     assert frames[1] < frames[0]
     assert frames[2] < frames[0], "frames take long to be read"
 
@@ -131,7 +131,7 @@ def test_a_machine_that_is_busy_gets_less(tmp_path: Path, machine: Machine) -> N
 def test_codecs_are_left_out_where_time_is_short(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     recording = replace(looked_at(tum(tmp_path / "walk")), frames=500, width=640, height=480)
-    counts = [len(codecs_of(trial_matrix(installed(), recording, minutes=minutes).text)) for minutes in (30, 3, 1)]
+    counts = [len(codecs_of(trial_matrix(installed(), recording, minutes=minutes).text)) for minutes in (30, 4, 1)]
     assert counts == [5, 4, 3], "raw is one of them"
     short = trial_matrix(installed(), recording, minutes=1)
     assert "left out for lack of time (--minutes): jpeg2000, webp" in short.choices
