@@ -80,7 +80,7 @@ def run(
 def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool, minutes: float) -> None:
     """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser.
 
-    minutes: what there is no time for is not tried, and that is said.
+    minutes: searches try nothing that would end later, and name what they did not try.
     """
     from codecbench.core.report.page import write_report
     from codecbench.core.rounds.running import run_matrix

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, islice
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 from codecbench.core.contracts.codec import StreamCodec
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
@@ -25,7 +25,6 @@ from codecbench.trial.recording import Recording, counted
 from codecbench.trial.wanted_codecs import WantedCodec, read_codec
 
 Aim = Literal["tracking", "quality", "speed"]
-AIMS: Final = get_args(Aim)
 
 _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
 """From coarse to fine. The last ones are left out first if there is no time."""

@@ -152,8 +152,8 @@ def _failing_anywhere(key: SequenceCurve, limit: Limit, found: Mapping[SequenceC
 def limits_of(tests: Mapping[Key, Test], points: Points) -> dict[SequenceCurve, Limit]:
     """The limit of each curve by (sequence, curve), with a reason where there is none.
 
-    A curve with a setting whose rate is not known has no limit, because nobody can say where that setting stands in the
-    sweep.
+    A curve with a setting whose rate is not known has no limit, because the place of that setting in the sweep is not
+    known.
     """
     curves: dict[SequenceCurve, list[Test]] = defaultdict(list)
     for (sequence, codec, setting), test in tests.items():

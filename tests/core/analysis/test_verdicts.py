@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from measured_runs import ANCHORS, BLUR, DRIFT, METRICS, SCORE, Values, cell_result, run_of
+from scipy.interpolate import PchipInterpolator
 
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.ranking import rankings, rankings_on
@@ -117,6 +118,9 @@ def test_the_rate_at_equal_quality_is_that_of_the_means_of_measured_frames(metri
     found = ranking.evidence("mine", "plain")
     assert found is not None
     assert 100.0 * np.expm1(-found.mean) == pytest.approx(expected, abs=0.6), "an average over 33 qualities"
+    shared = np.linspace(max(anchor[0], test[0]), min(anchor[-1], test[-1]), 33)
+    saved = PchipInterpolator(anchor, np.log(RATES))(shared) - PchipInterpolator(test, np.log(RATES))(shared)
+    assert found.mean == pytest.approx(saved.mean(), abs=1e-9)
 
 
 def tracked(factors: dict[str, float]) -> list[CellResult]:
