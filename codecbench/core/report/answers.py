@@ -23,22 +23,29 @@ _NO_RATE: Final = "No rate was measured, so that nothing can be said of what cod
 
 @dataclass(frozen=True)
 class Answer:
-    """A sentence about a curve. passes: whether it is known to pass at some setting, or to fail, or neither."""
+    """A sentence about a curve. passes: whether it is known to pass at some setting, or to fail, or neither.
+
+    limit: all of its settings, from the most rate to the least, and with `lowest` the pick among them.
+    """
 
     curve: str
     sentence: str
     passes: bool | None = None
+    limit: Limit = Limit()
 
 
 @dataclass(frozen=True)
 class Answers:
     """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out. about:
-    by what, in a few words. sentence: what to take, its cost, what it saves and how sure that is; and a line a link."""
+    by what, in a few words. sentence: what to take, its cost, what it saves and how sure that is; and a line a link.
+    on: the sequence that is spoken of, or all of them (POOLED). raw: the settings of the baseline, as of a codec."""
 
     basis: str
     answers: tuple[Answer, ...] = ()
     about: str = ""
     sentence: str = ""
+    on: str = POOLED
+    raw: Limit = Limit()
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -139,8 +146,8 @@ def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {_over(run, own.values())}"
     if raw.settings:
         basis += f"; raw itself: {described(raw.settings[0])}"
-    told = tuple(Answer(curve, *_limited(found, curve, limit)) for curve, limit in found.limits.items())
-    return Answers(f"{basis}.", told, what, _sentence(found, raw))
+    told = tuple(Answer(curve, *_limited(found, curve, limit), limit) for curve, limit in found.limits.items())
+    return Answers(f"{basis}.", told, what, _sentence(found, raw), on, raw)
 
 
 def _codec(curve: str) -> str:
