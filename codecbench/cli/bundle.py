@@ -41,19 +41,18 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
     names is opened. What results mean is read from the plan where a plugin is not installed.
     """
-    from codecbench.cli.rank import show_verdicts
-    from codecbench.cli.show import show_reasons, show_summary
+    from codecbench.cli.rank import show_answer, show_notes
+    from codecbench.cli.show import show_reasons
     from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
     from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
     from codecbench.core.engine.registry import installed
-    from codecbench.core.report.formatting import verdicts
     from codecbench.core.report.page import write_report
+    from codecbench.core.report.tables import notes
 
     folder = out or folder_beside(bundle)
     manifest = unpack_bundle(bundle, folder)
     run = open_nonempty_run(folder)
-    show_verdicts(verdicts(run, brief=True))
-    show_summary(run)
+    show_notes(notes(run), True)
     show_reasons(run)
     click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are as they were bundled")
     if absent := absent_plugins(run.plan, installed()):
@@ -61,4 +60,5 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     path = folder / "report" / "report.html"
     write_report(run, path, sequences_from=sequences_from)
     click.echo(f"run folder: {folder}")
-    click.echo(f"report: {path}")
+    click.echo(f"report: {path}\n")
+    show_answer(run)

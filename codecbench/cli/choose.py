@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from codecbench.cli.formats import Format
-from codecbench.cli.rank import show_found
+from codecbench.cli.rank import FORMATS, everything_option, show_found
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 @click.option("--workers", type=click.IntRange(1), help="Of a matrix: worker processes.")
 @click.option("--minutes", type=click.FloatRange(min=0), show_default="10",
               help="Of a matrix: more repeats, where they decide, begin only within that time.")  # fmt: skip
-@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
+@everything_option
 def choose(
     source: Path,
     link: str | None,
@@ -58,6 +59,7 @@ def choose(
     workers: int | None,
     minutes: float | None,
     format_: str,
+    everything: bool,
 ) -> None:
     """Say which settings of a RUN folder are good enough over a link, and what limits the others.
 
@@ -79,29 +81,33 @@ def choose(
         if deadline is None and error is None:
             raise click.UsageError("say what is asked: --deadline, --error or both")
         demand = Demand(link, deadline, error, share, device_factor)
-        _run_and_choose(source, demand, out, workers, MINUTES if minutes is None else minutes, format_)
+        _run_and_choose(source, demand, out, workers, MINUTES if minutes is None else minutes, format_, everything)
         return
     of_matrix = {"--out": out, "--workers": workers, "--minutes": minutes}
     if given := [name for name, value in of_matrix.items() if value is not None]:
         raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
     if device_factor is not None and deadline is None and error is None:
         raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
-    _show(open_nonempty_run(source), Demand(link or "", deadline, error, share, device_factor), format_)
+    _show(open_nonempty_run(source), Demand(link or "", deadline, error, share, device_factor), format_, everything)
 
 
-def _show(run: RunResult, demand: Demand, format_: str) -> None:
-    """What is chosen; on the screen the answers last, below all that is noted."""
-    from codecbench.core.engine.foreign_text import clean_line
-    from codecbench.core.report.choosing import chosen
+def _show(run: RunResult, demand: Demand, format_: str, everything: bool) -> None:
+    """The pick of each codec and the answers, and where asked every setting."""
+    from codecbench.core.report.choosing import chosen, link_picks
 
     *tables, answer = chosen(run, demand)
-    show_found(run, tables if format_ == "text" else [*tables, answer], format_)
-    if format_ == "text":
-        click.echo("\n".join(clean_line(sentence) for sentence in answer.sentences))
+    behind = tables if everything or format_ == "json" else []
+    show_found(run, [*behind, link_picks(run, demand), answer], format_, everything=everything)
 
 
 def _run_and_choose(
-    matrix: Path, demand: Demand, out: Path | None, workers: int | None, minutes: float, format_: str
+    matrix: Path,
+    demand: Demand,
+    out: Path | None,
+    workers: int | None,
+    minutes: float,
+    format_: str,
+    everything: bool,
 ) -> None:
     """Run what it takes to choose, told on standard error, choose, and end with the status that the run has earned."""
     from codecbench.cli.display import Display
@@ -118,5 +124,5 @@ def _run_and_choose(
         summary = run_matrix(made.matrix, out, workers=workers, listener=display.show, minutes=minutes)
     show_cells(summary, err=True)
     if not summary.interrupted and "ok" in summary.statuses:
-        _show(open_nonempty_run(summary.folder), made.demand, format_)
+        _show(open_nonempty_run(summary.folder), made.demand, format_, everything)
     end(summary)

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
-from rich.table import Table
-from rich.text import Text
 
 from codecbench.cli.formats import Format
-from codecbench.cli.screen import Screen
+from codecbench.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
     from codecbench.core.report.formatting import Verdict
 
+FORMATS: Final = ("text", "markdown", "latex", "json")
+_NOTES: Final = 4
+"""Lines of notes that are printed where not all is asked for."""
+
+everything_option = click.option("--all", "everything", is_flag=True, help="Also all that stands behind the answer.")
+
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
+@everything_option
 @click.option(
     "--rate",
     "rates",
@@ -28,24 +33,36 @@ if TYPE_CHECKING:
     multiple=True,
     help="Say which codec and setting to take at this rate, in the unit of tables (bit/px); repeatable.",
 )
-def rank(run: Path, format_: str, rates: tuple[float, ...]) -> None:
-    """Say which codec of the RUN folder to take, what is undecided, and down to which rate each codec passes."""
+def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) -> None:
+    """Say which codec of the RUN folder to take: the pick of each codec, and the answer.
+
+    With --all also which codecs are ahead by each task on each sequence, what is undecided and what would decide it,
+    and down to which rate each codec passes. JSON always has all of it.
+    """
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import verdicts, verdicts_at
+    from codecbench.core.report.pasting import answer_tables
 
     result = open_nonempty_run(run)
-    found = [verdict for rate in rates for verdict in verdicts_at(result, rate)] if rates else verdicts(result)
-    show_found(result, found, format_)
-    if format_ == "text" and not rates:
-        show_answer(result)
+    if rates:
+        show_found(result, [verdict for rate in rates for verdict in verdicts_at(result, rate)], format_)
+        return
+    behind = verdicts(result) if everything or format_ == "json" else []
+    show_found(result, [*behind, *answer_tables(result)], format_, everything=everything)
 
 
 def show_answer(result: RunResult) -> None:
-    """Print what to take, as the last line."""
-    from codecbench.core.engine.foreign_text import clean_line
-    from codecbench.core.report.answers import answers
+    """Print the pick of each codec, and last what to take."""
+    from codecbench.core.report.pasting import answer_tables
 
-    click.echo("\n".join(clean_line(line) for line in str(answers(result)).splitlines()))
+    _show_with_answer(answer_tables(result))
+
+
+def _show_with_answer(found: list[Verdict]) -> None:
+    *tables, answer = found
+    show_verdicts(tables)
+    for sentence in answer.sentences:
+        say(sentence)
 
 
 @click.command()
@@ -53,7 +70,7 @@ def show_answer(result: RunResult) -> None:
 @click.option(
     "--power", type=click.FloatRange(0.05, 0.999), default=0.8, show_default=True, help="Share of cases that find it."
 )
-@click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
+@click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 def power(run: Path, power: float, format_: str) -> None:
     """Say which differences the RUN folder could show, which are significant, and what would decide the others.
 
@@ -68,60 +85,62 @@ def power(run: Path, power: float, format_: str) -> None:
     show_found(result, power_verdicts(result, power), format_)
 
 
-def show_found(result: RunResult, found: list[Verdict], format_: str) -> None:
-    """The verdicts on a run in one of the formats; for people, with what is noted of its settings below."""
+def show_everything(result: RunResult) -> None:
+    """What stands behind the answer over all sequences together: verdicts, a sentence a codec, and the headlines."""
+    from codecbench.cli.show import show_table
+    from codecbench.core.report.answers import answers_of_settings
+    from codecbench.core.report.formatting import verdicts
+    from codecbench.core.report.tables import short_table
+
+    show_verdicts(verdicts(result, brief=True))
+    for found in answers_of_settings(result):
+        for line in (*found.lines, ""):
+            say(line)
+    show_table(short_table(result, brief=True), result)
+
+
+def show_found(result: RunResult, found: list[Verdict], format_: str, *, everything: bool = True) -> None:
+    """The verdicts on a run in one of the formats, with what is noted of its settings; for people the answer last."""
     from codecbench.core.report.tables import setting_notes
 
+    notes = setting_notes(result)
     if format_ == "json":
         about = [None if verdict.about is None else verdict.about.name for verdict in found]
         rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
         click.echo(json.dumps(rows, indent=1))
-    elif format_ == "markdown":
-        from codecbench.core.report.tables import escaped
-
-        click.echo(markdown(found))
-        for note in setting_notes(result):
-            click.echo(f"- {escaped(note)}")
-    else:
-        show_verdicts(found)
+    elif format_ == "text":
+        has_answer = bool(found) and found[-1].title == "answer"
         if not found:
-            click.echo(
-                "nothing to rank: it takes a rate, and a headline of role task, quality or success; "
-                "with --rate, two codecs whose settings reach it"
-            )
-        for note in setting_notes(result):
-            click.secho(note, fg="yellow")
+            say("nothing to rank: it takes a rate, and a headline of role task, quality or success; "
+                "with --rate, two codecs whose settings reach it")  # fmt: skip
+        if not has_answer:
+            show_verdicts(found)
+        show_notes(notes, everything)
+        if has_answer:
+            _show_with_answer(found)
+    else:
+        from codecbench.core.report.pasting import pasted
+
+        click.echo(pasted(result, found, format_), nl=False)
     if result.missing:
-        click.echo(f"{result.missing} cells of the plan have no record yet", err=True)
+        say(f"{result.missing} cells of the plan have no record yet", err=True)
+
+
+def show_notes(notes: list[str], everything: bool) -> None:
+    """What is noted beside numbers: the first of it, and how much more there is."""
+    shown = notes if everything or len(notes) <= _NOTES else notes[: _NOTES - 1]
+    for note in shown:
+        say(note, style="yellow")
+    if more := len(notes) - len(shown):
+        say(f"{more} more notes: --all shows them", style="yellow")
 
 
 def show_verdicts(found: list[Verdict]) -> None:
     """The verdicts in the terminal."""
-    console = Screen()
-    if not console.is_terminal:
-        console = Screen(width=120)
     for verdict in found:
-        console.print(Text(verdict.title, style="bold"))
+        say(verdict.title, style="bold")
         if verdict.rows:
-            table = Table(show_edge=False, header_style="dim", box=None)
-            for head in verdict.heads:
-                table.add_column(Text(head), overflow="fold")
-            for row in verdict.rows:
-                table.add_row(*(Text(cell) for cell in row))
-            console.print(table)
+            plain_table(verdict.heads, verdict.rows)
         for sentence in verdict.sentences:
-            console.print(Text(sentence))
-        console.print()
-
-
-def markdown(found: list[Verdict]) -> str:
-    """The verdicts as Markdown."""
-    from codecbench.core.report.tables import escaped, foreign_table
-
-    parts = []
-    for verdict in found:
-        parts.append(f"### {escaped(verdict.title)}\n")
-        if verdict.rows:
-            parts.append(foreign_table(verdict.heads, verdict.rows))
-        parts.append("\n".join(f"- {escaped(sentence)}" for sentence in verdict.sentences) + "\n")
-    return "\n".join(parts)
+            say(sentence)
+        click.echo()

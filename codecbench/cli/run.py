@@ -12,7 +12,7 @@ import click
 from codecbench.cli.completion import plugin_names
 from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
-from codecbench.cli.rank import show_answer
+from codecbench.cli.rank import everything_option, show_answer
 from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ LEVELS = ("debug", "info", "warning", "error")
 )
 @click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Continue after a cell fails.")
 @click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
+@everything_option
 @click.option("--quiet", is_flag=True, help="Print only what failed, and the run folder.")
 def run(
     matrix: Path,
@@ -44,6 +45,7 @@ def run(
     recompute: tuple[str, ...],
     keep_going: bool,
     log_level: str,
+    everything: bool,
     quiet: bool,
 ) -> None:
     """Run a MATRIX: every codec setting on every sequence, evaluated.
@@ -68,26 +70,29 @@ def run(
             listener=display.show,
             log_level=logging.getLevelName(log_level.upper()),
         )
-    result = _show(summary, quiet)
+    result = _show(summary, quiet, everything)
     if "ok" in summary.statuses:
         page = summary.folder / "report" / "report.html"
-        click.echo(f"report: `codecbench report {summary.folder}` writes {page}, a page for your browser")
+        click.echo(f"report: `codecbench report {summary.folder}` writes {page}")
         if result is not None:
             show_answer(result)
     end(summary)
 
 
-def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, show: bool, minutes: float) -> None:
+def run_and_report(
+    matrix: Matrix, out: Path | None, *, workers: int | None, show: bool, minutes: float, everything: bool
+) -> None:
     """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser.
 
-    minutes: searches try nothing that would end later, and name what they did not try.
+    everything: print all that stands behind the answer. minutes: searches try nothing that would end later, and name
+    what they did not try.
     """
     from codecbench.core.report.page import write_report
     from codecbench.core.rounds.running import run_matrix
 
     with Display(Screen(stderr=True), True) as display:
         summary = run_matrix(matrix, out, workers=workers, listener=display.show, minutes=minutes)
-    result = _show(summary, False, in_sentences=True)
+    result = _show(summary, False, everything)
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
     if result is not None and "ok" in summary.statuses:
         page = (summary.folder / "report" / "report.html").absolute()
@@ -99,24 +104,19 @@ def run_and_report(matrix: Matrix, out: Path | None, *, workers: int | None, sho
     end(summary)
 
 
-def _show(summary: RunSummary, quiet: bool, *, in_sentences: bool = False) -> RunResult | None:
-    """What the run decides, as tables or in a sentence a codec, its headlines, and what became of its cells."""
+def _show(summary: RunSummary, quiet: bool, everything: bool) -> RunResult | None:
+    """What is noted of the run and what became of its cells; before it, where asked, all that it decides."""
     result = None
     if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
-        from codecbench.cli.rank import show_verdicts
-        from codecbench.cli.show import show_summary
+        from codecbench.cli.rank import show_everything, show_notes
         from codecbench.core.analysis.collect import open_run
-        from codecbench.core.engine.foreign_text import clean_line
-        from codecbench.core.report.answers import answers
-        from codecbench.core.report.formatting import verdicts
+        from codecbench.core.report.tables import notes
 
         result = open_run(summary.folder)
-        if in_sentences:
-            stopped = [f"{found.codec}: {found.words}." for found in result.plan.searches if found.state == "stopped"]
-            click.echo("\n" + "\n".join(clean_line(line) for line in (*answers(result).lines, *stopped)) + "\n")
-        else:
-            show_verdicts(verdicts(result, brief=True))
-        show_summary(result)
+        if everything:
+            show_everything(result)
+        stopped = [f"{found.codec}: {found.words}." for found in result.plan.searches if found.state == "stopped"]
+        show_notes([*stopped, *notes(result)], everything)
     show_cells(summary)
     return result
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from codecbench.cli.completion import codec_names
+from codecbench.cli.rank import everything_option
 
 if TYPE_CHECKING:
     from codecbench.trial.trial_matrix import TrialMatrix
@@ -40,6 +41,7 @@ def _choices(command: Callable[..., Any]) -> Callable[..., Any]:
 @_choices
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/try-NAME.")
 @click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a core.")
+@everything_option
 @click.option("--open/--no-open", "show", default=None, help="Open the report in a browser; by default on a desktop.")
 def try_(
     path: Path,
@@ -50,6 +52,7 @@ def try_(
     set_: tuple[str, ...],
     out: Path | None,
     workers: int | None,
+    everything: bool,
     show: bool | None,
 ) -> None:
     """Try codecs on the recording at PATH, and write a report.
@@ -67,7 +70,8 @@ def try_(
     from codecbench.core.engine.planning.matrix import matrix_from
 
     show = _on_desktop() if show is None else show
-    run_and_report(matrix_from(made.text), out, workers=workers, show=show, minutes=made.most_minutes)
+    matrix = matrix_from(made.text)
+    run_and_report(matrix, out, workers=workers, show=show, minutes=made.most_minutes, everything=everything)
 
 
 @click.command()

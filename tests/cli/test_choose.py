@@ -34,8 +34,11 @@ def test_of_a_matrix_a_link_and_something_else_must_be_asked(tmp_path: Path) -> 
         assert wanted in result.output
 
 
-def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(tmp_path: Path) -> None:
+def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A room over a link that changes nothing, and over one that lets hardly a frame through."""
+    monkeypatch.delenv("COLUMNS", raising=False)
     links = {"grid": ["ideal", "underwater_acoustic"]}
     room = {"world": "room", "frames": 60, "width": 320, "height": 240}
     matrix = {
@@ -50,7 +53,13 @@ def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(tmp_path: 
     codecbench.run(matrix, out=tmp_path / "run", workers=1)
     result = CliRunner().invoke(choose, [str(tmp_path / "run"), "--error", "50cm"])
     assert result.exit_code == 0, result.output
-    use, nothing = result.stdout.splitlines()[-2:]
+    *table, _, use, nothing = result.stdout.splitlines()
+    assert table[0] == "The pick of each codec, room-0.5, an error of at most 0.5 m"
+    assert table[1].split("  ")[0] == "link"
+    assert table[2].split()[:2] == ["ideal", "passes"]
+    assert table[2].split()[-3:] == ["4/4", "none", "tried"]
+    assert table[3].startswith("underwater_acoustic  fails: poses too  ")
+    assert table[-1].startswith("In all rows: codec jpeg, setting quality=40, Mbit/s ")
     assert use.startswith("Over ideal use jpeg quality=40: ")
     assert " Mbit/s at 30 fps (" in use
     assert " GB/h); passes in 4 of 4 runs (at least 51 % at 95 %): error 0." in use

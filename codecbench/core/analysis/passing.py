@@ -37,7 +37,9 @@ class Standing:
 
     @cached_property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
+        """95 % interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953); all, of no run."""
+        if not self.runs:
+            return 0.0, 1.0
         from scipy.stats import binomtest  # loads for half a second, and few runs have a task
 
         found = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
@@ -97,10 +99,15 @@ class Level:
 
     def __str__(self) -> str:
         """`0.914 ± 0.008, ≥ 0.9 asked`, in the unit that people are shown."""
-        reach, factor = self.margin.reach(CONFIDENCE), self.column.factor
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
-        sure = f" ± {factor * reach:.2g}" if 0.0 < reach < math.inf else "" if reach == 0.0 else ", too few to tell"
-        return f"{factor * self.value:.3g}{unit}{sure}, {self.asked} asked"
+        few = "" if self.margin.reach(CONFIDENCE) < math.inf else ", too few to tell"
+        return f"{self.column.factor * self.value:.3g}{unit}{self.reach}{few}, {self.asked} asked"
+
+    @property
+    def reach(self) -> str:
+        """` ± 0.008`: how far the 95 % interval reaches, as far as there is one."""
+        reach = self.margin.reach(CONFIDENCE)
+        return f" ± {self.column.factor * reach:.2g}" if 0.0 < reach < math.inf else ""
 
     @property
     def asked(self) -> str:

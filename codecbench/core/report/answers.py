@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Final
 
@@ -15,8 +15,8 @@ from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
-from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, times_decide
-from codecbench.core.report.formatting import ranked_verdict, share_of_rate, uninformative, where
+from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, spent, times_decide
+from codecbench.core.report.formatting import Verdict, ranked_verdict, share_of_rate, uninformative, where
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
@@ -31,21 +31,29 @@ class Answer:
     curve: str
     sentence: str
     passes: bool | None = None
-    limit: Limit = Limit()
+    limit: Limit = field(default_factory=Limit)
+
+    @property
+    def shown(self) -> Test | None:
+        """The pick; if there is none, the setting that is likeliest to be one, or else the finest."""
+        return self.limit.lowest or _likely(self.limit) or next(iter(self.limit.settings), None)
 
 
 @dataclass(frozen=True)
 class Answers:
     """basis: by what codecs are judged, over how much, in a sentence. answers: best first, baselines left out. about:
     by what, in a few words. sentence: what to take, its cost, what it saves and how sure that is; and a line a link.
-    on: the sequence that is spoken of, or all of them (POOLED). raw: the settings of the baseline, as of a codec."""
+    on: the sequence that is spoken of, or all of them (POOLED). over: that in words. raw: the settings of the baseline,
+    as of a codec. table: of what is known instead, if nothing says what passes."""
 
     basis: str
     answers: tuple[Answer, ...] = ()
     about: str = ""
     sentence: str = ""
     on: str = POOLED
-    raw: Limit = Limit()
+    over: str = ""
+    raw: Limit = field(default_factory=Limit)
+    table: Verdict | None = None
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -80,15 +88,16 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
 def _ranked(run: RunResult) -> Answers:
     """The answer of a run in which nothing says how good is good enough."""
     on = _on(run)
-    found = [each for each in rankings(run, brief=True) if each.sequence == on]
-    ranking = next((each for each in found if each.ranked), None)
+    every = [each for each in rankings(run, brief=True) if each.sequence == on]
+    ranking = next((each for each in every if each.ranked), None)
     if ranking is None:
         nothing = "Neither a task nor quality was measured of two codecs, so that they cannot be judged."
-        basis = next((reason for each in found for reason in uninformative(each)), nothing)
+        basis = next((reason for each in every for reason in uninformative(each)), nothing)
         return Answers(basis, sentence=f"Nothing can be named: {basis[0].lower()}{basis[1:]}")
-    taken = ranked_verdict(run, ranking).sentences[0]
+    found = ranked_verdict(run, ranking)
+    brief = replace(found, heads=found.heads[:-1], rows=tuple(row[:-1] for row in found.rows), sentences=())
     basis = f"Judged by {ranking.column.label}, {where(on)}; add codec raw, beside which a setting passes or fails."
-    return Answers(basis, (), ranking.column.label, taken)
+    return Answers(basis, (), ranking.column.label, found.sentences[0], on, table=brief)
 
 
 def _on(run: RunResult) -> str:
@@ -105,8 +114,7 @@ class _Judged:
     limits: Mapping[str, Limit]
 
     def spent(self, curve: str, test: Test) -> float:
-        """What decides between settings that pass: the rate, or milliseconds if times and no task were measured."""
-        return sum(coding_ms(self.run, self.on, curve, test)) if times_decide(self.run) else test.rate
+        return spent(self.run, self.on, curve, test)
 
     def cost(self, curve: str, test: Test, *, brief: bool = False) -> str:
         """What a setting spends, in words."""
@@ -143,11 +151,12 @@ def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     found = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))))
     what = " and ".join(column.label for column in columns)
     asked = _asked(raw, *own.values())
-    basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {_over(run, own.values())}"
+    over = _over(run, own.values())
+    basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {over}"
     if raw.settings:
         basis += f"; raw itself: {described(raw.settings[0])}"
     told = tuple(Answer(curve, *_limited(found, curve, limit), limit) for curve, limit in found.limits.items())
-    return Answers(f"{basis}.", told, what, _sentence(found, raw), on, raw)
+    return Answers(f"{basis}.", told, what, _sentence(found, raw), on, over, raw)
 
 
 def _codec(curve: str) -> str:

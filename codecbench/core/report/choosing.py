@@ -20,11 +20,12 @@ from codecbench.core.analysis.choosing import (
     links_read,
     median,
 )
+from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.metric import FRESH_S
-from codecbench.core.report.costs import rate_words
-from codecbench.core.report.formatting import Verdict, where
-from codecbench.core.report.tables import three_digits
+from codecbench.core.report.costs import rate_cell, rate_words, spent
+from codecbench.core.report.formatting import Verdict, compact, rounded, where
+from codecbench.core.report.tables import aligned, three_digits
 
 _NAMED: Final = 3
 """Settings that a cell names before it counts the rest."""
@@ -51,13 +52,54 @@ def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
 
     A table of all links comes first where there are several. Raises NotMeasured.
     """
-    able = links_read(run) if demand.deadline_ms is None else links_of(run)
-    links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
-    every = [_by_sequence(candidates(run, replace(demand, link=link))) for link in links]
+    every = _over_each(run, demand)
     overview = [_overview(run, [groups[0] for groups in every])] if len(every) > 1 else []
     tables = [_table(run, found, is_first=found is groups[0]) for groups in every for found in groups]
     answers = tuple(answer(run, groups[0]) for groups in every)
     return [*overview, *tables, Verdict("answer", (), (), answers)]
+
+
+def link_picks(run: RunResult, demand: Demand) -> Verdict:
+    """The pick of each codec over a link, or over each, on all sequences together. Raises NotMeasured."""
+    every = [groups[0] for groups in _over_each(run, demand)]
+    rows = [row for found in every for row in _pick_rows(run, found)]
+    return compact(f"The pick of each codec, {where(every[0][0].sequence)}, {asked_words(every[0][0].demand)}", rows)
+
+
+def _pick_rows(run: RunResult, found: list[Candidate]) -> Iterator[dict[str, str]]:
+    """A row a codec: its setting of least rate that passes with what keeps the next coarser one from it, or else the
+    setting of most rate."""
+    passing = _passing(found)
+    anchor = next((each for each in passing if each.curve.split(" ")[0] in run.schema.anchors), None)
+    for curve in dict.fromkeys(each.curve for each in (*passing, *found)):
+        own = [each for each in found if each.curve == curve]
+        taken = next((each for each in own if each.verdict == "passes"), own[-1])
+        versus = {"": ""} if anchor is None else {f"vs. {anchor.curve}": ""}
+        row = {
+            "link": taken.demand.link,
+            "codec": curve,
+            "setting": f"{taken.point} {taken.way}".strip(),
+            "verdict": taken.verdict if taken.limit is None else f"{taken.verdict}: {_GROUPS[taken.limit][0]}",
+            **dict([rate_cell(run, taken.sequence, curve, _setting(taken))]),
+            **versus,
+            "error m": "" if math.isnan(taken.error_m) else aligned(taken.error_m),
+            "fresh pose": "" if math.isnan(taken.fresh) else _percent(taken.fresh),
+            "in time": "" if math.isnan(taken.share) else _percent(taken.share),
+            "runs": " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings),
+        }
+        if taken.limit is None:
+            if anchor is not None and taken is not anchor:
+                row[f"vs. {anchor.curve}"] = f"{rounded(_more(run, taken, anchor))} %"
+            coarser = own[: own.index(taken)]
+            row["next coarser"] = f"{coarser[-1].point} {coarser[-1].verdict}" if coarser else "none tried"
+        yield row
+
+
+def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
+    """Candidates by link and sequence, those of all sequences together first."""
+    able = links_read(run) if demand.deadline_ms is None else links_of(run)
+    links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
+    return [_by_sequence(candidates(run, replace(demand, link=link))) for link in links]
 
 
 def _by_sequence(found: list[Candidate]) -> list[list[Candidate]]:
@@ -209,18 +251,28 @@ def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
         return ""
     if taken in anchors:
         others = [candidate for candidate in _passing(found) if candidate not in anchors]
-        return f", {_less(taken, others[0])} than the next codec that passes ({others[0].name})" if others else ""
+        return (
+            f", {-_more(run, taken, others[0]):.0f} % less than the next codec that passes ({others[0].name})"
+            if others
+            else ""
+        )
     if not anchors:
         return ""
     smallest = next(iter(_passing(anchors)), None)
     if smallest is None:
         return f", where no {anchor} setting tried passes"
-    less = f"{_less(taken, smallest)} than the smallest {anchor} that passes"
+    less = f"{-_more(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
     return f", {less} ({smallest.point}, {_spent(run, smallest, brief=True)})"
 
 
-def _less(taken: Candidate, other: Candidate) -> str:
-    return f"{100 * (1 - taken.rate / other.rate):.0f} % less"
+def _more(run: RunResult, taken: Candidate, other: Candidate) -> float:
+    """By how many percent a setting spends more than another."""
+    rates = [spent(run, each.sequence, each.curve, _setting(each)) for each in (taken, other)]
+    return 100.0 * (rates[0] / rates[1] - 1.0)
+
+
+def _setting(candidate: Candidate) -> Standing:
+    return Standing(candidate.point, candidate.rate, 0, 0)
 
 
 def _facts(taken: Candidate) -> str:
@@ -237,7 +289,7 @@ def _facts(taken: Candidate) -> str:
 def _spent(run: RunResult, candidate: Candidate, *, brief: bool = False) -> str:
     if run.rate is None:
         return "its rate is not known"
-    return rate_words(run, candidate.sequence, candidate.curve, candidate.least_sure, brief=brief)
+    return rate_words(run, candidate.sequence, candidate.curve, _setting(candidate), brief=brief)
 
 
 def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:

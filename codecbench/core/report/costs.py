@@ -14,7 +14,7 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import installed
-from codecbench.core.report.tables import three_digits
+from codecbench.core.report.tables import aligned, three_digits
 
 _FAR: Final = 10.0
 """Times the coarsest value that was tried, up to which more is looked for."""
@@ -24,16 +24,37 @@ _ALIKE: Final = 0.01
 
 def rate_words(run: RunResult, sequence: str, curve: str, test: Test, *, brief: bool = False) -> str:
     """`0.59 Mbit/s at 30 fps (0.27 GB/h)`, or briefly the first; the rate in its own unit if no bit rate is known."""
-    rows, kbps = _rows(run, sequence, curve, test), _of_rate(run, "kbit/s")
-    if kbps is None or not (mbps := float(rows[kbps].mean()) / 1e3) > 0.0:
-        assert run.rate is not None
-        return f"{three_digits(test.rate * run.rate.factor)} {run.rate.unit}"
-    if brief:
-        return f"{three_digits(mbps)} Mbit/s"
-    size = _of_rate(run, "bytes")
+    unit, number = rate_cell(run, sequence, curve, test)
+    mbps = bit_rate_mbps(run, sequence, curve, test)
+    if brief or not mbps > 0.0:
+        return f"{three_digits(float(number))} {unit}"
+    rows, kbps, size = _rows(run, sequence, curve, test), _of_rate(run, "kbit/s"), _of_rate(run, "bytes")
     rates_hz = np.array([]) if size is None else (rows[kbps] * 1e3 / 8.0 / rows[size]).to_numpy(float)
     at = f" at {rates_hz[0]:.3g} fps" if len(rates_hz) and np.ptp(rates_hz) < _ALIKE * rates_hz[0] else ""
-    return f"{three_digits(mbps)} Mbit/s{at} ({three_digits(mbps * 3.6 / 8.0)} GB/h)"
+    return f"{three_digits(mbps)} {unit}{at} ({three_digits(mbps * 3.6 / 8.0)} GB/h)"
+
+
+def bit_rate_mbps(run: RunResult, sequence: str, curve: str, test: Test) -> float:
+    """The bit rate of a setting; NaN if none is known."""
+    kbps = _of_rate(run, "kbit/s")
+    return math.nan if kbps is None else float(_rows(run, sequence, curve, test)[kbps].mean()) / 1e3
+
+
+def rate_cell(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[str, str]:
+    """The unit and the number of a setting's bit rate, or of its rate if no bit rate is known."""
+    mbps = bit_rate_mbps(run, sequence, curve, test)
+    if mbps > 0.0 or run.rate is None:
+        return "Mbit/s", aligned(mbps)
+    return run.rate.unit, aligned(test.rate * run.rate.factor)
+
+
+def spent(run: RunResult, sequence: str, curve: str, test: Test) -> float:
+    """What decides between settings that pass: the bit rate, or the rate if that is not known, or milliseconds if times
+    and no task were measured."""
+    if times_decide(run):
+        return sum(coding_ms(run, sequence, curve, test))
+    mbps = bit_rate_mbps(run, sequence, curve, test)
+    return mbps if mbps > 0.0 else test.rate
 
 
 def coding_ms(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[float, float]:

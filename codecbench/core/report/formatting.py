@@ -48,6 +48,21 @@ class Verdict:
     about: Column | None = None
 
 
+def compact(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
+    """A table of cells by head, in the order in which heads first appear; what is the same in all rows stands below.
+
+    Cells that a row lacks are a dash. A head that is empty counts for nothing.
+    """
+    heads = list(dict.fromkeys(head for row in rows for head in row if head))
+    columns = {head: [row.get(head) or "–" for row in rows] for head in heads}
+    same = {head: cells[0] for head, cells in columns.items() if len(rows) > 1 and len(set(cells)) == 1}
+    kept = {head: cells for head, cells in columns.items() if head not in same}
+    words = ", ".join(f"{head} {cell}" for head, cell in same.items() if cell != "–")
+    return Verdict(
+        title, tuple(kept), tuple(zip(*kept.values(), strict=True)), (f"In all rows: {words}.",) if words else ()
+    )
+
+
 def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
     """Which codec to take at a rate, in the unit that people are shown, by each task."""
     if run.rate is None:
@@ -127,16 +142,17 @@ def _percent(found: Evidence) -> tuple[str, str, str]:
     """The difference in rate, half the width of its interval in percent points, or the interval if that is wide."""
     middle, reach = 100.0 * math.expm1(-found.mean), found.reach(0.95)
     if reach > _LONGEST:
-        return _rounded(middle), "", "" if found.at_least else "no interval"
+        return rounded(middle), "", "" if found.at_least else "no interval"
     low, high = (100.0 * math.expm1(move - found.mean) for move in (-reach, reach))
     half = 0.5 * (high - low)
     if half > _WIDE:
-        return _rounded(middle), "", f"{_rounded(low)} to {_rounded(high)} %"
+        return rounded(middle), "", f"{rounded(low)} to {rounded(high)} %"
     digits = 0 if half >= 0.95 or half == 0.0 else min(3, math.ceil(-math.log10(half)))
     return f"{middle:+.{digits}f}", f" ± {half:.{digits}f}", ""
 
 
-def _rounded(percent: float) -> str:
+def rounded(percent: float) -> str:
+    """A change in percent with its sign, in three digits at most."""
     return "0" if abs(percent) < 0.5 else f"{float(f'{percent:.3g}'):+.0f}"
 
 

@@ -15,7 +15,6 @@ import jinja2
 
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.run_result import RunResult, judged_column, successes
-from codecbench.core.analysis.table import NOTES
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file
@@ -23,8 +22,9 @@ from codecbench.core.report.answers import answers_of_settings
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
+from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
-from codecbench.core.report.tables import caveats, exported, sequence_notes, setting_notes, short_table
+from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
 from codecbench.core.report.views import STROKES
 
 SIZE_LIMIT_BYTES: Final = 6_000_000
@@ -207,11 +207,10 @@ def write_report(
 ) -> int:
     """Write the report of a run and return its size in bytes.
 
-    `html`: the whole page. `markdown` or `md`, `latex`: the short table, for a pull request or a paper, with what is
-    noted of settings as its last column. sequences_from:
-    where the frames are that the page shows, a folder or `same` for where the plan says; None shows them only of a run
-    that was made here. frames: numbers of the frames to show, from 0; by default a few. Raises ParamsError for another
-    format, and for a frame that no sequence has.
+    `html`: the whole page. `markdown` or `md`, `latex`: the pick of each codec and the answer, for a pull request or a
+    paper. sequences_from: where the frames are that the page shows, a folder or `same` for where the plan says; None
+    shows them only of a run that was made here. frames: numbers of the frames to show, from 0; by default a few. Raises
+    ParamsError for another format, and for a frame that no sequence has.
     """
     longest = max((entry.frames for entry in run.plan.sequences), default=0)
     if beyond := [number for number in frames if not 0 <= number < longest]:
@@ -219,8 +218,7 @@ def write_report(
     if format_ == "html":
         content = render(run, partial(frame_pictures, run, sequences_from=sequences_from, wanted=frames)).encode()
     elif format_ in ("markdown", "md", "latex"):
-        table = short_table(run).join(run.wide.filter([NOTES]))
-        content = exported(table, "latex" if format_ == "latex" else "markdown")
+        content = pasted(run, answer_tables(run), "latex" if format_ == "latex" else "markdown").encode()
     else:
         raise ParamsError(f"format {format_!r} is not one of html, markdown, latex")
     write_file(path, content)

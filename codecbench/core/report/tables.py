@@ -181,6 +181,12 @@ def three_digits(value: float) -> str:
     return f"{float(f'{value:.3g}'):g}"
 
 
+def aligned(value: float) -> str:
+    """With three significant digits, zeros too, for columns: 3.00 above 2.87."""
+    text = f"{value:#.3g}"
+    return three_digits(value) if "e" in text else text.rstrip(".")
+
+
 def notes(run: RunResult) -> list[str]:
     """A sentence for each note on a sequence, for each caveat of a headline, and for those on codec settings."""
     return [*sequence_notes(run), *caveats(run), *setting_notes(run)]

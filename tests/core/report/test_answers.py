@@ -1,4 +1,4 @@
-"""What is said of codecs whose order and limits are known."""
+"""What is said of codecs whose order and limits are known, and the pick of each in one table."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from measured_runs import cell_result, run_of
 
-from codecbench.core.analysis.run_result import judged_column
+from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.answers import Answers, answers
+from codecbench.core.report.pasting import answer_tables, pasted
+from codecbench.core.report.picks import picks
 
 
 def tracked(codec: str, rate: float, held: list[float], sequence: str = "s") -> list[CellResult]:
@@ -153,3 +155,68 @@ def test_the_column_that_is_judged_is_a_task_before_quality(own: dict[str, float
     values = {(name, ""): [value] for name, value in own.items()} | {("bits", ""): [1.0]}
     found = judged_column(run_of(cell_result("plain", 1.0, "look", own=values)))
     assert (found and found.metric.name) == metric
+
+
+def judged() -> RunResult:
+    """`good` takes half the rate of the anchor `plain`, and `bad` passes nowhere."""
+    raw = tracked("raw", 24.0, [1.0] * 5)
+    plain = [*tracked("plain", 2.0, [1.0] * 5), *tracked("plain", 1.0, [0.0] * 5)]
+    good = [*tracked("good", 1.0, [1.0] * 5), *tracked("good", 0.5, [1.0, 1.0, 1.0, 1.0, 0.0])]
+    return run_of(*raw, *plain, *good, *tracked("bad", 0.3, [0.0] * 5))
+
+
+def test_a_row_a_codec_in_the_order_of_the_answer() -> None:
+    run = judged()
+    (table,) = picks(run, answers(run))
+    assert table.title == "The pick of each codec, s, 5 frames, 5 runs a setting"
+    assert table.heads == ("codec", "setting", "verdict", "bpp", "vs. plain", "runs", "next coarser")
+    assert table.rows == (
+        ("good", "q=1.0", "passes", "1.00", "-50 %", "5/5", "q=0.5 inconclusive"),
+        ("plain", "q=2.0", "passes", "2.00", "–", "5/5", "q=1.0 fails"),
+        ("bad", "q=0.3", "fails", "0.300", "–", "0/5", "–"),
+    )
+    assert table.sentences == ()
+    assert [row[0] for row in table.rows] == [answer.curve for answer in answers(run).answers]
+
+
+def test_what_is_the_same_in_all_rows_stands_below() -> None:
+    """Raw has 40 dB, of which four fifths are enough."""
+    plain, good = scored("plain", {1.0: 36.0, 0.5: 33.0}), scored("good", {0.5: 36.0, 0.25: 33.0})
+    run = run_of(*scored("raw", {24.0: 40.0}), *plain, *good)
+    (table,) = picks(run, answers(run))
+    assert table.heads == ("codec", "setting", "bpp", "vs. plain")
+    assert table.rows == (("good", "q=0.25", "0.250", "-50 %"), ("plain", "q=0.5", "0.500", "–"))
+    assert table.sentences == ("In all rows: verdict passes, score 33.0, next coarser none tried.",)
+
+
+def test_of_codecs_that_nothing_judges_every_setting_is_told() -> None:
+    run = run_of(*(cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in (2.0, 0.123456)))
+    (table,) = picks(run, answers(run))
+    assert table.title == "Every setting of p"
+    assert table.heads == ("setting", "bits")
+    assert table.rows == (("q=2.0", "2.00"), ("q=0.123456", "0.123"))
+    assert table.sentences == ("In all rows: sequence s, codec plain, status ok.",)
+
+
+@pytest.mark.parametrize("form", ["markdown", "latex"])
+def test_a_pasted_table_brings_what_is_noted_and_the_answer(form: str) -> None:
+    run = judged()
+    noted = replace(run, results=[replace(run.results[0], notes=("half the color",)), *run.results[1:]])
+    text = pasted(noted, answer_tables(noted), form)
+    wanted = {
+        "markdown": (
+            "### notes\n\n- raw: half the color.\n\n"
+            "### The pick of each codec, s, 5 frames, 5 runs a setting\n\n"
+            "| codec | setting | verdict | bpp | vs. plain | runs | next coarser |\n",
+            "| good | q=1.0 | passes | 1.00 | -50 % | 5/5 | q=0.5 inconclusive |\n",
+            "### answer\n\n- Use good q=1.0: 1 bpp, 50 % less than",
+        ),
+        "latex": (
+            "% notes\n% raw: half the color.\n\n"
+            "% The pick of each codec, s, 5 frames, 5 runs a setting\n\\begin{tabular}{lllllll}\n",
+            "good & q=1.0 & passes & 1.00 & -50 \\% & 5/5 & q=0.5 inconclusive \\\\\n",
+            "% answer\n% Use good q=1.0: 1 bpp, 50 % less than",
+        ),
+    }
+    for part in wanted[form]:
+        assert part in text

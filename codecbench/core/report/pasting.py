@@ -1,0 +1,40 @@
+"""Tables and sentences as Markdown and LaTeX, to paste."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.report.answers import answers
+from codecbench.core.report.formatting import Verdict
+from codecbench.core.report.picks import picks
+from codecbench.core.report.tables import escaped, exported, foreign_table, setting_notes
+
+
+def answer_tables(run: RunResult) -> list[Verdict]:
+    """The table of picks, and last the answer."""
+    found = answers(run)
+    return [*picks(run, found), Verdict("answer", (), (), tuple(found.sentence.splitlines()))]
+
+
+def pasted(run: RunResult, found: Sequence[Verdict], format_: str) -> str:
+    """Verdicts on a run as `markdown` or `latex`, in which what stands around a table is a comment; first what is noted
+    of settings, as numbers are not to be read without it."""
+    notes = setting_notes(run)
+    every = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *found]
+    return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in every)
+
+
+def _markdown(verdict: Verdict) -> str:
+    table = f"{foreign_table(verdict.heads, verdict.rows)}\n" if verdict.rows else ""
+    sentences = "".join(f"- {escaped(sentence)}\n" for sentence in verdict.sentences)
+    return f"### {escaped(verdict.title)}\n\n{table}{sentences}"
+
+
+def _latex(verdict: Verdict) -> str:
+    frame = pd.DataFrame(verdict.rows, columns=list(verdict.heads))
+    table = exported(frame, "latex").decode() if verdict.rows else ""
+    comments = [f"% {' '.join(text.split())}\n" for text in (verdict.title, *verdict.sentences)]
+    return "".join((comments[0], table, *comments[1:]))
