@@ -36,7 +36,7 @@ def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     rows = list(rows)
     table = Table(show_edge=False, header_style="dim", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     columns = [[head, *(row[place] for row in rows)] for place, head in enumerate(heads)]
-    for head, width in zip(heads, _widths(columns, console.width - 2 * len(heads)), strict=True):
+    for head, width in zip(heads, _widths(columns, console.width - 2 * (len(heads) - 1)), strict=True):
         table.add_column(Text(head), width=width, overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))

@@ -100,14 +100,14 @@ class Level:
     def __str__(self) -> str:
         """`0.914 ± 0.008, ≥ 0.9 asked`, in the unit that people are shown."""
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
-        few = "" if self.margin.reach(CONFIDENCE) < math.inf else ", too few to tell"
-        return f"{self.column.factor * self.value:.3g}{unit}{self.reach}{few}, {self.asked} asked"
+        few = "" if self.reach < math.inf else ", too few to tell"
+        sure = f" ± {self.reach:.2g}" if 0.0 < self.reach < math.inf else ""
+        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.asked} asked"
 
     @property
-    def reach(self) -> str:
-        """` ± 0.008`: how far the 95 % interval reaches, as far as there is one."""
-        reach = self.margin.reach(CONFIDENCE)
-        return f" ± {self.column.factor * reach:.2g}" if 0.0 < reach < math.inf else ""
+    def reach(self) -> float:
+        """How far the 95 % interval reaches, in the unit that people are shown; infinite if too few to tell."""
+        return self.column.factor * self.margin.reach(CONFIDENCE)
 
     @property
     def asked(self) -> str:

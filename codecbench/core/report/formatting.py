@@ -22,6 +22,7 @@ from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, 
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, successes
 from codecbench.core.analysis.verdicts import SequenceCurve
+from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.report.tables import three_digits
 
 _NAMED: Final = 3
@@ -82,19 +83,20 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
         *ranked.values(),
         *(list(_held(run, columns)) for columns in criteria(run) if columns[0].metric.role == "success"),
     ]
-    return [*_found(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
+    return [*searched(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
 
-def _found(run: RunResult) -> Iterator[Verdict]:
-    """What the searches of the matrix have found."""
-    if run.plan.searches:
+def searched(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
+    """What the searches of the matrix have found; brief: without sentences, and without what passes."""
+    searches = [found for found in run.plan.searches if not (brief and found.aim == PASSES)]
+    if searches:
         heads = ("codec", "sequence", "sought", "", "setting", "has")
         rows = tuple(
             (found.codec, found.sequence, found.aim, found.state, found.setting or "–",
              "–" if found.reached is None else f"{found.reached:.4g}")
-            for found in run.plan.searches
+            for found in searches
         )  # fmt: skip
-        yield Verdict("searches", heads, rows, tuple(f"{found}." for found in run.plan.searches))
+        yield Verdict("searches", heads, rows, () if brief else tuple(f"{found}." for found in searches))
 
 
 def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:

@@ -8,15 +8,16 @@ import pandas as pd
 
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import answers
-from codecbench.core.report.formatting import Verdict
+from codecbench.core.report.formatting import Verdict, searched
 from codecbench.core.report.picks import picks
 from codecbench.core.report.tables import escaped, exported, foreign_table, setting_notes
 
 
 def answer_tables(run: RunResult) -> list[Verdict]:
-    """The table of picks, and last the answer."""
+    """What searches have found, the table of picks, and last the answer."""
     found = answers(run)
-    return [*picks(run, found), Verdict("answer", (), (), tuple(found.sentence.splitlines()))]
+    answer = Verdict("answer", (), (), tuple(found.sentence.splitlines()))
+    return [*searched(run, brief=True), *picks(run, found), answer]
 
 
 def pasted(run: RunResult, found: Sequence[Verdict], format_: str) -> str:

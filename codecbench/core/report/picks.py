@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 from typing import Final
@@ -10,7 +11,7 @@ from typing import Final
 from codecbench.core.analysis.choosing import Demand, links_read
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.report.answers import Answers
+from codecbench.core.report.answers import Answer, Answers
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, rate_cell, spent, times_decide
 from codecbench.core.report.formatting import Verdict, compact, rounded
@@ -43,24 +44,36 @@ def _text(value: object) -> str:
 
 
 def _of_answers(run: RunResult, found: Answers) -> Verdict:
-    anchors = [each for each in found.answers if each.curve.split(" ")[0] in run.schema.anchors]
-    anchor = next((each for each in anchors if each.limit.lowest is not None), None)
+    """A row for each codec that has a pick; if none has, for each codec with what comes nearest, the least rate first."""
+    picked = [each for each in found.answers if each.limit.lowest is not None]
+    anchor = next((each for each in picked if each.curve.split(" ")[0] in run.schema.anchors), None)
     rows = []
-    for each in found.answers:
+    for each in picked or sorted(found.answers, key=lambda each: math.inf if each.shown is None else each.shown.rate):
         row, setting, after = {"codec": each.curve}, each.shown, each.limit.next
         if setting is not None:
-            row |= {"setting": setting.point, "verdict": setting.verdict, **_costs(run, found.on, each.curve, setting)}
-            row |= {"" if anchor is None else f"vs. {anchor.curve}": "", **_measured(setting)}
-        if each.limit.lowest is not None:
-            if anchor is not None and anchor.limit.lowest is not None and each is not anchor:
-                beside = spent(run, found.on, anchor.curve, anchor.limit.lowest)
-                more = 100.0 * (spent(run, found.on, each.curve, each.limit.lowest) / beside - 1.0)
-                row[f"vs. {anchor.curve}"] = f"{rounded(more)} %"
-            row["next coarser"] = "none tried" if after is None else f"{after.point} {after.verdict}".strip()
+            row |= {"setting": setting.point, **_costs(run, found.on, each.curve, setting)}
+            if anchor is not None and anchor.shown is not None:
+                beside = spent(run, found.on, anchor.curve, anchor.shown)
+                more = 100.0 * (spent(run, found.on, each.curve, setting) / beside - 1.0)
+                row[f"vs. {anchor.curve}"] = "" if each is anchor else f"{rounded(more)} %"
+            row |= _measured(setting)
+            row |= {"next coarser": _next(after)} if picked else {"verdict": setting.verdict}
         rows.append(row)
-    unjudged = tuple(each.sentence for each in found.answers if each.limit.reason)
     table = compact(f"The pick of each codec, {found.over}", rows)
-    return replace(table, sentences=table.sentences + unjudged)
+    return replace(table, sentences=(*table.sentences, *_without_pick(found, picked)))
+
+
+def _next(after: Test | None) -> str:
+    return "none tried" if after is None else f"{after.point} {after.verdict}".strip()
+
+
+def _without_pick(found: Answers, picked: list[Answer]) -> Iterator[str]:
+    """The codecs of which no setting is known to pass, beside those of which one is."""
+    others = [each for each in found.answers if each not in picked and not each.limit.reason]
+    for passes, words in ((False, "No setting tried passes of"), (None, "No setting is known to pass of")):
+        if picked and (names := [each.curve for each in others if each.passes is passes]):
+            yield f"{words} {', '.join(names)}."
+    yield from (each.sentence for each in found.answers if each.limit.reason)
 
 
 def _costs(run: RunResult, on: str, curve: str, test: Test) -> dict[str, str]:
@@ -83,4 +96,13 @@ def _sureness(part: Standing | Level) -> float:
 def _reached(part: Standing | Level) -> tuple[str, str]:
     if isinstance(part, Standing):
         return "runs", f"{part.successes}/{part.runs}"
-    return part.column.brief.replace("\n", " "), f"{aligned(part.column.factor * part.value)}{part.reach}"
+    return part.column.brief.replace("\n", " "), _sure(part)
+
+
+def _sure(part: Level) -> str:
+    """`0.914 ± 0.008`, both with as many digits after the point."""
+    value = aligned(part.column.factor * part.value)
+    if not 0.0 < part.reach < math.inf:
+        return value
+    reach = f"{part.reach:.{len(value.partition('.')[2])}f}"
+    return f"{value} ± {reach if float(reach) else f'{part.reach:.1g}'}"

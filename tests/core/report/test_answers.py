@@ -169,14 +169,26 @@ def test_a_row_a_codec_in_the_order_of_the_answer() -> None:
     run = judged()
     (table,) = picks(run, answers(run))
     assert table.title == "The pick of each codec, s, 5 frames, 5 runs a setting"
-    assert table.heads == ("codec", "setting", "verdict", "bpp", "vs. plain", "runs", "next coarser")
+    assert table.heads == ("codec", "setting", "bpp", "vs. plain", "next coarser")
     assert table.rows == (
-        ("good", "q=1.0", "passes", "1.00", "-50 %", "5/5", "q=0.5 inconclusive"),
-        ("plain", "q=2.0", "passes", "2.00", "–", "5/5", "q=1.0 fails"),
-        ("bad", "q=0.3", "fails", "0.300", "–", "0/5", "–"),
+        ("good", "q=1.0", "1.00", "-50 %", "q=0.5 inconclusive"),
+        ("plain", "q=2.0", "2.00", "–", "q=1.0 fails"),
     )
-    assert table.sentences == ()
-    assert [row[0] for row in table.rows] == [answer.curve for answer in answers(run).answers]
+    assert table.sentences == ("In all rows: runs 5/5.", "No setting tried passes of bad.")
+    assert [row[0] for row in table.rows] == [answer.curve for answer in answers(run).answers[:2]]
+
+
+def test_if_nothing_passes_there_is_a_row_for_what_comes_nearest_of_each_codec() -> None:
+    """Of `near` both settings may pass, of `plain` none does."""
+    near = [*tracked("near", 1.0, [1.0] * 3), *tracked("near", 0.5, [1.0] * 3)]
+    plain = [*tracked("plain", 2.0, [0.0] * 5), *tracked("plain", 1.0, [0.0] * 5)]
+    run = run_of(*tracked("raw", 24.0, [1.0] * 5), *plain, *near)
+    (table,) = picks(run, answers(run))
+    assert table.heads == ("codec", "setting", "bpp", "runs", "verdict")
+    assert table.rows == (
+        ("near", "q=0.5", "0.500", "3/3", "inconclusive"),
+        ("plain", "q=2.0", "2.00", "0/5", "fails"),
+    )
 
 
 def test_what_is_the_same_in_all_rows_stands_below() -> None:
@@ -186,7 +198,7 @@ def test_what_is_the_same_in_all_rows_stands_below() -> None:
     (table,) = picks(run, answers(run))
     assert table.heads == ("codec", "setting", "bpp", "vs. plain")
     assert table.rows == (("good", "q=0.25", "0.250", "-50 %"), ("plain", "q=0.5", "0.500", "–"))
-    assert table.sentences == ("In all rows: verdict passes, score 33.0, next coarser none tried.",)
+    assert table.sentences == ("In all rows: score 33.0, next coarser none tried.",)
 
 
 def test_of_codecs_that_nothing_judges_every_setting_is_told() -> None:
@@ -207,14 +219,14 @@ def test_a_pasted_table_brings_what_is_noted_and_the_answer(form: str) -> None:
         "markdown": (
             "### notes\n\n- raw: half the color.\n\n"
             "### The pick of each codec, s, 5 frames, 5 runs a setting\n\n"
-            "| codec | setting | verdict | bpp | vs. plain | runs | next coarser |\n",
-            "| good | q=1.0 | passes | 1.00 | -50 % | 5/5 | q=0.5 inconclusive |\n",
+            "| codec | setting | bpp | vs. plain | next coarser |\n",
+            "| good | q=1.0 | 1.00 | -50 % | q=0.5 inconclusive |\n",
             "### answer\n\n- Use good q=1.0: 1 bpp, 50 % less than",
         ),
         "latex": (
             "% notes\n% raw: half the color.\n\n"
-            "% The pick of each codec, s, 5 frames, 5 runs a setting\n\\begin{tabular}{lllllll}\n",
-            "good & q=1.0 & passes & 1.00 & -50 \\% & 5/5 & q=0.5 inconclusive \\\\\n",
+            "% The pick of each codec, s, 5 frames, 5 runs a setting\n\\begin{tabular}{lllll}\n",
+            "good & q=1.0 & 1.00 & -50 \\% & q=0.5 inconclusive \\\\\n",
             "% answer\n% Use good q=1.0: 1 bpp, 50 % less than",
         ),
     }
