@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -17,7 +18,10 @@ PAGE = (DOCS / "verdict.md").read_text()
 
 
 def call(folder: Path, *words: str) -> str:
-    done = subprocess.run([str(COMMAND), *words], cwd=folder, capture_output=True, text=True, timeout=600)
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    done = subprocess.run(
+        [str(COMMAND), *words], cwd=folder, capture_output=True, text=True, timeout=600, env=environment
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -40,16 +44,23 @@ def number(text: str) -> float:
 def test_the_example_is_what_is_printed(tmp_path: Path) -> None:
     """Orders, claims and settings; the rates to ten per cent, for they depend on the codecs' libraries."""
     (matrix,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
-    (shown,) = re.findall(r"```\n\$ codecbench rank runs/small\n(.*?)```", PAGE, re.DOTALL)
+    (behind, picks) = (re.findall(rf"```\n\$ codecbench rank runs/small{words}\n(.*?)```", PAGE, re.DOTALL)[0]
+                       for words in (" --all", ""))  # fmt: skip
     (tmp_path / "small.yaml").write_text(matrix)
     ran = call(tmp_path, "run", "small.yaml")
-    printed = call(tmp_path, "rank", "runs/small")
-    assert printed.splitlines()[0] == shown.splitlines()[0]
-    assert sentences(printed) == sentences(shown)
-    for found, expected in zip(rows(printed), rows(shown), strict=True):
+    printed = call(tmp_path, "rank", "runs/small", "--all")
+    ranking, _, brief = printed.partition("\n\n")
+    assert ranking.splitlines()[0] == behind.splitlines()[0]
+    assert sentences(ranking) == sentences(behind)
+    for found, expected in zip(rows(ranking), rows(behind), strict=True):
         assert (found[0], names(found[2])) == (expected[0], names(expected[2]))
         assert number(found[1]) == pytest.approx(number(expected[1]), abs=10.0)
-    assert printed.splitlines()[0] in ran
+    assert brief == call(tmp_path, "rank", "runs/small")
+    assert ran.endswith(brief)
+    assert sentences(brief) == sentences(picks)
+    for found, expected in zip(rows(brief), rows(picks), strict=True):
+        assert (found[0], found[1], found[-1]) == (expected[0], expected[1], expected[-1])
+        assert float(found[2]) == pytest.approx(float(expected[2]), rel=0.1)
     (at_rate,) = re.findall(r"```\n\$ codecbench rank runs/small --rate 1.55\n(.*?)```", PAGE, re.DOTALL)
     printed_at_rate = call(tmp_path, "rank", "runs/small", "--rate", "1.55")
     assert sentences(printed_at_rate) == sentences(at_rate)
@@ -57,8 +68,10 @@ def test_the_example_is_what_is_printed(tmp_path: Path) -> None:
         assert (found[0], found[2], names(found[4])) == (expected[0], expected[2], names(expected[4]))
         assert float(found[1]) == pytest.approx(float(expected[1]), abs=0.03)
         assert number(found[3]) == pytest.approx(number(expected[3]), abs=10.0)
-    (verdict,) = json.loads(call(tmp_path, "rank", "runs/small", "--format", "json"))
+    verdict, table, answer = json.loads(call(tmp_path, "rank", "runs/small", "--format", "json"))
     assert [row[0] for row in verdict["rows"]] == ["jpeg2000", "jpeg", "jpeg_qf"]
+    assert [row[0] for row in table["rows"]] == ["jpeg", "jpeg2000"]
+    assert answer["sentences"] == [brief.splitlines()[-1]]
     assert "| jpeg2000 |" in call(tmp_path, "rank", "runs/small", "--format", "markdown")
 
 

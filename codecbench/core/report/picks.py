@@ -44,7 +44,7 @@ def _text(value: object) -> str:
 
 
 def _of_answers(run: RunResult, found: Answers) -> Verdict:
-    """A row for each codec that has a pick; if none has, for each codec with what comes nearest, the least rate first."""
+    """A row for each codec that has a pick; if none has, what comes nearest of each, the least rate first."""
     picked = [each for each in found.answers if each.limit.lowest is not None]
     anchor = next((each for each in picked if each.curve.split(" ")[0] in run.schema.anchors), None)
     rows = []
