@@ -27,8 +27,8 @@ def call(folder: Path, *words: str) -> str:
 
 
 def rows(text: str) -> list[list[str]]:
-    """Cells of the lines below the title and the heads."""
-    return [re.split(r"  +", line.strip()) for line in text.splitlines()[2:] if re.search(r"\S {2,}\S", line.strip())]
+    """Cells of the lines that begin with a codec."""
+    return [re.split(r"  +", line.strip()) for line in text.splitlines() if re.match(r"jpeg\w* {2,}\S", line)]
 
 
 def names(cell: str) -> list[str]:
