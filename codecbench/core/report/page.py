@@ -24,6 +24,7 @@ from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
+from codecbench.core.report.strips import strips
 from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
 from codecbench.core.report.views import STROKES
 
@@ -58,6 +59,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
     others = [verdict for verdict in decided if verdict is not ranked]
     succeeded = successes(run)
+    found = answers_of_settings(run)
     courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
     return template.render(
         name=run.plan.name,
@@ -76,7 +78,8 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         ),
         cards=_cards(run),
         over_links=over_links(run),
-        answers=answers_of_settings(run),
+        answers=found,
+        strips=[strips(run, each) for each in found],
         ranked=ranked,
         decided=_grouped(others),
         verdicts=verdict_tables(run),
