@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from functools import partial
@@ -36,6 +37,8 @@ _REST_BYTES: Final = 250_000
 _SCRIPTS: Final = ("chart.js", "page.js", "curves.js", "look.js", "tables.js")
 _TRACEBACK_LETTERS: Final = 4000
 """Of a failure's traceback, its end."""
+
+_LEAD: Final = re.compile(r"((?:\((?:[^()]|\([^()]*\))*\)|[^;(])*)(.*)")
 
 _MOST_FAILURES: Final = 500
 """Cells without a result of which the page tells the reason."""
@@ -78,6 +81,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         ),
         cards=_cards(run),
         over_links=over_links(run),
+        cut=_cut,
         answers=found,
         strips=[strips(run, each) for each in found],
         ranked=ranked,
@@ -98,6 +102,11 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         folder=run.folder.name,
         version=version("codecbench"),
     )
+
+
+def _cut(answer: str) -> list[tuple[str, str]]:
+    """Each line of an answer: what to take or that nothing passes, up to a semicolon outside brackets, and the rest."""
+    return [_LEAD.findall(line)[0] for line in answer.split("\n")]
 
 
 def _grouped(found: list[Verdict]) -> list[list[Verdict]]:

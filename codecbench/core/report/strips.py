@@ -36,9 +36,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class Row:
-    """A codec. pick: the setting to take, or that none is known. after: the first setting that is not known to pass.
-
-    saved: beside the pick of the anchor. marks: from the most that is spent to the least.
+    """A codec. pick: the setting to take. cost: what it spends, or that there is none. after: the first setting that is
+    not known to pass. saved: beside the pick of the anchor. marks: from the most that is spent to the least.
     """
 
     curve: str
@@ -95,7 +94,7 @@ def strips(run: RunResult, found: Answers) -> Strips | None:
             marks.append(Mark(setting, test.verdict, words, axis.place(value), test is limit.lowest))
         after = limit.reason or (limit.after_words() if limit.settings else "no run")
         if limit.lowest is None:
-            return Row(curve, "passes nowhere" if answer.passes is False else "no pick", "", "", after, tuple(marks))
+            return Row(curve, "", "passes nowhere" if answer.passes is False else "no pick", "", after, tuple(marks))
         value = spent[curve, limit.lowest.point]
         pick = limit.lowest.point or "its setting"
         return Row(curve, pick, cost(value), saved(curve, value), after, tuple(marks))

@@ -95,8 +95,9 @@ def test_axe_finds_nothing_serious(name: str, width: int, chromium: Browser, tmp
 BOTTOM: Final = "document.querySelector({!r}).getBoundingClientRect().bottom"
 CUT: Final = """[...document.querySelectorAll('.whole')].filter((box) => box.scrollWidth > box.clientWidth + 1)
   .map((box) => box.getAttribute('aria-label'))"""
-SMALL: Final = """[...document.querySelectorAll('a, button, summary, select, input')].filter((node) => node.getClientRects().length
-  && !node.closest('label.tick')).map((node) => [node.outerHTML, node.getBoundingClientRect()])
+SMALL: Final = """[...document.querySelectorAll('a, button, summary, select, input')]
+  .filter((node) => node.getClientRects().length && !node.closest('label.tick'))
+  .map((node) => [node.outerHTML, node.getBoundingClientRect()])
   .filter(([, box]) => box.height < 24 || box.width < 24).map(([html]) => html)"""
 
 
@@ -114,7 +115,7 @@ def test_the_first_screen_has_the_answer_a_strip_of_each_codec_and_the_curve(chr
     assert first == "codec3 q=1.0 0.16 bpp, 20 % less than plain\nnothing coarser was tried"
 
 
-@pytest.mark.parametrize("width", (1280, 390))
+@pytest.mark.parametrize("width", [1280, 390])
 def test_no_table_of_codecs_hides_what_decides_and_fingers_hit_every_control(
     width: int, chromium: Browser, tmp_path: Path
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from measured_runs import METRICS, cell_result, run_of
@@ -35,6 +36,10 @@ RAW = tracked("raw", {24.0: GOOD})
 PLAIN = {2.0: GOOD, 1.0: BAD}
 
 
+def no_frames(_: int) -> dict[str, Any]:
+    return {"frames": [], "originals": []}
+
+
 def drawn(*cells: CellResult) -> Strips:
     run = run_of(*cells)
     found = strips(run, answers(run))
@@ -59,7 +64,7 @@ def test_strips_are_in_the_order_of_the_answer_on_one_logarithmic_axis() -> None
     assert picks(found) == [
         ("good", "q=0.5", "0.5 bpp", "75 % less than plain"),
         ("plain", "q=2.0", "2 bpp", "the anchor"),
-        ("bad", "passes nowhere", "", ""),
+        ("bad", "", "passes nowhere", ""),
     ]
     assert [(mark.setting, mark.verdict, mark.place, mark.is_pick) for mark in found.rows[0].marks] == [
         ("q=1.0", "passes", 68.09, False),
@@ -116,10 +121,10 @@ def test_where_times_decide_the_axis_is_in_milliseconds() -> None:
 
 def test_a_codec_without_a_pick_says_why_and_nothing_is_saved_beside_an_anchor_without_one() -> None:
     found = drawn(*RAW, *tracked("plain", {1.0: [1.0]}), *tracked("good", {0.5: GOOD}))
-    assert picks(found) == [("good", "q=0.5", "0.5 bpp", ""), ("plain", "no pick", "", "")]
+    assert picks(found) == [("good", "q=0.5", "0.5 bpp", ""), ("plain", "", "no pick", "")]
     assert found.rows[0].after == "nothing coarser was tried"
     unknown = drawn(*RAW, *tracked("plain", {0.5: GOOD})[1:])
-    assert unknown.rows == (Row("plain", "no pick", "", "", "no rate is known of q=0.5", ()),)
+    assert unknown.rows == (Row("plain", "", "no pick", "", "no rate is known of q=0.5", ()),)
 
 
 def test_without_an_answer_by_settings_there_are_no_strips() -> None:
@@ -143,7 +148,7 @@ def test_the_axis_has_three_to_six_numbers(rates: tuple[float, ...], numbers: li
 
 
 def test_the_page_draws_a_strip_without_a_script_and_has_the_sentences_folded() -> None:
-    html = render(several(), lambda _: {"frames": [], "originals": []})
+    html = render(several(), no_frames)
     assert html.index('<p class="answer">') < html.index('<ol class="strips">') < html.index('<div id="curve"')
     assert (
         '<div data-curve="good"><b>good</b> q=0.5 <span class="cost"><b>0.5 bpp</b>, 75 % less than plain</span>'
@@ -159,8 +164,22 @@ def test_the_page_draws_a_strip_without_a_script_and_has_the_sentences_folded() 
     assert "<li>bad passes at no setting: q=0.3 fails (0/5 runs, at most 43 % at 95 %).</li>" in words[0]
 
 
+def test_the_answer_is_bold_up_to_a_semicolon_outside_brackets() -> None:
+    shown = [
+        re.findall('<p class="answer">(.*?)</p>', render(run_of(*RAW, *tracked("plain", {0.5: runs})), no_frames))
+        for runs in (GOOD, [1.0])
+    ]
+    assert shown == [
+        [
+            "<b>Use plain q=0.5 or coarser: 0.5 bpp</b>; held in 5 of 5 runs (at least 57 % at 95 %), s, 5 frames; "
+            "nothing failed, so the limit is lower: try coarser plain."
+        ],
+        ["<b>Nothing is known to pass here: nearest is plain q=0.5 (1/1 runs; at least 3 more would tell).</b>"],
+    ]
+
+
 def test_more_than_eight_codecs_are_folded() -> None:
     many = [cell for number in range(10) for cell in tracked(f"codec{number}", {1.0 + number: GOOD})]
-    html = render(run_of(*RAW, *many), lambda _: {"frames": [], "originals": []})
+    html = render(run_of(*RAW, *many), no_frames)
     first, _, rest = html.partition("<summary>2 more</summary>")
     assert [part.count('<div data-curve="') for part in (first, rest)] == [8, 2]
