@@ -64,3 +64,12 @@ document.querySelector("nav").addEventListener("click", (event) => {
   event.preventDefault();
   $(link.getAttribute("href").slice(1))?.scrollIntoView({ behavior: "smooth" });
 });
+
+/* On paper a chart scales to the column, and what is folded but belongs to the answer is open. */
+const opened = [];
+window.addEventListener("beforeprint", () => {
+  for (const svg of document.querySelectorAll("svg.chart")) svg.setAttribute("viewBox", `0 0 ${svg.getAttribute("width")} ${svg.getAttribute("height")}`);
+  opened.push(...document.querySelectorAll("details.printed:not([open])"));
+  for (const part of opened) part.open = true;
+});
+window.addEventListener("afterprint", () => { for (const part of opened.splice(0)) part.open = false; });

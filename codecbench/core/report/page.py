@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from functools import partial
@@ -24,6 +25,7 @@ from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
+from codecbench.core.report.strips import strips
 from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
 from codecbench.core.report.views import STROKES
 
@@ -35,6 +37,8 @@ _REST_BYTES: Final = 250_000
 _SCRIPTS: Final = ("chart.js", "page.js", "curves.js", "look.js", "tables.js")
 _TRACEBACK_LETTERS: Final = 4000
 """Of a failure's traceback, its end."""
+
+_LEAD: Final = re.compile(r"((?:\((?:[^()]|\([^()]*\))*\)|[^;(])*)(.*)")
 
 _MOST_FAILURES: Final = 500
 """Cells without a result of which the page tells the reason."""
@@ -58,6 +62,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
     others = [verdict for verdict in decided if verdict is not ranked]
     succeeded = successes(run)
+    found = answers_of_settings(run)
     courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
     return template.render(
         name=run.plan.name,
@@ -76,7 +81,9 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         ),
         cards=_cards(run),
         over_links=over_links(run),
-        answers=answers_of_settings(run),
+        cut=_cut,
+        answers=found,
+        strips=[strips(run, each) for each in found],
         ranked=ranked,
         decided=_grouped(others),
         verdicts=verdict_tables(run),
@@ -95,6 +102,11 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         folder=run.folder.name,
         version=version("codecbench"),
     )
+
+
+def _cut(answer: str) -> list[tuple[str, str]]:
+    """Each line of an answer: what to take or that nothing passes, up to a semicolon outside brackets, and the rest."""
+    return [_LEAD.findall(line)[0] for line in answer.split("\n")]
 
 
 def _grouped(found: list[Verdict]) -> list[list[Verdict]]:

@@ -219,32 +219,50 @@ def verdict_tables(run: RunResult) -> list[dict[str, Any]]:
             curve = run.curves[record["codec"], record["setting"]].curve
             curves.setdefault(curve, []).append({**record, _LEADS: leads})
         rankings = [ranking for column in judged for ranking in rankings_on(run, column, [[entry.name]])]
-        beside = [
-            (f"rate vs. {anchor}, {ranking.column.label}", found)
-            for ranking in rankings
-            for anchor in ranking.anchors
-            if (found := {curve: known for curve in curves if (known := ranking.evidence(curve, anchor))})
-        ]
         rows = []
         for curve, records in curves.items():
             key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
-            row += [signed_percent(found[curve]) if curve in found else "–" for _, found in beside]
             row += [limit_words(found[key], run.rate) if key in found else "–" for found in limits_of.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         tables.append(
             {
                 "sequence": entry.name,
-                "heads": [*heads, *(head for head, _ in beside), *last_heads],
+                "heads": [*heads, *last_heads],
                 "rows": rows,
                 "note": f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else "",
                 "words": _in_words(entry.name, limits_of, run.rate),
-                "compared": bool(beside),
+                "beside": [_beside(rankings, anchor, list(curves)) for anchor in _anchors(rankings)],
                 "missing": _missing(rankings),
             }
         )
     return tables
+
+
+def _anchors(rankings: list[Ranking]) -> list[str]:
+    """The anchors that a curve was compared with."""
+    anchors = dict.fromkeys(anchor for ranking in rankings for anchor in ranking.anchors)
+    return [anchor for anchor in anchors if any(_compared(ranking, anchor) for ranking in rankings)]
+
+
+def _compared(ranking: Ranking, anchor: str) -> dict[str, str]:
+    """How much more or less rate than an anchor curves take, of those that were compared."""
+    if anchor not in ranking.anchors:
+        return {}
+    found = {ranked.curve: ranking.evidence(ranked.curve, anchor) for ranked in ranking.ranked}
+    return {curve: signed_percent(known) for curve, known in found.items() if known}
+
+
+def _beside(rankings: list[Ranking], anchor: str, curves: list[str]) -> dict[str, Any]:
+    """The differences from an anchor: a column for each ranking that has some, a row for each curve that has some."""
+    columns = {each.column.label: found for each in rankings if (found := _compared(each, anchor))}
+    rows = [[curve, *(found.get(curve, "–") for found in columns.values())] for curve in curves]
+    return {
+        "title": f"Rate vs. {anchor}",
+        "heads": ["curve", *columns],
+        "rows": [row for row in rows if set(row[1:]) != {"–"}],
+    }
 
 
 def _missing(rankings: list[Ranking]) -> list[str]:

@@ -142,20 +142,27 @@ def test_the_table_of_codecs_has_the_differences_of_the_ranking() -> None:
     raw = cell_result("raw", 9.0, "size", own={("bits", ""): [24.0]})
     run = run_of(*cells, raw, anchors=("video", "absent", "plain"))
     (table,) = verdict_tables(run)
-    assert table["heads"][4:] == ["rate vs. video, drift", "rate vs. plain, drift"]
-    shown = {row[0]: row[4:] for row in table["rows"]}
-    assert shown == {
-        "plain": ["+300 % ± 0", "–"],
-        "mine": ["+100 % ± 0", "-50 % ± 0"],
-        "video": ["–", "-75 % ± 0"],
-        "raw": ["–", "–"],
-    }
-    assert (table["compared"], table["missing"]) == (True, [])
+    assert table["heads"] == ["curve", "settings", "Pareto front", "bits [bpp]"]
+    assert table["beside"] == [
+        {
+            "title": "Rate vs. video",
+            "heads": ["curve", "drift"],
+            "rows": [["plain", "+300 % ± 0"], ["mine", "+100 % ± 0"]],
+        },
+        {
+            "title": "Rate vs. plain",
+            "heads": ["curve", "drift"],
+            "rows": [["mine", "-50 % ± 0"], ["video", "-75 % ± 0"]],
+        },
+    ]
+    assert table["missing"] == []
     (ranking,) = rankings(run)
     assert ranking.anchors == ("video", "plain")
-    for curve, cells_of in shown.items():
-        known = [ranking.evidence(curve, anchor) for anchor in ranking.anchors]
-        assert cells_of == ["–" if found is None else signed_percent(found) for found in known]
+    for anchor, shown in zip(ranking.anchors, table["beside"], strict=True):
+        for curve, cell in shown["rows"]:
+            found = ranking.evidence(curve, anchor)
+            assert found is not None
+            assert cell == signed_percent(found)
 
 
 def test_what_has_no_difference_is_named_below_the_table_with_the_reason_of_the_ranking() -> None:
@@ -168,10 +175,10 @@ def test_what_has_no_difference_is_named_below_the_table_with_the_reason_of_the_
             results.append(cell_result(codec, rate, "look", values, count=4))
     results.append(cell_result("lost", 1.0, "look", status="crashed", reason="signal 11", count=4))
     (table,) = verdict_tables(run_of(*results))
-    assert table["heads"][5:] == ["rate vs. plain, score"]
-    assert {row[0]: row[5:] for row in table["rows"]} == {
-        "plain": ["–"], "mine": ["-50 %, no interval"], "far": ["–"], "lost": ["–"],
-    }  # fmt: skip
+    assert [row[0] for row in table["rows"]] == ["plain", "mine", "far", "lost"]
+    assert table["beside"] == [
+        {"title": "Rate vs. plain", "heads": ["curve", "score"], "rows": [["mine", "-50 %, no interval"]]}
+    ]
     assert table["missing"] == [
         "s: drift is uninformative here: all settings of a codec are alike.",
         "score: lost has no place: no rate is known of q=1.0.",
@@ -183,7 +190,7 @@ def test_without_a_rate_nothing_is_compared() -> None:
     cells = [cell for cell in tracked({"plain": 1.0, "mine": 0.5}) if cell.cell.evaluator.name == "track"]
     (table,) = verdict_tables(run_of(*cells))
     assert table["heads"] == ["curve", "settings", "Pareto front"]
-    assert (table["compared"], table["missing"]) == (False, [])
+    assert (table["beside"], table["missing"]) == ([], [])
 
 
 def test_values_of_repeats_are_in_order_and_of_the_stage() -> None:

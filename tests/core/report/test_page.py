@@ -92,6 +92,70 @@ def test_axe_finds_nothing_serious(name: str, width: int, chromium: Browser, tmp
     page.close()
 
 
+BOTTOM: Final = "document.querySelector({!r}).getBoundingClientRect().bottom"
+CUT: Final = """[...document.querySelectorAll('.whole')].filter((box) => box.scrollWidth > box.clientWidth + 1)
+  .map((box) => box.getAttribute('aria-label'))"""
+SMALL: Final = """[...document.querySelectorAll('a, button, summary, select, input')]
+  .filter((node) => node.getClientRects().length && !node.closest('label.tick'))
+  .map((node) => [node.outerHTML, node.getBoundingClientRect()])
+  .filter(([, box]) => box.height < 24 || box.width < 24).map(([html]) => html)"""
+
+
+def test_the_first_screen_has_the_answer_a_strip_of_each_codec_and_the_curve(chromium: Browser, tmp_path: Path) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=4)[1], 1280)
+    page.size(1280, 800)
+    assert page.evaluate(BOTTOM.format(".answer")) < page.evaluate(BOTTOM.format(".strips")) < 600
+    assert page.evaluate("document.querySelector('#curve svg').getBoundingClientRect().top") < 400
+    assert page.evaluate("document.querySelectorAll('.strips > li').length") == 4
+    assert page.evaluate("document.querySelectorAll('.strips [data-curve] > svg:first-child').length") == 4, "swatches"
+    phone = opened(chromium, page.evaluate("location.href"), 390)
+    phone.size(390, 844)
+    assert phone.evaluate(BOTTOM.format(".strips > li")) < 600
+    first = phone.evaluate("document.querySelector('.strips > li').innerText")
+    assert first == "codec3 q=1.0 0.16 bpp, 20 % less than plain\nnothing coarser was tried"
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_no_table_of_codecs_hides_what_decides_and_fingers_hit_every_control(
+    width: int, chromium: Browser, tmp_path: Path
+) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=4, sequences=2)[1], width)
+    page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+    assert page.evaluate("document.querySelectorAll('.whole').length") > 2
+    assert page.evaluate(CUT) == []
+    assert page.evaluate(SMALL) == []
+
+
+def test_a_key_opens_what_was_found_of_the_settings_of_a_strip(chromium: Browser, tmp_path: Path) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=2)[1])
+    page.evaluate("[...document.querySelectorAll('nav a')].at(-1).focus()")
+    page.press("Tab")
+    focused = "document.activeElement"
+    assert page.evaluate(f"{focused}.matches('.strips summary')")
+    assert page.evaluate(f"getComputedStyle({focused}).outlineWidth") == "3px"
+    page.press("Enter")
+    listed = page.evaluate(f"[...{focused}.parentElement.querySelectorAll('li')].map((one) => one.innerText)")
+    assert listed[0] == "q=4.0, 0.4 bpp: passes (4/4 runs, at least 51 % at 95 %)"
+    assert page.evaluate("document.querySelectorAll('.strips [tabindex], .strips g[role]').length") == 0
+
+
+def test_on_paper_the_sentences_are_open_and_charts_keep_to_their_column(chromium: Browser, tmp_path: Path) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=2)[1])
+    page.call("Emulation.setEmulatedMedia", media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate("[...document.querySelectorAll('details.printed')].every((part) => part.open)")
+    drawn = page.evaluate("document.querySelector('#curve svg').getAttribute('viewBox')")
+    assert drawn == page.evaluate(
+        "((svg) => `0 0 ${svg.getAttribute('width')} ${svg.getAttribute('height')}`)($('curve').firstChild)"
+    )
+    shown = "document.querySelector({!r}).getClientRects().length > 0"
+    assert [page.evaluate(shown.format(part)) for part in (".strips", "#curve", "nav", ".controls", "#look")] == [
+        True, True, False, False, False,
+    ]  # fmt: skip
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate("document.querySelector('details.printed').open") is False
+
+
 def test_the_probe_finds_what_is_wrong(chromium: Browser, tmp_path: Path) -> None:
     page = opened(chromium, written(tmp_path / "page.html", codecs=2)[1])
     page.evaluate("document.querySelectorAll('#curve .line, #curve .point').forEach((part) => part.remove())")

@@ -26,14 +26,14 @@ def section(html: str, name: str) -> str:
     return found[0]
 
 
-def test_what_was_done_to_sequences_stands_below_the_title() -> None:
+def test_what_was_done_to_sequences_stands_below_the_answer_and_its_strips() -> None:
     run = report_run(2)
     said = ("the first 300 of 1,000 frames are used", *(f"note {number}" for number in range(5)))
     entries = tuple(replace(entry, notes=said) for entry in run.plan.sequences)
     html = page(replace(run, plan=replace(run.plan, sequences=entries)))
-    header = html[html.index("<header>") : html.index("</header>")]
-    assert "sequence0: the first 300 of 1,000 frames are used." in header
-    assert header.index("note 2.") < header.index("<details") < header.index("note 3.")
+    below = section(html, "answer").partition('<div class="axis"')[2]
+    noted = below.index("sequence0: the first 300 of 1,000 frames are used.")
+    assert noted < below.index("note 0.") < below.index("<details", noted) < below.index("note 1.")
     assert html.count("are used.") == 1
 
 
