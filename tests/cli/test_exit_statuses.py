@@ -320,7 +320,17 @@ def test_the_most_telling_rows_of_a_comparison_are_shown(place: Place) -> None:
         (place.folder / f"{name}.json").write_text("\n".join([head, *lines]) + "\n")
     done = place.call("compare", "old.json", "new.json", COLUMNS="60")
     lines = [text.rstrip() for text in done.stdout.splitlines()]
-    assert lines == []
+    assert [line.split() for line in lines[3:23]] == [
+        *(["worse", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in range(19, 1, -1)),
+        *(["better", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in (-9, -8)),
+    ]
+    assert lines[-3:] == [
+        "In all rows: sequence ramp, setting shift, before 1.",
+        "... and 8 more; --all shows them",
+        "18 worse, 10 better, 2 same",
+    ]
+    assert place.call("compare", "old.json", "new.json", "--format", "markdown").stdout.count("| better |") == 10
+    assert place.call("compare", "old.json", "new.json", "--all").stdout.count("\nsame ") == 2
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_the_summary_is_one_table_of_what_fits_and_says_the_rest(
         "────────────────────────────",
         "q=0         24      ∞   1230",
         "q=1      0.601   30.3  0.900",
-        "in all rows: sequence s, codec plain, blur 2, status ok",
+        "In all rows: sequence s, codec plain, blur 2, status ok.",
     ]
     _on_a_screen("24", monkeypatch)
     show_summary(run)
@@ -67,9 +67,9 @@ def test_the_summary_is_one_table_of_what_fits_and_says_the_rest(
         "─────────────────────",
         "q=0         24      ∞",
         "q=1      0.601   30.3",
-        "in all rows: sequence s,",
+        "In all rows: sequence s,",
         "codec plain, blur 2,",
-        "status ok",
+        "status ok.",
         "left out for lack of",
         "width: speed; --all",
         "shows them",

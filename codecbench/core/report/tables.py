@@ -104,7 +104,7 @@ def varying(frame: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     same = [frame.iloc[:, at].nunique(dropna=False) == 1 for at in range(frame.shape[1])]
     values = ((name, shown(frame.iloc[0, at])) for at, name in enumerate(frame.columns) if same[at])
     told = [" ".join(f"{name} {value}".split()) for name, value in values if value]
-    return frame.loc[:, [not one for one in same]], f"in all rows: {', '.join(told)}" if told else ""
+    return frame.loc[:, [not one for one in same]], f"In all rows: {', '.join(told)}." if told else ""
 
 
 def _judged_by(run: RunResult) -> list[Column]:
@@ -185,7 +185,7 @@ def shown(value: object) -> str:
     rounded = value + 0.0 if value.is_integer() else float(f"{value:.3g}")  # -0.0 + 0.0 is 0.0
     if abs(rounded) >= 10_000:
         return f"{rounded:,.0f}"
-    return f"{rounded:.0f}" if value.is_integer() or abs(rounded) >= 1_000 else f"{value:#.3g}".rstrip(".")
+    return f"{rounded:.0f}" if value.is_integer() or abs(rounded) >= 1_000 else aligned(value)
 
 
 def escaped(text: str) -> str:

@@ -152,7 +152,7 @@ def test_what_is_the_same_in_all_rows_is_said_once() -> None:
     frame = pd.DataFrame({"sequence": ["s", "s"], "enc\nms": [0.9, 0.9], "setting": ["", ""], "gone": [None, None]})
     frame["size"] = [1.0, 2.0]
     told, said = varying(frame)
-    assert (list(told.columns), said) == (["size"], "in all rows: sequence s, enc ms 0.900, gone –")
+    assert (list(told.columns), said) == (["size"], "In all rows: sequence s, enc ms 0.900, gone –.")
     assert varying(told)[1] == ""
     assert list(varying(frame[:1])[0].columns) == list(frame.columns)
 
