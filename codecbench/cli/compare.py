@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.formats import Format
+from codecbench.cli.screen import wrapped
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.comparison import Comparison
 
 _HEADS = ("sequence", "codec", "setting", "evaluator", "metric", "before", "after", "change", "verdict", "note")
+_MOST_ROWS: Final = 20
+_LONG_NAME: Final = 24
+_TELLING: Final = ("worse", "changed", "better", "cannot tell", "same")
+"""Verdicts in the order in which people look for them."""
 _FAILING = {
     "worse": {"worse"},
     "changed": {"worse", "better", "changed"},
@@ -49,7 +55,7 @@ _FAILING = {
     help="A relative change of a time up to this counts as none.",
 )
 @click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
-@click.option("--all", "everything", is_flag=True, help="Also show rows that are the same.")
+@click.option("--all", "everything", is_flag=True, help="Show all rows, those that are the same too.")
 @click.option(
     "--save", type=click.Path(path_type=Path, dir_okay=False), help="Save BEFORE as a baseline file and stop."
 )
@@ -70,7 +76,7 @@ def compare(
     first = read_snapshot(before)
     if save is not None:
         write_snapshot(first, save)
-        click.echo(f"{save}: {len(first.series)} series of {first.name}")
+        click.echo(f"{save}: {len(first.series):,} series of {first.name}")
         return
     if after is None:
         raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
@@ -78,34 +84,78 @@ def compare(
     if set(first.machines) != set(second.machines):
         machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
         warning = f"warning: the runs are from different machines ({machines}); changes of times cannot be judged"
-        click.echo(warning, err=True)
+        click.echo(wrapped(warning), err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
-    _print(found, format_, everything)
     unequal = any(comparison.verdict in _FAILING[fail_on] for comparison in found)
     common = {series.key for series in first.series} & {series.key for series in second.series}
     nothing = not any(comparison.key in common for comparison in found)
+    _print(found, format_, everything, nothing)
     if found and nothing:
-        click.echo("the runs have nothing in common: no sequence with the same setting, evaluator and metric", err=True)
+        said = "the runs have nothing in common: no sequence with the same setting, evaluator and metric"
+        click.echo(wrapped(said), err=True)
     if unequal or (nothing and fail_on != "never"):
         raise click.exceptions.Exit(ExitStatus.FOUND)
 
 
-def _print(found: list[Comparison], format_: str, everything: bool) -> None:
+def _print(found: list[Comparison], format_: str, everything: bool, nothing: bool) -> None:
+    """Say what was found. nothing: the runs have nothing in common, so that people are shown no row unless they ask."""
     rows = [comparison for comparison in found if everything or comparison.verdict != "same"]
     counts = Counter(comparison.verdict for comparison in found)
-    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
+    verdicts = ", ".join(f"{count:,} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
     if format_ == "json":
         from codecbench.core.analysis.table import json_value
 
         values = [dict(zip(_HEADS, map(json_value, _cells(row)), strict=True)) for row in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
-    from codecbench.core.report.tables import foreign_table, table
+    if format_ == "markdown":
+        from codecbench.core.report.tables import foreign_table
 
-    if rows:
-        made = foreign_table if format_ == "markdown" else table
-        click.echo(made(_HEADS, map(_cells, rows)))
-    click.echo(f"same: all {len(found)} series" if counts.keys() == {"same"} else verdicts)
+        if rows:
+            click.echo(foreign_table(_HEADS, map(_cells, rows)))
+    elif rows and (everything or not nothing):
+        _show(rows, everything)
+    click.echo(f"same: all {len(found):,} series" if counts.keys() == {"same"} else verdicts)
+
+
+def _show(rows: list[Comparison], everything: bool) -> None:
+    """Rows as a table in the terminal: all, or the most telling ones."""
+    import pandas as pd
+
+    from codecbench.cli.show import show_table
+    from codecbench.core.report.tables import varying
+
+    if not everything:
+        # A series that got or lost its result has no change in numbers, and is told first.
+        sizes = {id(row): math.inf if math.isnan(row.relative) else abs(row.relative) for row in rows}
+        rows = sorted(rows, key=lambda row: (_TELLING.index(row.verdict), -sizes[id(row)]))
+    most = len(rows) if everything else _MOST_ROWS
+    cells = [
+        (
+            row.verdict,
+            row.key[0],
+            " ".join(row.key[1:3]).rstrip(),
+            _metric(row),
+            row.before,
+            row.after,
+            100.0 * row.relative,
+            row.note,
+        )
+        for row in rows[:most]
+    ]
+    heads = ["verdict", "sequence", "setting", "metric", "before", "after", "change %", "note"]
+    frame, same = varying(pd.DataFrame(cells, columns=heads))
+    show_table(frame, folded=True)
+    if same:
+        click.echo(wrapped(same))
+    if len(rows) > most:
+        click.echo(f"... and {len(rows) - most:,} more; --all shows them")
+
+
+def _metric(row: Comparison) -> str:
+    """`quality.psnr_gray_db` as --metric takes it, on two lines where it is long."""
+    name = ".".join(row.key[3:])
+    return name if len(name) <= _LONG_NAME else name.replace(".", ".\n", 1)
 
 
 def _cells(row: Comparison) -> list[object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
 
-from codecbench.cli.screen import Screen
+from codecbench.cli.screen import Screen, wrapped
 
 
 @click.group()
@@ -20,9 +20,10 @@ def list_data() -> None:
 
     for entry in list_datasets():
         state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
-        click.echo(f"{click.style(entry.name, bold=True)}  [{state}]  sequence: use: {entry.kind}")
-        click.echo(f"    {entry.licence}; {entry.homepage}")
-        click.echo(f"    {entry.citation}")
+        line = wrapped(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4)
+        click.echo(click.style(entry.name, bold=True) + line.removeprefix(entry.name))
+        click.echo(wrapped(f"    {entry.licence}; {entry.homepage}", indent=4))
+        click.echo(wrapped(f"    {entry.citation}", indent=4))
 
 
 @data.command()

@@ -67,13 +67,13 @@ def report_error(error: BaseException) -> ExitStatus:
         error.show()
         return ExitStatus(error.exit_code)
     if isinstance(error, OSError):
-        click.echo(f"error: {_sentence(error)}", err=True)
+        click.echo(f"Error: {_sentence(error)}", err=True)
         return ExitStatus.NOT_POSSIBLE
     if isinstance(error, CodecbenchError):
         hint = _NEXT.get(error.__cause__.errno or 0) if isinstance(error.__cause__, OSError) else None
-        click.echo(f"error: {error}" + (f"; {hint}" if hint else ""), err=True)
+        click.echo(f"Error: {error}" + (f"; {hint}" if hint else ""), err=True)
         return ExitStatus.NOT_POSSIBLE if _is_of_the_machine(error) else ExitStatus.WRONG_USE
-    click.echo(f"error in codecbench: {type(error).__name__}: {error}{_where_it_is_kept(error)}", err=True)
+    click.echo(f"Error in codecbench: {type(error).__name__}: {error}{_where_it_is_kept(error)}", err=True)
     return ExitStatus.FAULT
 
 

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from codecbench.cli.screen import wrapped
+from codecbench.core.engine.wording import counted
+
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import Plan
 
@@ -39,26 +42,31 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     wanted = {cell.job_id for cell in missing if cell.job_id is not None}
     coded = {job.id for job in made.jobs if store.coded_path(job.id).exists()}
     to_code = [job for job in made.jobs if job.id in wanted and job.id not in coded]
-    click.echo(f"{made.name}: {len(made.sequences)} sequences, run folder {folder}")
+    _say(f"{made.name}: {counted(len(made.sequences), 'sequence')}, run folder {folder}")
     _list_sequences(made)
-    click.echo(f"coding jobs: {len(made.jobs)}, of which {len(coded)} are coded and {len(to_code)} are to do")
-    click.echo(f"cells: {len(made.cells)}: {len(done)} done, {len(missing)} to do, {len(unsupported)} unsupported")
+    _say(f"coding jobs: {len(made.jobs)}: {len(coded)} coded, {len(to_code)} to do")
+    _say(f"cells: {len(made.cells)}: {len(done)} done, {len(missing)} to do, {len(unsupported)} unsupported")
     for reason, count in Counter(cell.unsupported for cell in unsupported).items():
-        click.echo(f"  unsupported ({count}): {reason}")
+        _say(f"  unsupported ({count}): {reason}")
     for reason, count in Counter(outdated.values()).items():
-        click.echo(f"  done before, to do again ({count}): {reason}")
+        _say(f"  done before, to do again ({count}): {reason}")
     with_result = {id_: entries[id_] for id_ in done}
     for notice in code_notices(made, with_result, store, installed()):
-        click.echo(f"  {clean_line(notice)}")
+        _say(f"  {clean_line(notice)}")
     if growth is not None:
-        click.echo("the plan grows as its searches, repeats and awaited times need; this is its next round")
+        _say("the plan grows as its searches, repeats and awaited times need; this is its next round")
     for finding in made.searches:
-        click.echo(f"  {clean_line(str(finding))}")
+        _say(f"  {clean_line(str(finding))}")
     if cells:
         _list_all(made, done, coded)
     guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})
-    basis = f"{guess.measured} cells from measured durations, {guess.typical} from typical costs"
-    click.echo(f"estimated time: {_spoken(guess.seconds)} with {made.run.workers} workers ({basis})")
+    basis = f"{counted(guess.measured, 'cell')} from measured durations, {guess.typical} from typical costs"
+    workers = counted(made.run.workers, "worker")
+    _say(f"estimated time: {_spoken(guess.seconds)} with {workers} ({basis})")
+
+
+def _say(line: str) -> None:
+    click.echo(wrapped(line, indent=4))
 
 
 def _list_sequences(made: Plan) -> None:
@@ -66,23 +74,20 @@ def _list_sequences(made: Plan) -> None:
         camera = ["camera"] if entry.has_camera else []
         truth = ["ground truth"] if entry.has_ground_truth else []
         layout = "gray" if entry.channels == 1 else "colour"
-        click.echo(f"  {entry.name}: {', '.join([f'{entry.frames} frames', layout, *camera, *truth])}")
+        _say(f"  {entry.name}: {', '.join([counted(entry.frames, 'frame'), layout, *camera, *truth])}")
         for note in entry.notes:
-            click.echo(f"    {note}")
+            _say(f"    {note}")
 
 
 def _list_all(made: Plan, done: set[str], coded: set[str]) -> None:
     for job in made.jobs:
         state = "coded" if job.id in coded else "to do"
-        click.echo(
-            f"  code  {job.id[:12]}  {state:5}  {job.sequence.name} | {job.codec.name} {job.codec.label}".rstrip()
-        )
+        _say(f"  code  {job.id[:12]}  {state:5}  {job.sequence.name} | {job.codec.name} {job.codec.label}".rstrip())
     for cell in made.cells:
         state = "done" if cell.id in done else "unsupported" if cell.unsupported else "to do"
         what = f"{cell.sequence.name} | {cell.codec.name} {cell.codec.label}".rstrip()
-        click.echo(
-            f"  cell  {cell.id[:12]}  {state:11}  {what} | {cell.evaluator.name} {cell.evaluator.label} #{cell.repeat}"
-        )
+        evaluator = f"{cell.evaluator.name} {cell.evaluator.label}".rstrip()
+        _say(f"  cell  {cell.id[:12]}  {state:11}  {what} | {evaluator} #{cell.repeat}")
 
 
 def _spoken(seconds: float) -> str:

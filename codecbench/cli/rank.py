@@ -96,7 +96,7 @@ def show_everything(result: RunResult) -> None:
     for found in answers_of_settings(result):
         for line in (*found.lines, ""):
             say(line)
-    show_table(short_table(result, brief=True), result)
+    show_table(short_table(result, brief=True), result.plan.name)
 
 
 def show_found(result: RunResult, found: list[Verdict], format_: str, *, everything: bool = True) -> None:

@@ -153,7 +153,7 @@ def end(summary: RunSummary) -> None:
         raise click.exceptions.Exit(ExitStatus.INTERRUPTED)
     if "ok" not in summary.statuses:
         cause = "here every cell is unsupported" if set(summary.statuses) == {"unsupported"} else "no cell has a result"
-        click.echo(f"error: {cause}; the reasons are above, or in `codecbench status --failed`", err=True)
+        click.echo(f"Error: {cause}; the reasons are above, or in `codecbench status --failed`", err=True)
         raise click.exceptions.Exit(ExitStatus.FOUND)
     if any(count for status, count in summary.statuses.items() if status not in ("ok", "unsupported")):
         raise click.exceptions.Exit(ExitStatus.FOUND)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Iterable, Sequence
 
 from rich.console import Console
@@ -51,3 +52,10 @@ def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int]:
         narrowed = max(range(len(widths)), key=lambda column: (widths[column] > words[column], widths[column]))
         widths[narrowed] -= 1
     return widths
+
+
+def wrapped(text: str, indent: int = 0) -> str:
+    """A line as lines of the screen's width, all but the first indented; paths and addresses are left whole."""
+    return textwrap.fill(
+        text, Screen().width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )

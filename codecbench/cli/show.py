@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
+import textwrap
 from collections import Counter
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
 
 import click
 import pandas as pd
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from codecbench.cli.screen import Screen
+from codecbench.cli.screen import Screen, wrapped
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -21,68 +23,103 @@ _LEADING: Final = ("sequence", "codec", "setting")
 """Columns that say which row is which, in every part of a table too wide for the screen."""
 _FOLDED: Final = 40
 """Characters: longer texts are folded."""
-_FRAME: Final = 3
-"""Characters that a column takes beside its text."""
+_BETWEEN: Final = 2
+"""Characters between two columns."""
 
 
 def show_summary(result: RunResult) -> None:
     """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
-    from codecbench.core.report.tables import notes, short_table
+    from codecbench.core.report.tables import notes, short_table, varying
 
-    show_table(short_table(result, brief=True), result)
+    frame, same = varying(short_table(result, brief=True))
+    left_out = show_table(frame, result.plan.name, brief=True)
+    if same:
+        click.echo(wrapped(same))
+    if left_out:
+        click.echo(wrapped(f"left out for lack of width: {', '.join(left_out)}; --all shows them"))
     for note in notes(result):
-        click.secho(note, fg="yellow")
+        click.secho(wrapped(note), fg="yellow")
 
 
 def show_reasons(result: RunResult) -> None:
     """Why cells have no result: each reason once, with how many cells gave it."""
     unmeasured = Counter((cell.status, cell.reason) for cell in result.results if cell.status != "ok")
     for (status, reason), count in unmeasured.most_common():
-        click.secho(f"{status} ({count}): {reason}", fg="yellow")
+        click.secho(wrapped(f"{status} ({count}): {reason}"), fg="yellow")
 
 
-def show_table(frame: pd.DataFrame, result: RunResult) -> None:
-    """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out."""
+def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False, folded: bool = False) -> list[str]:
+    """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out.
+
+    brief: one part of what fits, with texts folded at their words, those of `_LEADING` too where they would take more
+    than half of the screen; what is left out is returned.
+    folded: one part of all columns, with texts folded as far as it takes, the last ones first.
+    """
+    from codecbench.core.report.tables import shown
+
     console = Screen()
-    if not console.is_terminal:
-        console = Screen(width=160)
-    texts = [[_cell(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
-    heads = [str(name).replace(".", "\n") for name in frame.columns]
+    most = len(frame) if folded else _MOST_ROWS
+    texts = [[shown(value) for value in row] for row in frame.head(most).itertuples(index=False)]
+    names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
-    for part in _parts(heads, texts, [str(name) in _LEADING for name in frame.columns], console.width):
-        table = Table(title=Text(result.plan.name), title_justify="left", header_style="bold", row_styles=["", "dim"])
+    leading = [name in _LEADING for name in names]
+    heads = [name.replace(".", "\n") for name in names]
+    columns = [[head, *(row[at] for row in texts)] for at, head in enumerate(heads)]
+    words, widths = _widths(columns, str.split), _widths(columns, str.splitlines)
+    if brief:
+        roomy = 2 * sum(width for width, leads in zip(widths, leading, strict=True) if leads) <= console.width
+        widths = [width if leads and roomy else word for word, width, leads in zip(words, widths, leading, strict=True)]
+    parts = _parts(widths, leading, console.width, brief)
+    if folded:
+        parts = [list(range(len(names)))]
+        excess = sum(widths) + _BETWEEN * (len(widths) - 1) - console.width
+        for at in reversed(parts[0]):
+            less = max(0, min(excess, widths[at] - words[at]))
+            widths[at], excess = widths[at] - less, excess - less
+    for part in parts:
+        table = Table(
+            title=Text(title) if title else None, title_justify="left", header_style="bold", row_styles=["", "dim"],
+            box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True,
+        )  # fmt: skip
         for column in part:
-            side: Literal["left", "right"] = "right" if numeric[column] else "left"
-            table.add_column(Text(heads[column]), justify=side, no_wrap=numeric[column], overflow="fold")
+            table.add_column(
+                Text(_folded(heads[column], widths[column])), justify="right" if numeric[column] else "left",
+                no_wrap=numeric[column], overflow="fold", max_width=widths[column],
+            )  # fmt: skip
         for row in texts:
             table.add_row(*(Text(row[column]) for column in part))
         console.print(table)
-    if len(frame) > _MOST_ROWS:
-        console.print(f"... and {len(frame) - _MOST_ROWS} more rows; use --format csv for all of them")
+    if len(frame) > most:
+        click.echo(wrapped(f"... and {len(frame) - most} more rows; use --format csv for all of them"))
+    return [" ".join(name.split()) for at, name in enumerate(names) if not any(at in part for part in parts)]
 
 
-def _parts(heads: list[str], texts: list[list[str]], leading: list[bool], width: int) -> list[list[int]]:
-    """Columns of each part: the leading ones in every part, the others in order, as many as fit."""
-    widths = [
-        min(_FOLDED, max(len(line) for text in (head, *(row[column] for row in texts)) for line in text.split("\n")))
-        + _FRAME
-        for column, head in enumerate(heads)
+def _widths(columns: list[list[str]], parts: Callable[[str], list[str]]) -> list[int]:
+    """Of each column of a head and texts: the longest part of the texts, or word of the head."""
+    return [
+        min(_FOLDED, max(len(part) for part in (*head.split(), *(part for text in texts for part in parts(text)), " ")))
+        for head, *texts in columns
     ]
+
+
+def _folded(head: str, width: int) -> str:
+    return "\n".join(textwrap.fill(line, width) for line in head.split("\n"))
+
+
+def _parts(widths: list[int], leading: list[bool], screen: int, brief: bool) -> list[list[int]]:
+    """Columns of each part: the leading ones in every part, the others in order, as many as fit.
+
+    brief: one part, without those that do not fit.
+    """
     first = [column for column, leads in enumerate(leading) if leads]
     parts = [list(first)]
-    left = room = width - sum(widths[column] for column in first) - 1
+    left = room = screen + _BETWEEN - sum(widths[column] + _BETWEEN for column in first)
     for column in (column for column, leads in enumerate(leading) if not leads):
-        if widths[column] > left and len(parts[-1]) > len(first):
+        if widths[column] + _BETWEEN > left and len(parts[-1]) > len(first):
+            if brief:
+                continue
             parts.append(list(first))
             left = room
         parts[-1].append(column)
-        left -= widths[column]
+        left -= widths[column] + _BETWEEN
     return parts
-
-
-def _cell(value: object) -> str:
-    if value is None or value is pd.NA or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    if isinstance(value, float):
-        return "∞" if math.isinf(value) else f"{value:.4g}"
-    return str(value)

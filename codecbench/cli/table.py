@@ -17,17 +17,21 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
     "--wide", "shape", flag_value="wide", default=True, help="One row a sequence and codec setting (default)."
 )
 @click.option("--tidy", "shape", flag_value="tidy", help="One row a measurement.")
-@click.option("--all", "every", is_flag=True, help="On the screen: all columns, and not only the headlines.")
+@click.option("--all", "every", is_flag=True, help="All columns, and not only the headlines.")
 @click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 @click.option("--columns", help="Only these columns of the wide table, separated by commas; `*` matches anything.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
-    """Print or write a table of the RUN folder: on the screen its headlines, in files everything."""
+    """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
+    from codecbench.cli.screen import wrapped
     from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.tables import chosen_columns, exported
+    from codecbench.core.analysis.table import NOTES
+    from codecbench.core.engine.wording import counted
+    from codecbench.core.report.tables import chosen_columns, exported, short_table, varying
 
     result = open_nonempty_run(run)
-    frame = result.wide if shape == "wide" else result.tidy
+    frame, same = result.wide if shape == "wide" else result.tidy, ""
+    headlines = shape == "wide" and columns is None and not every
     if columns is not None:
         frame = chosen_columns(frame, columns)
     if format_ == "text":
@@ -37,18 +41,22 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
 
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
-        if shape == "wide" and columns is None and not every:
+        if headlines:
             show_summary(result)
             show_verdicts(over_links(result)[-1:])
             show_reasons(result)
-            click.echo(f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them")
+            said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
+            click.echo(wrapped(said))
             return
         whole = [name for name in frame.columns if columns is not None or "/" not in name]
-        show_table(frame[whole], result)
+        show_table(frame[whole], result.plan.name)
         if left_out := len(frame.columns) - len(whole):
-            click.echo(f"{left_out} columns of single stages are left out here; --columns '*/*' shows them")
+            said = f"{counted(left_out, 'column')} of single stages left out here; --columns '*/*' shows them"
+            click.echo(wrapped(said))
         return
-    content = exported(frame, format_)
+    if headlines and format_ in ("markdown", "latex"):
+        frame, same = varying(short_table(result).join(result.wide.filter([NOTES])))
+    content = exported(frame, format_, same)
     if out is not None:
         from codecbench.core.engine.storage.atomic import write_file
 

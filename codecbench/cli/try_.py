@@ -62,7 +62,7 @@ def try_(
     """
     click.echo(f"looking at {path} ...", err=True)
     made = _made(path, codecs, aim, minutes, fov, set_)
-    from codecbench.trial.recording import counted
+    from codecbench.core.engine.wording import counted
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
     click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")

@@ -12,6 +12,7 @@ from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.wording import counted
 from codecbench.plugins.datasets.files import EXTENSIONS
 
 _MOST_SIZES: Final = 3
@@ -69,11 +70,6 @@ class Recording:
         if len(sizes) <= _MOST_SIZES:
             return f"pictures of {', '.join(sizes[:-1])} and {sizes[-1]}"
         return f"pictures of {len(sizes)} sizes from {sizes[0]} to {sizes[-1]}"
-
-
-def counted(count: int, noun: str) -> str:
-    """`1 frame`, `1,204 frames`."""
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.wording import counted
 from codecbench.trial.focal_length import fov_deg_of
-from codecbench.trial.recording import MOST_SAID, Recording, counted, less, recognised, said_of, unreadable
+from codecbench.trial.recording import MOST_SAID, Recording, less, recognised, said_of, unreadable
 
 if TYPE_CHECKING:
     from codecbench.core.facade import Run

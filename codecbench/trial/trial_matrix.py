@@ -20,8 +20,9 @@ from codecbench.core.engine.planning.search import EVERY, Extent
 from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.running.warm_up import kernels_to_compile
+from codecbench.core.engine.wording import counted
 from codecbench.trial.pace import Pace, measured_pace
-from codecbench.trial.recording import Recording, counted
+from codecbench.trial.recording import Recording
 from codecbench.trial.wanted_codecs import WantedCodec, read_codec
 
 Aim = Literal["tracking", "quality", "speed"]

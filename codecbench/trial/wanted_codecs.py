@@ -6,14 +6,18 @@ import json
 import math
 import re
 from dataclasses import dataclass
+from itertools import islice, product
 from typing import Any, Final
 
-from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.contracts.errors import CodecbenchError, ParamsError
+from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.registry import Registry
 
 _SPELLING: Final = "NAME, NAME:VALUE, NAME:FIRST..LAST or NAME:PARAM=..,PARAM=.., such as jpeg:5..90 or h264:crf=18..40"
 _RANGE: Final = re.compile(r"(?P<first>-?[\d.]+?)\.\.(?P<last>-?\d+(?:\.\d+)?)(?:/(?P<count>\d+))?")
+_MOST_CHECKED: Final = 1_000
+"""So many settings of a codec are checked here; the matrix checks all."""
 _FACTOR: Final = 4.0
 """Ranges whose ends are further apart than so many times are divided into equal ratios, others into equal steps."""
 
@@ -41,7 +45,7 @@ def read_codec(registry: Registry, text: str, steps: int = 5) -> WantedCodec:
     """What a `--codec` asks for. A value without a parameter's name is of the codec's first numeric parameter.
     steps: of a range without a count.
 
-    Raises PluginError for an unknown codec and ParamsError for another spelling.
+    Raises PluginError for an unknown codec and ParamsError for another spelling and for values that it does not take.
     """
     name, _, rest = text.partition(":")
     registry.find("codec", name)
@@ -55,7 +59,20 @@ def read_codec(registry: Registry, text: str, steps: int = 5) -> WantedCodec:
         values[key] = _span(registry, name, key, value, steps)
         if _RANGE.fullmatch(value):
             ranges.add(key)
+    _require_taken(registry, name, text, values)
     return WantedCodec(name, values, frozenset(ranges))
+
+
+def _require_taken(registry: Registry, name: str, text: str, values: dict[str, list[Any]]) -> None:
+    """Raise ParamsError, in the words of the command line, for a setting that the codec does not take."""
+    last = tuple(found[-1] for found in values.values())  # the end of a range first: that is what was written
+    for chosen in [last, *islice(product(*values.values()), _MOST_CHECKED)] if values else []:
+        try:
+            describe(registry, "codec", name, dict(zip(values, chosen, strict=True)))
+        except InvalidParams as invalid:
+            raise ParamsError(f"--codec {text}: {invalid.sentence}") from None
+        except CodecbenchError:
+            return  # what is missing here is told of the whole matrix
 
 
 def _span(registry: Registry, codec: str, key: str, text: str, steps_wanted: int) -> list[Any]:

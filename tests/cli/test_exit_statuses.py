@@ -282,7 +282,7 @@ def test_a_screen_that_cannot_be_written_is_told(place: Place) -> None:
             [str(COMMAND), "list"], env=place.environment(), stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
         )
     assert done.returncode == ExitStatus.NOT_POSSIBLE
-    assert done.stderr.startswith("error: ")
+    assert done.stderr.startswith("Error: ")
     assert "No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -295,6 +295,42 @@ def wait(name, *rest):
         time.sleep(60)
 sys.addaudithook(lambda event, arguments: wait(*arguments) if event == "import" else None)
 """
+
+
+def test_runs_with_nothing_in_common_are_not_listed(place: Place) -> None:
+    done = place.call("compare", "elsewhere.json", "runs/tiny", COLUMNS="60")
+    assert done.stdout.splitlines() == ["2 cannot tell"]
+    assert done.stderr.splitlines() == [
+        "the runs have nothing in common: no sequence with the same",
+        "setting, evaluator and metric",
+    ]
+    assert "not in the first run" in place.call("compare", "elsewhere.json", "runs/tiny", "--all").stdout
+    assert len(json.loads(place.call("compare", "elsewhere.json", "runs/tiny", "--format", "json").stdout)["rows"]) == 2
+
+
+def test_the_most_telling_rows_of_a_comparison_are_shown(place: Place) -> None:
+    """Twenty in the terminal, what became worse first and what changed most first; all where asked and for programs."""
+    head, line = (place.folder / "base.json").read_text().splitlines()
+    for name, values in (("old", [1.0] * 30), ("new", [*range(-9, 20), 1.0])):
+        lines = [re.sub(r'"metric": "[^"]*"', f'"metric": "m{at}"', line) for at in range(30)]
+        lines = [
+            re.sub(r'"values": .[^]]*.', f'"values": [{value}]', text)
+            for text, value in zip(lines, values, strict=True)
+        ]
+        (place.folder / f"{name}.json").write_text("\n".join([head, *lines]) + "\n")
+    done = place.call("compare", "old.json", "new.json", COLUMNS="60")
+    lines = [text.rstrip() for text in done.stdout.splitlines()]
+    assert [line.split() for line in lines[3:23]] == [
+        *(["worse", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in range(19, 1, -1)),
+        *(["better", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in (-9, -8)),
+    ]
+    assert lines[-3:] == [
+        "In all rows: sequence ramp, setting shift, before 1.",
+        "... and 8 more; --all shows them",
+        "18 worse, 10 better, 2 same",
+    ]
+    assert place.call("compare", "old.json", "new.json", "--format", "markdown").stdout.count("| better |") == 10
+    assert place.call("compare", "old.json", "new.json", "--all").stdout.count("\nsame ") == 2
 
 
 @pytest.mark.parametrize(
@@ -344,7 +380,7 @@ def test_an_interrupted_run_keeps_what_it_has(
     assert "Traceback" not in printed + said
     assert "crashed" not in printed
     assert f"stopped by {number.name} before a cell had a result; the same command continues from here" in said
-    assert place.call("report", str(out)).stderr.startswith(f"error: {out} has no results yet")
+    assert place.call("report", str(out)).stderr.startswith(f"Error: {out} has no results yet")
 
 
 def test_an_interrupted_verify_leaves_no_process(place: Place, tmp_path: Path) -> None:
@@ -385,7 +421,7 @@ def test_a_fault_of_our_own_is_short_and_its_place_is_kept(place: Place, tmp_pat
     done = place.call("status", "runs/tiny", PYTHONPATH=path, TMPDIR=str(tmp_path))
     assert done.status == ExitStatus.FAULT
     first, second = done.stderr.splitlines()
-    assert first == "error in codecbench: ZeroDivisionError: a fault of ours"
+    assert first == "Error in codecbench: ZeroDivisionError: a fault of ours"
     (kept,) = tmp_path.glob("codecbench-fault-*.txt")
     assert str(kept) in second
     assert "in fault" in kept.read_text()

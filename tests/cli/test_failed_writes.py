@@ -59,7 +59,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
 
 def is_refused(done: Done, *said: str) -> None:
     assert done.status == ExitStatus.NOT_POSSIBLE, done.output
-    assert done.stderr.lstrip().startswith("error: ")
+    assert done.stderr.lstrip().startswith("Error: ")
     assert "Traceback" not in done.output
     for text in said:
         assert text in done.stderr

@@ -2,29 +2,103 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import math
 
 import pandas as pd
 import pytest
 from measured_runs import cell_result, run_of
 
-from codecbench.cli.show import show_reasons, show_table
+from codecbench.cli.show import show_reasons, show_summary, show_table
 from codecbench.core.report.tables import short_table
 
 
-def test_a_table_of_many_columns_is_shown_in_parts_that_fit(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("columns", "width"), [("60", 60), ("80", 80), ("160", 160), (None, 80)])
+def test_a_table_of_many_columns_is_shown_in_parts_that_fit(
+    columns: str | None, width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _on_a_screen(columns, monkeypatch)
     measures = {f"quality.metric_{number}.mean": [number + 0.5, number + 0.25] for number in range(60)}
     frame = pd.DataFrame({"sequence": ["s", "s"], "codec": ["a", "b"], "setting": ["q=1", "q=2"], **measures})
-    show_table(frame, SimpleNamespace(plan=SimpleNamespace(name="wide")))  # type: ignore[arg-type]
+    assert show_table(frame, "wide") == []
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 160
-    shown = "\n".join(lines)
+    assert width - 11 < max(map(len, lines)) <= width
+    shown = "\n".join(f"{line} " for line in lines)
     for number in range(60):
         assert f" metric_{number} " in shown
-        assert f" {number + 0.25:.4g} " in shown
+        assert f" {number + 0.25:#.3g} " in shown
     parts = shown.count("wide")
-    assert 5 < parts < 12
+    assert parts == {60: 20, 80: 12, 160: 5}[width]
     assert shown.count(" q=2 ") == parts  # every part says which row is which
+
+
+def _on_a_screen(columns: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The variable by which rich learns how wide a screen is, without a terminal."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
+
+
+OWN = [
+    {("bits", ""): [24.0], ("score", ""): [math.inf], ("blur", ""): [2.0], ("speed", ""): [1234.5]},
+    {("bits", ""): [0.6008], ("score", ""): [30.284], ("blur", ""): [2.0], ("speed", ""): [0.9]},
+]
+
+
+def test_the_summary_is_one_table_of_what_fits_and_says_the_rest(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three digits in every row, no column that is the same in all, and which have no room."""
+    run = run_of(*(cell_result("plain", q, "look", own=own) for q, own in enumerate(OWN)))
+    _on_a_screen("60", monkeypatch)
+    show_summary(run)
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        "p",
+        "setting   bits  score  speed",
+        "────────────────────────────",
+        "q=0         24      ∞   1230",
+        "q=1      0.601   30.3  0.900",
+        "In all rows: sequence s, codec plain, blur 2, status ok.",
+    ]
+    _on_a_screen("24", monkeypatch)
+    show_summary(run)
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        "p",
+        "setting   bits  score",
+        "─────────────────────",
+        "q=0         24      ∞",
+        "q=1      0.601   30.3",
+        "In all rows: sequence s,",
+        "codec plain, blur 2,",
+        "status ok.",
+        "left out for lack of",
+        "width: speed; --all",
+        "shows them",
+    ]
+
+
+def test_a_single_row_keeps_its_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    _on_a_screen(None, monkeypatch)
+    show_summary(run_of(cell_result("plain", 1, "look", own=OWN[1])))
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        "p",
+        "sequence  codec  setting   bits  score  blur  speed  status",
+        "───────────────────────────────────────────────────────────",
+        "s         plain  q=1      0.601   30.3     2  0.900  ok",
+    ]
+
+
+def test_texts_are_folded_between_words_and_the_last_column_first(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _on_a_screen("40", monkeypatch)
+    note = "p = 0.004 over 5 and 5 repeats"
+    show_table(pd.DataFrame({"setting": ["jpeg q=5"], "after": [12345.6], "note": [note]}), folded=True)
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        "setting    after  note",
+        "────────────────────────────────────────",
+        "jpeg q=5  12,300  p = 0.004 over 5 and 5",
+        "                  repeats",
+    ]
 
 
 def test_each_reason_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:

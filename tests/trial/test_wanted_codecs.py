@@ -66,3 +66,21 @@ def test_other_spellings_are_answered_with_the_right_one(text: str, words: str |
 def test_an_unknown_codec_is_answered_with_the_nearest() -> None:
     with pytest.raises(PluginError, match="did you mean 'jpeg'"):
         read_codec(installed(), "jpg:5..90")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("jpeg:quality=500", "quality: Input should be less than or equal to 100; got 500"),
+        ("jpeg:5..200", "quality: Input should be less than or equal to 100; got 200"),
+        ("jpeg:-5..50", "quality: Input should be greater than or equal to 1; got -5"),
+        ("jpeg:5,subsampling=444|433", "subsampling: Input should be '444', '422' or '420'; got '433'"),
+        ("jpeg:nosuch=1", "nosuch: unknown; allowed: quality, subsampling, optimize, progressive, restart"),
+        ("jpeg2000:ratio=8,psnr_db=30", "exactly one of ratio, psnr_db, lossless and cr_percent sets the rate, got "),
+    ],
+)
+def test_values_that_a_codec_does_not_take_are_told_as_they_were_written(text: str, said: str) -> None:
+    """And not by the line of a matrix that is made of them, which nobody has seen."""
+    with pytest.raises(ParamsError) as caught:
+        read_codec(installed(), text)
+    assert str(caught.value).startswith(f"--codec {text}: {said}")

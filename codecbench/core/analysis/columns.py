@@ -60,6 +60,12 @@ class Column:
         return 1.0 if self.aggregate == "infinite" else self.metric.display_factor
 
     @property
+    def better(self) -> str:
+        """In which direction what people are shown is better: the other one where the factor turns the sign."""
+        turned = {"lower": "higher", "higher": "lower"} if self.factor < 0 else {}
+        return turned.get(self.metric.better, self.metric.better)
+
+    @property
     def is_usual(self) -> bool:
         """Whether this is the summary that stands for the metric: its first aggregate."""
         return self.aggregate == self.metric.aggregates[0]

@@ -51,7 +51,7 @@ _MILLISECONDS: Final = "ms"
 
 @dataclass(frozen=True)
 class Comparison:
-    """One series before and after. change: relative for times, absolute otherwise. note: why, or how sure."""
+    """One series before and after. change: relative for times (of_time), absolute otherwise. note: why, or how sure."""
 
     key: Key
     before: float
@@ -59,6 +59,14 @@ class Comparison:
     change: float
     verdict: Verdict
     note: str = ""
+    of_time: bool = False
+
+    @property
+    def relative(self) -> float:
+        """The change as a share of the value before; NaN where there is none."""
+        if self.of_time:
+            return self.change
+        return self.change / abs(self.before) if self.before else math.nan
 
 
 def compare(
@@ -132,7 +140,7 @@ def _compared(
         return Comparison(old.key, *shown, math.nan, verdict, f"{worse.status}: {worse.reason}")
     if old.repeatable:
         return _exact(old, new, shown)
-    return _timed(old, new.unit, before, after, shown, same_machine, tolerance)
+    return replace(_timed(old, new.unit, before, after, shown, same_machine, tolerance), of_time=True)
 
 
 def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:

@@ -17,6 +17,7 @@ from codecbench.core.analysis.table import CellResult, tidy, wide
 from codecbench.core.contracts.metric import Metric, Role
 from codecbench.core.contracts.view import View
 from codecbench.core.engine.planning.model import Plan, PluginSetting
+from codecbench.core.engine.wording import counted
 
 Key = tuple[str, str, str]
 """Sequence, codec and setting: a row of the wide table."""
@@ -104,7 +105,7 @@ class RunResult:
 
     def __repr__(self) -> str:
         """Three lines: what was run, what became of it, and by what it is judged."""
-        sequences = ", ".join(f"{entry.name} ({entry.frames} frames)" for entry in self.plan.sequences)
+        sequences = ", ".join(f"{entry.name} ({counted(entry.frames, 'frame')})" for entry in self.plan.sequences)
         counts = Counter(result.status for result in self.results)
         became = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "none"
         to_do = f", {self.missing} to do" if self.missing else ""

@@ -19,6 +19,7 @@ from codecbench.core.analysis.run_result import RunResult, judged_column, succes
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.wording import counted
 from codecbench.core.report.answers import answers_of_settings
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.formatting import Verdict, verdicts
@@ -140,7 +141,7 @@ def _caveats(run: RunResult, columns: Iterable[Column | None]) -> list[str]:
 
 
 def _subtitle(run: RunResult) -> str:
-    sequences = ", ".join(f"{entry.name} ({entry.frames} frames)" for entry in run.plan.sequences)
+    sequences = ", ".join(f"{entry.name} ({counted(entry.frames, 'frame')})" for entry in run.plan.sequences)
     return f"{sequences}; matrix version {MATRIX_VERSION}"
 
 
@@ -149,12 +150,12 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     failed, unsupported = len(run.failed), sum(result.status == "unsupported" for result in run.results)
     settings = {(result.cell.codec.name, result.cell.codec.label) for result in run.results}
     evaluators = sorted({result.cell.evaluator.title for result in run.results})
-    codecs = _counted(len({codec for codec, _ in settings}), "codec")
+    codecs = counted(len({codec for codec, _ in settings}), "codec")
     cards = [
         {"title": "Cells computed", "value": f"{done} of {len(run.plan.cells)}", "tone": "good" if not failed else "",
          "note": f"{failed} failed, {unsupported} unsupported, {run.missing} not yet run"},
         {"title": "Codec settings", "value": str(len(settings)), "tone": "",
-         "note": f"{codecs} on {_counted(len(run.plan.sequences), 'sequence')}"},
+         "note": f"{codecs} on {counted(len(run.plan.sequences), 'sequence')}"},
         {"title": "Evaluators", "value": str(len(evaluators)), "tone": "", "note": ", ".join(evaluators)},
     ]  # fmt: skip
     known = {
@@ -183,11 +184,7 @@ def _companies(run: RunResult) -> list[str]:
         if isinstance(company, list) and company:
             tool = result.worker.get("confined")
             counts[" and ".join(map(str, company)), f"confined by {tool}" if tool else "not confined"] += 1
-    return [f"{_counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    return [f"{counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
 
 
 def _failures(run: RunResult) -> list[dict[str, str]]:

@@ -84,7 +84,7 @@ def _column(column: Column) -> dict[str, Any]:
         "group": column.evaluator.title,
         "label": column.heading,
         "factor": column.factor,
-        "better": metric.better,
+        "better": column.better,
         "scale": metric.scale,
         "summary": metric.summary,
     }

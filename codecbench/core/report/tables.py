@@ -23,18 +23,22 @@ if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
+_COUNTABLE = 1e15
+"""From here on numbers have exponents: floats are whole there whether they count or not."""
 _FORMULA = ("=", "+", "-", "@")
 _LATEX = str.maketrans(
     {**{special: f"\\{special}" for special in "&%$#_{}"}, "\\": "\\textbackslash{}", "~": "\\textasciitilde{}",
      "^": "\\textasciicircum{}", "\n": " "}
 )  # fmt: skip
+_LATEX_NUMBERS = {"–": "--", "∞": "$\\infty$", "-∞": "$-\\infty$"}
 
 
-def exported(frame: pd.DataFrame, format_: str) -> bytes:
+def exported(frame: pd.DataFrame, format_: str, below: str = "") -> bytes:
     """A table as the bytes of a file: `csv`, `parquet`, `json`, `markdown` or `latex`.
 
     Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty. In csv a
-    text that spreadsheets would take for a formula gets an apostrophe before it.
+    text that spreadsheets would take for a formula gets an apostrophe before it. In markdown and latex numbers have
+    three significant digits. below: a sentence that stands there below the table, in latex as a comment.
     """
     if format_ == "csv":
         return _no_formulas(frame).to_csv(index=False).encode()
@@ -48,11 +52,12 @@ def exported(frame: pd.DataFrame, format_: str) -> bytes:
             for record in _objects(frame).to_dict("records")
         ]
         return (json.dumps(records, indent=1) + "\n").encode()
-    rows = _objects(frame).to_numpy().tolist()
+    rows = [[shown(value) for value in row] for row in _objects(frame).to_numpy().tolist()]
     if format_ == "markdown":
-        return foreign_table([str(name) for name in frame.columns], rows).encode()
+        text = foreign_table([str(name) for name in frame.columns], rows)
+        return (f"{text}\n{escaped(below)}\n" if below else text).encode()
     if format_ == "latex":
-        return _latex(frame).encode()
+        return (_latex(frame, rows) + (f"% {below}\n" if below else "")).encode()
     raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
 
 
@@ -92,6 +97,16 @@ def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
     return table
 
 
+def varying(frame: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """The table without the columns that have one value in all of several rows, and a sentence that says those."""
+    if len(frame) < 2:
+        return frame, ""
+    same = [frame.iloc[:, at].nunique(dropna=False) == 1 for at in range(frame.shape[1])]
+    values = ((name, shown(frame.iloc[0, at])) for at, name in enumerate(frame.columns) if same[at])
+    told = [" ".join(f"{name} {value}".split()) for name, value in values if value]
+    return frame.loc[:, [not one for one in same]], f"In all rows: {', '.join(told)}." if told else ""
+
+
 def _judged_by(run: RunResult) -> list[Column]:
     """The rate, whether the first task succeeds, and what is compared."""
     from codecbench.core.analysis.run_result import judged_column, successes
@@ -115,22 +130,14 @@ def _no_formula(value: Any) -> Any:
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
-def _latex(frame: pd.DataFrame) -> str:
+def _latex(frame: pd.DataFrame, rows: list[list[str]]) -> str:
     """A booktabs table; pandas would want jinja2's styler for less control."""
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     lines = ["\\begin{tabular}{" + "".join("r" if is_number else "l" for is_number in numeric) + "}", "\\toprule"]
     lines.append(" & ".join(str(name).translate(_LATEX) for name in frame.columns) + " \\\\")
     lines.append("\\midrule")
-    lines += [" & ".join(map(_latex_cell, row)) + " \\\\" for row in _objects(frame).to_numpy().tolist()]
+    lines += [" & ".join(_LATEX_NUMBERS.get(text) or text.translate(_LATEX) for text in row) + " \\\\" for row in rows]
     return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
-
-
-def _latex_cell(value: object) -> str:
-    if value is None:
-        return "--"
-    if isinstance(value, float):
-        return "$\\infty$" if value == float("inf") else f"{value:.4g}"
-    return str(value).translate(_LATEX)
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -155,13 +162,30 @@ def cell(value: object) -> str:
         return "–"
     if isinstance(value, float):
         if math.isinf(value):
-            return "∞"
+            return "∞" if value > 0 else "-∞"
         if value.is_integer() and abs(value) >= 10_000:
             return f"{int(value):,}"
         return f"{value:.4g}" if abs(value) < 10_000 else f"{value:,.0f}"
     if isinstance(value, int) and not isinstance(value, bool):
         return f"{value:,}"
     return " ".join(str(value).split("\n")).replace("|", "\\|")
+
+
+def shown(value: object) -> str:
+    """A value of a run for people: numbers with three significant digits, whole ones in full.
+
+    Trailing zeros are digits too, so that a column tells as much in each row: 0.900 beside 0.601.
+    """
+    if isinstance(value, str) or value is pd.NA:
+        return "–" if value is pd.NA else str(value)
+    if not isinstance(value, float) or not math.isfinite(value):
+        return cell(value)
+    if abs(value) >= _COUNTABLE:
+        return f"{value:.3g}"
+    rounded = value + 0.0 if value.is_integer() else float(f"{value:.3g}")  # -0.0 + 0.0 is 0.0
+    if abs(rounded) >= 10_000:
+        return f"{rounded:,.0f}"
+    return f"{rounded:.0f}" if value.is_integer() or abs(rounded) >= 1_000 else aligned(value)
 
 
 def escaped(text: str) -> str:

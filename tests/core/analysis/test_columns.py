@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from codecbench.core.analysis.columns import Column, columns_of
 from codecbench.core.analysis.run_result import RunSchema
@@ -15,7 +17,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.facade import Run
 from codecbench.core.report.page import write_report
-from codecbench.core.report.tables import chosen_columns, exported, short_table
+from codecbench.core.report.tables import chosen_columns, exported, short_table, shown, varying
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "d", "1"), "f00d", 3, 3, True, True)
 WORK = Metric(
@@ -131,3 +133,48 @@ def test_two_columns_under_one_head_are_both_shown() -> None:
     table.columns = pd.Index([*table.columns[:3], "same", "same", "same", "status"])
     assert exported(table, "markdown").decode().count("same") == 3
     assert exported(table, "latex").decode().count("same") == 3
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.6008, "0.601"), (0.9, "0.900"), (24.0, "24"), (24.004, "24.0"), (128.5, "128"), (-102.4, "-102"),
+        (999.7, "1000"), (1234.5, "1230"), (12345.6, "12,300"), (1234567.8, "1,230,000"), (307200.0, "307,200"),
+        (307200, "307,200"), (1.2345e-05, "1.23e-05"), (1e300, "1e+300"), (-0.0, "0"), (math.inf, "∞"),
+        (-math.inf, "-∞"), (math.nan, "–"), (None, "–"), (pd.NA, "–"), ("0.6008", "0.6008"), (True, "True"),
+    ],
+)  # fmt: skip
+def test_people_are_shown_three_digits_and_whole_numbers_in_full(value: object, text: str) -> None:
+    assert shown(value) == text
+
+
+def test_what_is_the_same_in_all_rows_is_said_once() -> None:
+    frame = pd.DataFrame({"sequence": ["s", "s"], "enc\nms": [0.9, 0.9], "setting": ["", ""], "gone": [None, None]})
+    frame["size"] = [1.0, 2.0]
+    told, said = varying(frame)
+    assert (list(told.columns), said) == (["size"], "In all rows: sequence s, enc ms 0.900, gone –.")
+    assert varying(told)[1] == ""
+    assert list(varying(frame[:1])[0].columns) == list(frame.columns)
+
+
+def test_files_for_people_are_rounded_and_those_for_programs_are_not() -> None:
+    frame = pd.DataFrame({"codec": ["a*", "b_c"], "bits [%]": [0.60083, math.inf]})
+    assert exported(frame, "markdown", "in all rows: ok").decode().splitlines() == [
+        "| codec | bits \\[%\\] |", "|---|---:|", "| a\\* | 0.601 |", "| b_c | ∞ |", "", "in all rows: ok",
+    ]  # fmt: skip
+    assert exported(frame, "latex", "in all rows: ok").decode().splitlines() == [
+        "\\begin{tabular}{lr}", "\\toprule", "codec & bits [\\%] \\\\", "\\midrule", "a* & 0.601 \\\\",
+        "b\\_c & $\\infty$ \\\\", "\\bottomrule", "\\end{tabular}", "% in all rows: ok",
+    ]  # fmt: skip
+    assert exported(frame, "csv", "in all rows: ok").decode().splitlines() == [
+        "codec,bits [%]",
+        "a*,0.60083",
+        "b_c,inf",
+    ]
+
+
+def test_a_metric_that_is_shown_with_its_sign_turned_is_better_in_the_other_direction() -> None:
+    saved = Metric("saved", "%", "higher", "", display_factor=-1.0)
+    assert [Column(ONE.cell.evaluator, metric, "", "mean").better for metric in (saved, KEPT, WORK, NOTE)] == [
+        "lower", "higher", "lower", "neither",
+    ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -42,11 +43,17 @@ class InvalidParams(Exception):
         for detail in self.details:
             name = ".".join(str(step) for step in detail["loc"])
             unknown = detail["type"] == "extra_forbidden"
-            what = (
-                f"unknown; {suggest(name, self.fields)}" if unknown else f"{detail['msg']}; got {detail.get('input')!r}"
-            )
+            what = f"unknown; {suggest(name, self.fields)}" if unknown else said_of(detail)
             wrong.append(f"{name}: {what}" if name else what)
         return "; ".join(wrong)
+
+
+def said_of(detail: Any) -> str:
+    """One of pydantic's errors in words, with what it got where that is one short value."""
+    got = detail.get("input")
+    message = str(detail["msg"]).removeprefix("Value error, ")
+    shown = repr(got)
+    return message if isinstance(got, Mapping) or len(shown) > 80 else f"{message}; got {shown}"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.awaited import require_sources
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
-from codecbench.core.engine.planning.description import InvalidParams, describe
+from codecbench.core.engine.planning.description import InvalidParams, describe, said_of
 from codecbench.core.engine.planning.entry import Entry, distinct, labelled
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
 from codecbench.core.engine.planning.plan_bounds import require_plannable
@@ -197,7 +197,7 @@ class _Reader:
         """Translate one of pydantic's errors into a problem at the value that it is about."""
         location = detail["loc"]
         if not location:
-            self.problems.add((*where, "params"), _message(detail))
+            self.problems.add((*where, "params"), said_of(detail))
         elif detail["type"] == "extra_forbidden" and len(location) == 1:
             self.problems.add((*where, "params", location[0]), f"unknown; {suggest(location[0], fields)}", at_key=True)
         elif detail["type"] == "missing":
@@ -205,7 +205,7 @@ class _Reader:
         else:
             place, value = point.get(location[0], ((*where, "params"), None))
             hint = "" if any(isinstance(part, int) for part in location) else axis_hint(str(location[0]), value)
-            self.problems.add((*place, *location[1:]), _message(detail) + hint)
+            self.problems.add((*place, *location[1:]), said_of(detail) + hint)
 
     def run_section(self, section: Any) -> tuple[RunSettings, UntilSection | None] | None:
         if not isinstance(section, Mapping):
@@ -222,7 +222,7 @@ class _Reader:
             for detail in error.errors():
                 key = detail["loc"][0]
                 unknown = detail["type"] == "extra_forbidden"
-                message = f"unknown; {suggest(str(key), fields)}" if unknown else _message(detail)
+                message = f"unknown; {suggest(str(key), fields)}" if unknown else said_of(detail)
                 self.problems.add(("run", *detail["loc"]), message, at_key=unknown)
             return None
         if len(executor) != 1:
@@ -257,12 +257,5 @@ def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
     for detail in invalid.details:
         place = detail["loc"][0] if detail["loc"] else None
         if detail["type"] != "missing" and place not in values and (place is not None or not values):
-            return f"parameter {place}: {_message(detail)}" if place else _message(detail)
+            return f"parameter {place}: {said_of(detail)}" if place else said_of(detail)
     return None
-
-
-def _message(detail: Any) -> str:
-    got = detail.get("input")
-    message = str(detail["msg"]).removeprefix("Value error, ")
-    shown = repr(got)
-    return message if isinstance(got, Mapping) or len(shown) > 80 else f"{message}; got {shown}"

@@ -47,7 +47,7 @@ class Quality(SequenceEvaluator[NoParams]):
         Metric("compression_ratio", "1", "higher", "bytes of raw samples over bytes of bitstream", role="rate"),
         Metric(
             "cr_percent", "%", "higher", "share saved against the PNG of the same frame; negative if larger",
-            role="rate", headline=True, label="saved against PNG", brief="saved vs\nPNG %",
+            role="rate", headline=True, label="size against PNG", brief="vs\nPNG %", display_factor=-1.0,
         ),
         Metric(
             "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal images",
