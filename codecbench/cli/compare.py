@@ -12,7 +12,7 @@ import click
 
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.formats import Format
-from codecbench.cli.screen import wrapped
+from codecbench.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.comparison import Comparison
@@ -84,7 +84,7 @@ def compare(
     if set(first.machines) != set(second.machines):
         machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
         warning = f"warning: the runs are from different machines ({machines}); changes of times cannot be judged"
-        click.echo(wrapped(warning), err=True)
+        say(warning, err=True)
     found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
     unequal = any(comparison.verdict in _FAILING[fail_on] for comparison in found)
     common = {series.key for series in first.series} & {series.key for series in second.series}
@@ -92,7 +92,7 @@ def compare(
     _print(found, format_, everything, nothing)
     if found and nothing:
         said = "the runs have nothing in common: no sequence with the same setting, evaluator and metric"
-        click.echo(wrapped(said), err=True)
+        say(said, err=True)
     if unequal or (nothing and fail_on != "never"):
         raise click.exceptions.Exit(ExitStatus.FOUND)
 
@@ -120,10 +120,8 @@ def _print(found: list[Comparison], format_: str, everything: bool, nothing: boo
 
 def _show(rows: list[Comparison], everything: bool) -> None:
     """Rows as a table in the terminal: all, or the most telling ones."""
-    import pandas as pd
-
-    from codecbench.cli.show import show_table
-    from codecbench.core.report.tables import varying
+    from codecbench.core.report.formatting import compact
+    from codecbench.core.report.tables import shown
 
     if not everything:
         # A series that got or lost its result has no change in numbers, and is told first.
@@ -131,23 +129,22 @@ def _show(rows: list[Comparison], everything: bool) -> None:
         rows = sorted(rows, key=lambda row: (_TELLING.index(row.verdict), -sizes[id(row)]))
     most = len(rows) if everything else _MOST_ROWS
     cells = [
-        (
-            row.verdict,
-            row.key[0],
-            " ".join(row.key[1:3]).rstrip(),
-            _metric(row),
-            row.before,
-            row.after,
-            100.0 * row.relative,
-            row.note,
-        )
+        {
+            "verdict": row.verdict,
+            "sequence": row.key[0],
+            "setting": " ".join(row.key[1:3]).rstrip(),
+            "metric": _metric(row),
+            "before": shown(row.before),
+            "after": shown(row.after),
+            "change %": shown(100.0 * row.relative),
+            "note": row.note,
+        }
         for row in rows[:most]
     ]
-    heads = ["verdict", "sequence", "setting", "metric", "before", "after", "change %", "note"]
-    frame, same = varying(pd.DataFrame(cells, columns=heads))
-    show_table(frame, folded=True)
-    if same:
-        click.echo(wrapped(same))
+    table = compact("", cells)
+    plain_table(table.heads, table.rows)
+    for sentence in table.sentences:
+        say(sentence)
     if len(rows) > most:
         click.echo(f"... and {len(rows) - most:,} more; --all shows them")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
 
-from codecbench.cli.screen import Screen, wrapped
+from codecbench.cli.screen import Screen, say
 
 
 @click.group()
@@ -20,10 +20,9 @@ def list_data() -> None:
 
     for entry in list_datasets():
         state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
-        line = wrapped(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4)
-        click.echo(click.style(entry.name, bold=True) + line.removeprefix(entry.name))
-        click.echo(wrapped(f"    {entry.licence}; {entry.homepage}", indent=4))
-        click.echo(wrapped(f"    {entry.citation}", indent=4))
+        say(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4, bold=True)
+        say(f"    {entry.licence}; {entry.homepage}", indent=4)
+        say(f"    {entry.citation}", indent=4)
 
 
 @data.command()

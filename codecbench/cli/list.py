@@ -20,7 +20,7 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
-    from codecbench.cli.screen import wrapped
+    from codecbench.cli.screen import say
     from codecbench.core.engine.foreign_text import clean_line
 
     registry = installed()
@@ -35,13 +35,13 @@ def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
         for plugin in found:
             origin = "" if plugin.distribution.startswith("codecbench ") else f"  [{plugin.distribution}]"
             line = f"  {plugin.spec.name:<{width}}  {clean_line(plugin.spec.summary)}{origin}"
-            click.echo(wrapped(line, indent=width + 4))
+            say(line, indent=width + 4)
             if plugin.missing:
-                click.echo(wrapped(f"      not available: {plugin.missing}", indent=6))
+                say(f"      not available: {plugin.missing}", indent=6)
         if not found:
             click.echo("  none")
     for problem in registry.problems:
-        click.secho(wrapped(f"problem: {clean_line(str(problem))}"), fg="yellow", err=True)
+        say(f"problem: {problem}", fg="yellow", err=True)
 
 
 def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, Any]:

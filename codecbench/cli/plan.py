@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli.screen import wrapped
+from codecbench.cli.screen import say
 from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
 
 
 def _say(line: str) -> None:
-    click.echo(wrapped(line, indent=4))
+    say(line, indent=4)
 
 
 def _list_sequences(made: Plan) -> None:

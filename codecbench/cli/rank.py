@@ -130,15 +130,15 @@ def show_notes(notes: list[str], everything: bool) -> None:
     """What is noted beside numbers: the first of it, and how much more there is."""
     shown = notes if everything or len(notes) <= _NOTES else notes[: _NOTES - 1]
     for note in shown:
-        say(note, style="yellow")
+        say(note, fg="yellow")
     if more := len(notes) - len(shown):
-        say(f"{more} more notes: --all shows them", style="yellow")
+        say(f"{more} more notes: --all shows them", fg="yellow")
 
 
 def show_verdicts(found: list[Verdict]) -> None:
     """The verdicts in the terminal."""
     for verdict in found:
-        say(verdict.title, style="bold")
+        say(verdict.title, bold=True)
         if verdict.rows:
             plain_table(verdict.heads, verdict.rows)
         for sentence in verdict.sentences:

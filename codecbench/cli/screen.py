@@ -6,6 +6,7 @@ import os
 import textwrap
 from collections.abc import Iterable, Sequence
 
+import click
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -18,17 +19,20 @@ class Screen(Console):
         raise BrokenPipeError
 
 
-def say(text: str, *, style: str = "", err: bool = False) -> None:
-    """Print a sentence that may hold text of others.
+def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None, bold: bool | None = None) -> None:
+    """Print a line that may hold text of others. indent: of the lines after the first where it is wrapped.
 
-    It is wrapped between words on a terminal, and where COLUMNS says how wide that is. Else it is one line, so that
-    `tail -n 1` has the whole of the last.
+    It is wrapped between words on a terminal, and where COLUMNS says how wide that is. Else it stays one line, so that
+    `tail -n 1` has the whole of the last. Paths and addresses are left whole.
     """
     from codecbench.core.engine.foreign_text import clean_line
 
-    console = Screen(stderr=err)
-    whole = not console.is_terminal and "COLUMNS" not in os.environ
-    console.print(Text(clean_line(text), style=style), soft_wrap=whole)
+    console, text = Screen(stderr=err), clean_line(text)
+    if console.is_terminal or "COLUMNS" in os.environ:
+        text = textwrap.fill(
+            text, console.width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+        )
+    click.secho(text, err=err, fg=fg, bold=bold)
 
 
 def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -46,16 +50,9 @@ def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int]:
     """As wide as each column's longest text; where that is too wide, the widest are narrowed, first to whole words."""
-    widths = [max(map(len, texts)) for texts in columns]
+    widths = [max(len(line) for text in texts for line in text.splitlines() or [""]) for texts in columns]
     words = [max(len(word) for text in texts for word in text.split() or [""]) for texts in columns]
     while sum(widths) > max(room, len(widths)):
         narrowed = max(range(len(widths)), key=lambda column: (widths[column] > words[column], widths[column]))
         widths[narrowed] -= 1
     return widths
-
-
-def wrapped(text: str, indent: int = 0) -> str:
-    """A line as lines of the screen's width, all but the first indented; paths and addresses are left whole."""
-    return textwrap.fill(
-        text, Screen().width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-    )

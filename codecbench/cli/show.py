@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-import click
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from codecbench.cli.screen import Screen, wrapped
+from codecbench.cli.screen import Screen, say
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -34,32 +33,30 @@ def show_summary(result: RunResult) -> None:
     frame, same = varying(short_table(result, brief=True))
     left_out = show_table(frame, result.plan.name, brief=True)
     if same:
-        click.echo(wrapped(same))
+        say(same)
     if left_out:
-        click.echo(wrapped(f"left out for lack of width: {', '.join(left_out)}; --all shows them"))
+        say(f"left out for lack of width: {', '.join(left_out)}; --all shows them")
     for note in notes(result):
-        click.secho(wrapped(note), fg="yellow")
+        say(note, fg="yellow")
 
 
 def show_reasons(result: RunResult) -> None:
     """Why cells have no result: each reason once, with how many cells gave it."""
     unmeasured = Counter((cell.status, cell.reason) for cell in result.results if cell.status != "ok")
     for (status, reason), count in unmeasured.most_common():
-        click.secho(wrapped(f"{status} ({count}): {reason}"), fg="yellow")
+        say(f"{status} ({count}): {reason}", fg="yellow")
 
 
-def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False, folded: bool = False) -> list[str]:
+def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> list[str]:
     """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out.
 
     brief: one part of what fits, with texts folded at their words, those of `_LEADING` too where they would take more
     than half of the screen; what is left out is returned.
-    folded: one part of all columns, with texts folded as far as it takes, the last ones first.
     """
     from codecbench.core.report.tables import shown
 
     console = Screen()
-    most = len(frame) if folded else _MOST_ROWS
-    texts = [[shown(value) for value in row] for row in frame.head(most).itertuples(index=False)]
+    texts = [[shown(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     leading = [name in _LEADING for name in names]
@@ -70,12 +67,6 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False, fol
         roomy = 2 * sum(width for width, leads in zip(widths, leading, strict=True) if leads) <= console.width
         widths = [width if leads and roomy else word for word, width, leads in zip(words, widths, leading, strict=True)]
     parts = _parts(widths, leading, console.width, brief)
-    if folded:
-        parts = [list(range(len(names)))]
-        excess = sum(widths) + _BETWEEN * (len(widths) - 1) - console.width
-        for at in reversed(parts[0]):
-            less = max(0, min(excess, widths[at] - words[at]))
-            widths[at], excess = widths[at] - less, excess - less
     for part in parts:
         table = Table(
             title=Text(title) if title else None, title_justify="left", header_style="bold", row_styles=["", "dim"],
@@ -89,8 +80,8 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False, fol
         for row in texts:
             table.add_row(*(Text(row[column]) for column in part))
         console.print(table)
-    if len(frame) > most:
-        click.echo(wrapped(f"... and {len(frame) - most} more rows; use --format csv for all of them"))
+    if len(frame) > _MOST_ROWS:
+        say(f"... and {len(frame) - _MOST_ROWS} more rows; use --format csv for all of them")
     return [" ".join(name.split()) for at, name in enumerate(names) if not any(at in part for part in parts)]
 
 

@@ -15,7 +15,7 @@ import click
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
     """Show how far the run in the RUN folder has got, also while it is running."""
-    from codecbench.cli.screen import wrapped
+    from codecbench.cli.screen import say
     from codecbench.core.engine.storage.store import Store
     from codecbench.core.engine.wording import counted
 
@@ -30,11 +30,11 @@ def status(run: Path, as_json: bool, failed: bool) -> None:
         return
     state = "running" if running else "not running"
     tally = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-    click.echo(wrapped(f"{plan.name}: {state}; {counted(len(cells), 'cell')}: {tally}", indent=2))
+    say(f"{plan.name}: {state}; {counted(len(cells), 'cell')}: {tally}", indent=2)
     if failed:
         for cell, entry in cells:
             if entry is not None and entry.status not in ("ok", "unsupported"):
                 where = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
                 what = f"{cell.sequence.name} | {where} | {cell.evaluator.name} #{cell.repeat}"
-                click.echo(wrapped(f"  {entry.status}: {what}: {entry.reason}", indent=4))
+                say(f"  {entry.status}: {what}: {entry.reason}", indent=4)
                 click.echo(f"    {store.record_folder(cell.id)}")

@@ -23,7 +23,7 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
     """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
-    from codecbench.cli.screen import wrapped
+    from codecbench.cli.screen import say
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.analysis.table import NOTES
     from codecbench.core.engine.wording import counted
@@ -46,13 +46,13 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
             show_verdicts(over_links(result)[-1:])
             show_reasons(result)
             said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
-            click.echo(wrapped(said))
+            say(said)
             return
         whole = [name for name in frame.columns if columns is not None or "/" not in name]
         show_table(frame[whole], result.plan.name)
         if left_out := len(frame.columns) - len(whole):
             said = f"{counted(left_out, 'column')} of single stages left out here; --columns '*/*' shows them"
-            click.echo(wrapped(said))
+            say(said)
         return
     if headlines and format_ in ("markdown", "latex"):
         frame, same = varying(short_table(result).join(result.wide.filter([NOTES])))

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from measured_runs import cell_result, run_of
 
+from codecbench.cli.screen import plain_table, say
 from codecbench.cli.show import show_reasons, show_summary, show_table
 from codecbench.core.report.tables import short_table
 
@@ -87,18 +88,30 @@ def test_a_single_row_keeps_its_columns(capsys: pytest.CaptureFixture[str], monk
     ]
 
 
-def test_texts_are_folded_between_words_and_the_last_column_first(
+def test_the_widest_column_is_folded_between_words(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    heads, rows = ("codec", "setting", "next coarser"), [("multilevel profile=context", "q=5", "ratio=107 fails")]
     _on_a_screen("40", monkeypatch)
-    note = "p = 0.004 over 5 and 5 repeats"
-    show_table(pd.DataFrame({"setting": ["jpeg q=5"], "after": [12345.6], "note": [note]}), folded=True)
+    plain_table(heads, rows)
     assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
-        "setting    after  note",
-        "────────────────────────────────────────",
-        "jpeg q=5  12,300  p = 0.004 over 5 and 5",
-        "                  repeats",
+        "codec            setting  next coarser",
+        "multilevel       q=5      ratio=107",
+        "profile=context           fails",
     ]
+
+
+def test_a_sentence_is_wrapped_where_the_width_is_known(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _on_a_screen("24", monkeypatch)
+    say("Use good q=1.0: 1 bpp, runs/a/long/path/of/a/report.html", indent=2)
+    assert capsys.readouterr().out.splitlines() == [
+        "Use good q=1.0: 1 bpp,", "  runs/a/long/path/of/a/report.html"
+    ]  # fmt: skip
+    _on_a_screen(None, monkeypatch)
+    say("Use good q=1.0: 1 bpp, runs/a/long/path/of/a/report.html", indent=2)
+    assert capsys.readouterr().out == "Use good q=1.0: 1 bpp, runs/a/long/path/of/a/report.html\n"
 
 
 def test_each_reason_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
