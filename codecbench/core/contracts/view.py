@@ -85,8 +85,8 @@ class Course:
     """What became of each frame, in order.
 
     frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none; None
-    where the drawing is no map. errors: (N,) how far off each is, NaN where that is not known. unit: of errors. lanes:
-    what became of frames, in the order in which it is shown. quantity: what errors are, for people.
+    where the drawing is no map. errors: (N,) how far off each is, NaN where that is not known. unit: of errors, and of
+    positions. lanes: what became of frames, in the order in which it is shown. quantity: what errors are, for people.
     """
 
     frames: NDArray[np.int64] = field(repr=False)
@@ -144,3 +144,9 @@ class Drawing:
     def __post_init__(self) -> None:
         if isinstance(self.axes, str) or len(self.axes) not in (0, 2):
             raise PluginError(f"drawing {self.caption!r}: axes is {self.axes!r}; it names both axes, or none")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What stands at the two axes."""
+        unit = f" [{self.course.unit}]" if self.course and self.course.positions is not None else ""
+        return self.axes or (f"x{unit}", f"y{unit}")

@@ -36,7 +36,7 @@ class Answer:
     @property
     def shown(self) -> Test | None:
         """The pick; if there is none, the setting that is likeliest to be one, or else the finest."""
-        return self.limit.lowest or _likely(self.limit) or next(iter(self.limit.settings), None)
+        return self.limit.lowest or nearest(self.limit) or next(iter(self.limit.settings), None)
 
 
 @dataclass(frozen=True)
@@ -265,10 +265,10 @@ def _nothing(found: _Judged, raw: Limit) -> str:
         return "Nothing can be named: no codec was measured beside the baseline."
     if reason := next((limit.reason for limit in found.limits.values() if limit.reason), ""):
         return f"Nothing can be named here: {reason}."
-    likely = [(curve, nearest) for curve, limit in found.limits.items() if (nearest := _likely(limit)) is not None]
+    likely = [(curve, near) for curve, limit in found.limits.items() if (near := nearest(limit)) is not None]
     if likely:
-        curve, nearest = min(likely, key=lambda item: item[1].rate)
-        return f"Nothing is known to pass here: nearest is {_named(curve, nearest)} ({described(nearest)})."
+        curve, near = min(likely, key=lambda item: item[1].rate)
+        return f"Nothing is known to pass here: nearest is {_named(curve, near)} ({described(near)})."
     if stopped := next(iter(found.stopped.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
@@ -277,7 +277,7 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
 
 
-def _likely(limit: Limit) -> Test | None:
+def nearest(limit: Limit) -> Test | None:
     """The setting of least rate that, as all above it, would pass if more runs or frames went on like these."""
     likely = list(takewhile(_is_likely, limit.settings))
     return likely[-1] if likely else None

@@ -44,6 +44,16 @@ function ticksOf(low, high, log, count) {
 const tickText = (value) => value === 0 ? "0" : Math.abs(value) >= 1e5 || Math.abs(value) < 1e-3 ? value.toExponential().replace("+", "")
   : String(Number(value.toPrecision(6)));
 
+/* Without numbers that would stand over the one before, or say the same. room: pixels that one takes. */
+function apart(ticks, scale, room) {
+  const kept = [];
+  for (const tick of ticks) {
+    const last = kept[kept.length - 1];
+    if (last === undefined || (Math.abs(scale.at(tick) - scale.at(last)) >= room && tickText(tick) !== tickText(last))) kept.push(tick);
+  }
+  return kept;
+}
+
 /* From values to pixels, with some room at both ends. */
 function scaleOf(values, log, pixels) {
   const f = log ? Math.log10 : (x) => x;
@@ -67,15 +77,16 @@ const TONES = { good: { colour: "var(--good)", symbol: "circle" }, fair: { colou
 const LANE = 17;
 
 /* traces: {name, x, y, text, colour, symbol, dashes, width, errors: [[low, high]|null], keys}. bands: {name, low, high, value, colour}.
-   options: x and y {label, log}, equal, height, front: [[x, y]], pick(key), chosen, label, lanes: {from, to, of: [{name, tone, share, levels}]}.
+   options: x and y {label, log}, equal, height, front: [[x, y]], pick(key), chosen, ringed: keys, asked: {value, text}, label, lanes: {from, to, of: [{name, tone, share, levels}]}.
    Gives {cursor(x, y)}. */
 function chart(host, traces, bands, options) {
+  const held = host.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
   host.replaceChildren();
   const width = Math.max(220, host.clientWidth || 600), height = options.height;
-  const svg = shape("svg", { width, height, role: "img", "aria-label": options.label, class: "chart" }, host);
+  const svg = shape("svg", { width, height, role: options.pick ? "group" : "img", "aria-label": options.label, class: "chart" }, host);
   const xs = [...traces.flatMap((trace) => trace.x), ...(options.front || []).map((point) => point[0])];
   const ys = [...traces.flatMap((trace) => trace.y), ...bands.flatMap((band) => [band.low, band.high]),
-    ...traces.flatMap((trace) => (trace.errors || []).flatMap((ends) => ends || []))];
+    ...traces.flatMap((trace) => (trace.errors || []).flatMap((ends) => ends || [])), ...(options.asked ? [options.asked.value] : [])];
   const lanes = options.lanes ? options.lanes.of : [];
   const below = lanes.length ? LANE * lanes.length + 8 : 0, flat = below && !ys.some(Number.isFinite);
   const top = 10, foot = flat ? top + below : height - (options.x.label ? 42 : 24), bottom = foot - below;
@@ -87,14 +98,14 @@ function chart(host, traces, bands, options) {
   const right = width - 12;
   let x = scaleOf(xs, options.x.log, [left, right]);
   if (options.equal) [x, y] = equal(x, y, right - left, bottom - top, [left, right], [bottom, top]);
-  const marks = options.equal ? ticksOf(...y.ends, false, Math.max(2, Math.floor(height / 60))) : yTicks;
+  const marks = apart(options.equal ? ticksOf(...y.ends, false, Math.max(2, Math.floor(height / 60))) : yTicks, y, 16);
   const grid = shape("g", { class: "grid" }, svg);
   for (const tick of marks) {
     shape("line", { x1: left, x2: right, y1: y.at(tick), y2: y.at(tick) }, grid);
     shape("text", { x: left - 6, y: y.at(tick) + 4, "text-anchor": "end", class: "tick y" }, grid).textContent = tickText(tick);
   }
-  const room = Math.max(2, Math.floor((right - left) / 75));
-  for (const tick of ticksOf(...x.ends, x.log, room)) {
+  const ticks = ticksOf(...x.ends, x.log, Math.max(2, Math.floor((right - left) / 75)));
+  for (const tick of apart(ticks, x, 10 + 7 * Math.max(...ticks.map((tick) => tickText(tick).length), 1))) {
     shape("line", { x1: x.at(tick), x2: x.at(tick), y1: top, y2: foot }, grid);
     shape("text", { x: x.at(tick), y: foot + 16, "text-anchor": "middle", class: "tick x" }, grid).textContent = tickText(tick);
   }
@@ -108,9 +119,16 @@ function chart(host, traces, bands, options) {
     shape("rect", { x: left, width: right - left, y: from, height: Math.max(0, to - from), fill: band.colour, opacity: 0.18 }, svg);
     shape("line", { x1: left, x2: right, y1: y.at(band.value), y2: y.at(band.value), stroke: band.colour, "stroke-width": 1.5, "stroke-dasharray": "6 4", class: "band" }, svg);
   }
+  if (options.asked) {
+    const at = y.at(options.asked.value);
+    shape("line", { x1: left, x2: right, y1: at, y2: at, stroke: "var(--good)", class: "asked" }, svg);
+    const text = shape("text", { x: right - 2, y: at - top < 16 ? at + 13 : at - 4, "text-anchor": "end", class: "tick", stroke: "var(--paper)", "stroke-width": 3, "paint-order": "stroke" }, svg);
+    text.textContent = options.asked.text;
+  }
   const place = (point) => `${x.at(point[0]).toFixed(1)},${y.at(point[1]).toFixed(1)}`;
   if (options.front && options.front.length) shape("polyline", { points: options.front.map(place).join(" "), class: "front" }, svg);
   for (const trace of traces) drawTrace(svg, trace, x, y, options, host);
+  if (options.pick) reachable([...svg.querySelectorAll(".point")], options, held);
   lanes.forEach((lane, row) => drawLane(svg, lane, options.lanes, x, left, bottom + 8 + LANE * (row + 1)));
   const cursor = shape("g", { class: "cursor" }, svg);
   return { cursor: (at, up) => drawCursor(cursor, at, up, x, y, top, foot) };
@@ -164,19 +182,40 @@ function drawTrace(svg, trace, x, y, options, host) {
     const key = trace.keys && trace.keys[i];
     const group = shape("g", { transform: `translate(${x.at(value).toFixed(1)} ${y.at(trace.y[i]).toFixed(1)})`, class: key && key === options.chosen ? "point chosen" : "point" }, svg);
     shape("circle", { r: 11, fill: "transparent", class: "hit" }, group);
+    if (options.ringed && options.ringed.includes(key)) shape("circle", { r: 8, fill: "none", stroke: "var(--good)", "stroke-width": 2, class: "ring" }, group);
     shape("path", { d: MARKERS[trace.symbol] || MARKERS.circle, fill: trace.colour }, group);
     if (trace.text) tip(group, host, trace.text[i]);
-    if (key && options.pick) group.addEventListener("click", () => options.pick(key));
+    if (!key || !options.pick) return;
+    group.dataset.key = key;
+    group.setAttribute("role", "button"); group.setAttribute("aria-label", trace.text[i].replaceAll("\n", ", "));
+    group.addEventListener("click", () => options.pick(key));
   });
 }
+/* One stop of the tab key for all points; arrows go from one to the next, in the order of curves. held: the key of that which had the focus. */
+function reachable(points, options, held) {
+  const stop = (to) => points.forEach((point) => { point.setAttribute("tabindex", point === to ? 0 : -1); });
+  const of = (key) => points.find((point) => point.dataset.key === key);
+  points.forEach((point, i) => point.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    if (step) { const to = points[(i + step + points.length) % points.length]; stop(to); to.focus(); }
+    else if (event.key === "Enter" || event.key === " ") options.pick(point.dataset.key);
+    else return;
+    event.preventDefault();
+  }));
+  stop(of(held) || of(options.chosen) || points[0]);
+  if (of(held)) of(held).focus({ preventScroll: true });
+}
 function tip(target, host, text) {
-  target.addEventListener("pointerenter", () => {
+  const hide = () => host.querySelectorAll(".tip").forEach((box) => box.remove());
+  const show = () => {
+    hide();
     const box = document.createElement("div");
     box.className = "tip"; box.textContent = text;
     host.append(box);
     const [here, around] = [target.getBoundingClientRect(), host.getBoundingClientRect()];
     box.style.left = `${Math.max(0, Math.min(here.left - around.left + 14, around.width - box.offsetWidth))}px`;
     box.style.top = `${Math.max(0, here.top - around.top - box.offsetHeight - 4)}px`;
-  });
-  target.addEventListener("pointerleave", () => host.querySelectorAll(".tip").forEach((box) => box.remove()));
+  };
+  for (const event of ["pointerenter", "focus"]) target.addEventListener(event, show);
+  for (const event of ["pointerleave", "blur"]) target.addEventListener(event, hide);
 }

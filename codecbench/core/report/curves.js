@@ -71,18 +71,21 @@ function curves() {
       const value = measured(row, y), ends = (errorsOf([row], y) || [])[0] || [value, value];
       return { low: ends[0], high: ends[1], value, colour: DATA.styles[row.curve].colour };
     });
+    const asked = DATA.asked[y]?.[sequence], bound = asked === undefined ? NaN : asked * columnOf(y).factor;
+    const ringed = pointed.filter((row) => DATA.picks.some((pick) => pick.passes && pick.codec === row.codec && pick.setting === row.setting)).map(keyOf);
     const front = $("front").checked ? frontOf(pointed, x, y) : [];
     chart($("curve"), traces, bands, {
       height: Math.max(300, Math.min(460, $("curve").clientWidth * 0.75)), label: `${columnOf(y).label} over ${columnOf(x).label}, one line a codec; the table below has the numbers`,
-      x: { label: columnOf(x).label, log: logx }, y: { label: columnOf(y).label, log: logy }, chosen: STATE.at,
+      x: { label: columnOf(x).label, log: logx }, y: { label: columnOf(y).label, log: logy }, chosen: STATE.at, ringed,
+      asked: Number.isFinite(bound) && (!logy || bound > 0) ? { value: bound, text: `${columnOf(y).better === "higher" ? "≥" : "≤"} ${shown(bound)} asked` } : undefined,
       front, pick: (key) => look(key, true),
     });
-    legend(rows, level, front.length > 0);
+    legend(rows, level, front.length > 0, ringed.length > 0);
     const left = DATA.rows.filter((row) => row.sequence === sequence && !rows.includes(row));
     $("left-out").textContent = left.length ? `Without a number here: ${left.map(named).join("; ")}.` : "";
     remember({ seq: sequence, x, y, logx: Number(logx), logy: Number(logy), front: Number($("front").checked), off: off.size ? JSON.stringify([...off]) : "" });
   };
-  const legend = (rows, level, fronted) => {
+  const legend = (rows, level, fronted, ringed) => {
     const present = names.filter((curve) => rows.some((row) => row.curve === curve));
     const focused = document.activeElement && document.activeElement.dataset.toggle;
     $("legend").replaceChildren(...present.map((curve) => {
@@ -95,6 +98,7 @@ function curves() {
       return button;
     }));
     if (fronted) $("legend").append(element("span", "front-name", "Pareto front"));
+    if (ringed) $("legend").append(element("span", "good", "○ coarsest that passes"));
     if (focused) [...$("legend").children].find((button) => button.dataset.toggle === focused)?.focus();
   };
   const another = () => {

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult, judged_column
+from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import intervals
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.contracts.view import Drawing
@@ -29,6 +29,7 @@ from codecbench.core.report.views import (
     Drawn,
     bars_views,
     curve_views,
+    first_view,
     map_views,
     styles_of,
 )
@@ -47,6 +48,7 @@ _NAME_LETTERS: Final = 40
 """What is left of a longer name, before a digest of the whole."""
 
 _FEWEST_TICKS: Final = 3
+_MOST_TICKS: Final = 9
 _HATCHES: Final = ("", "////", "||||", "xxxx")
 
 
@@ -127,13 +129,16 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
 
 
 def _scale(axis: Any, column: Column) -> None:
-    """The scale that a metric declares; logarithmic axes are numbered at 1, 2 and 5, or evenly if these are few."""
+    """The scale that a metric declares; logarithmic axes are numbered at 1, 2 and 5, at 1, or evenly: not too often."""
     if column.metric.scale == "log":
         getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
         low, high = axis.get_view_interval()
-        steps = matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=20)
-        few = sum(low <= tick <= high for tick in steps.tick_values(low, high)) < _FEWEST_TICKS
-        axis.set_major_locator(matplotlib.ticker.MaxNLocator(5) if few else steps)
+        locator: Any = matplotlib.ticker.MaxNLocator(5)
+        for subs in ((1.0,), (1.0, 2.0, 5.0)):
+            steps = matplotlib.ticker.LogLocator(subs=subs, numticks=_MOST_TICKS)
+            if _FEWEST_TICKS <= sum(low <= tick <= high for tick in steps.tick_values(low, high)) <= _MOST_TICKS:
+                locator = steps
+        axis.set_major_locator(locator)
         axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
         axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
@@ -181,10 +186,9 @@ def _draw(axes: Any, name: str, drawing: Drawing) -> None:
     for line in drawing.lines:
         style = STROKES[line.stroke]
         axes.plot(*line.points.T, label=line.name, color=style.colour, linestyle=style.dash, linewidth=style.width)
-    if drawing.axes:
-        axes.set_xlabel(drawing.axes[0], fontsize=6)
-        axes.set_ylabel(drawing.axes[1], fontsize=6)
-    else:
+    axes.set_xlabel(drawing.labels[0], fontsize=6)
+    axes.set_ylabel(drawing.labels[1], fontsize=6)
+    if not drawing.axes:
         axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(f"{name}\n{drawing.caption}", fontsize=7, color=FAILED if drawing.holds is False else "black")
     axes.tick_params(labelsize=6)
@@ -270,11 +274,10 @@ def one_figure(run: RunResult, what: str = "", sequence: str | None = None) -> F
     views, names = curve_views(run), [entry.name for entry in run.plan.sequences]
     if sequence is not None and sequence not in names:
         raise ParamsError(f"the run has no sequence {sequence!r}; it has {', '.join(names)}")
-    judged = judged_column(run)
     across, _, up = what.partition("-")
     wanted = [view for view in views if _means(view.x, across) and _means(view.y, up)]
     if not what:
-        wanted = [view for view in views if view.x == run.rate and view.y == judged]
+        wanted = [view for view in [first_view(run)] if view is not None]
     for entry in run.plan.sequences:
         if sequence in (None, entry.name):
             for view in wanted:

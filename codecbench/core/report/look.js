@@ -23,8 +23,9 @@ function looking() {
   $("look-sequence").addEventListener("change", () => look(keyOf(rows.find((row) => row.sequence === $("look-sequence").value))));
   $("look-setting").addEventListener("change", () => look($("look-setting").value));
   watchers.push(choose);
-  /* Frames stand in order of rate: what is lost shows at the least. */
-  const first = rows.find((row) => DATA.frames.length && keyOf(row) === keyOf(DATA.frames[0])) || rows.find((row) => !baseline(row.codec)) || rows[0];
+  /* The setting of the answer, or of the next codec that there is something to see of. */
+  const first = DATA.picks.map((pick) => rows.find((row) => row.codec === pick.codec && row.setting === pick.setting)).find(Boolean)
+    || rows.find((row) => !baseline(row.codec)) || rows[0];
   choose(rows.some((row) => keyOf(row) === STATE.at) ? STATE.at : keyOf(first));
 }
 
@@ -113,7 +114,7 @@ function pathViewer(tell) {
     const before = course.frames.map((_, i) => i).filter((i) => !lost[i] && lost[i + 1]);
     const losses = { name: "lost", x: before.map((i) => course.x[i]), y: before.map((i) => course.y[i]), colour: "var(--bad)", symbol: "x", line: false,
       text: before.map((i) => `lost after frame ${course.frames[i]}`) };
-    map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: {}, y: {}, label: `Path: ${drawing.caption}` });
+    map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: { label: drawing.axes[0] }, y: { label: drawing.axes[1] }, label: `Path: ${drawing.caption}` });
   };
   const move = () => {
     const course = courseOf(), from = course.frames[place], to = (course.frames[place + 1] ?? course.last + 1) - 1;
@@ -178,7 +179,7 @@ function multiples(view, id) {
       chart(host, drawing.lines.map((line) => {
         const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
         return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
-      }), [], { height: 190, equal: !up, x: { label: across }, y: { label: up }, label: `${named(drawing)}: ${drawing.caption}` });
+      }), [], { height: 190, equal: drawing.is_plane, x: { label: across }, y: { label: up }, label: `${named(drawing)}: ${drawing.caption}` });
     }
   };
   for (const name of ["sequence", "codec"]) part(name).addEventListener("change", plot);

@@ -11,7 +11,7 @@ import numpy as np
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import Limit, limits
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranking, rankings_on
-from codecbench.core.analysis.run_result import RunResult, judged_column
+from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import json_value
 from codecbench.core.analysis.verdicts import (
     SequenceCurve,
@@ -23,7 +23,18 @@ from codecbench.core.analysis.verdicts import (
 from codecbench.core.contracts.view import Course, Lane
 from codecbench.core.report.formatting import limit_words, signed_percent, uninformative
 from codecbench.core.report.tables import caveats, three_digits
-from codecbench.core.report.views import PALETTE, STROKES, Map, bars_views, curve_views, map_views, styles_of
+from codecbench.core.report.views import (
+    PALETTE,
+    STROKES,
+    Map,
+    bars_views,
+    bounds,
+    curve_views,
+    first_view,
+    map_views,
+    picked,
+    styles_of,
+)
 
 _MOST_POINTS = 400
 _FEWEST_POINTS = 60
@@ -36,6 +47,7 @@ _STEPS = 4000
 def page_data(run: RunResult) -> dict[str, Any]:
     """Everything that the page draws but its pictures of frames."""
     shown = {name: column for name, column in run.columns.items() if "/" not in column.stage}
+    views, first = curve_views(run), first_view(run)
     return {
         "name": run.plan.name,
         "table": table(run),
@@ -45,8 +57,10 @@ def page_data(run: RunResult) -> dict[str, Any]:
         "styles": {curve: asdict(style) for curve, style in styles_of(run).items()},
         "strokes": {name: asdict(style) for name, style in STROKES.items()},
         "palette": PALETTE,
-        "presets": [{"title": view.title, "x": view.x.name, "y": view.y.name} for view in curve_views(run)],
-        "first": _first_preset(run),
+        "presets": [{"title": view.title, "x": view.x.name, "y": view.y.name} for view in views],
+        "first": 0 if first is None else views.index(first),
+        "asked": bounds(run),
+        "picks": [asdict(pick) for pick in picked(run)],
         "intervals": _intervals(run),
         "rate": run.rate.name if run.rate else None,
         "brief": [column.name for column in run.headlines()],
@@ -61,13 +75,6 @@ def page_data(run: RunResult) -> dict[str, Any]:
         ],
         "map_views": maps(run),
     }
-
-
-def _first_preset(run: RunResult) -> int:
-    """The curve that is shown first: over the rate, what codecs are judged by."""
-    judged = judged_column(run)
-    places = [at for at, view in enumerate(curve_views(run)) if view.x == run.rate and view.y == judged]
-    return places[0] if places else 0
 
 
 def table(run: RunResult) -> dict[str, list[Any]]:
@@ -136,7 +143,8 @@ def _map(view: Map) -> dict[str, Any]:
                 "way": cell.evaluator.label,
                 "caption": drawing.caption,
                 "holds": drawing.holds,
-                "axes": list(drawing.axes),
+                "axes": list(drawing.labels),
+                "is_plane": not drawing.axes,
                 "lines": [
                     {"name": line.name, "stroke": line.stroke, "path": kept_path(line.points, step)}
                     for line in drawing.lines

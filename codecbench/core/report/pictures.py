@@ -35,6 +35,7 @@ from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.report.tables import three_digits
+from codecbench.core.report.views import picked
 
 log = logging.getLogger("codecbench.report")
 
@@ -84,14 +85,16 @@ def frame_pictures(
     sequences_from: a folder in which sequences are looked for, or `same` for where the plan says, even if the run was
     made elsewhere; None opens only what this user's own plan names. wanted: numbers of the frames to show, each of the
     sequences that have it; by default a few spread evenly.
-    Each sequence has an equal share of the budget; where it does not do for all settings, they are thinned evenly.
+    Each sequence has an equal share of the budget; where it does not do for all settings, those of the answer stay, see
+    `picked`, and the others are thinned evenly.
     """
     originals: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     marker = _marker(run)
+    first = [(pick.codec, pick.setting) for pick in picked(run)]
     for entry in run.plan.sequences:
-        chosen = _chosen(run, entry)
+        chosen = _chosen(run, entry, first)
         if chosen and not _holds_bitstreams(run, entry, chosen):
             log.warning("no images of %s: the run folder holds no bitstreams, as of a bundle without them", entry.name)
             continue
@@ -105,7 +108,7 @@ def frame_pictures(
             if (found := _views(run, entry, params, setting, shape, marker))
         ]
         places: dict[int, int] = {}
-        shown = _thinned(views, share)
+        shown = _thinned(views, share, first)
         if len(shown) < len(views):
             log.warning("images of %d of %d settings on %s fit on the page", len(shown), len(views), entry.name)
         for setting, rate, found in shown:
@@ -169,8 +172,12 @@ def offers_marks(registry: Registry, name: str) -> bool:
     return bool(registry.load("evaluator", name).marks is not Evaluator.marks)
 
 
-def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, float]]:
-    """Codec settings but the baseline's by rising rate, those of unknown rate last, thinned evenly."""
+_Names = list[tuple[str, str]]
+"""Codecs and settings, the most wanted first."""
+
+
+def _chosen(run: RunResult, entry: SequenceEntry, first: _Names) -> list[tuple[PluginSetting, float]]:
+    """Codec settings but the baseline's by rising rate, those of unknown rate last, as many as may be."""
     settings = {(r.cell.codec.name, r.cell.codec.label): r.cell.codec for r in run.results}
     known = [
         (rate, settings[codec, label])
@@ -178,8 +185,16 @@ def _chosen(run: RunResult, entry: SequenceEntry) -> list[tuple[PluginSetting, f
         if sequence == entry.name and codec not in run.schema.baselines
     ]
     known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
-    picks = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SETTINGS_A_SEQUENCE)).round().astype(int))
-    return [(known[pick][1], known[pick][0]) for pick in picks] if known else []
+    kept = _kept([(setting.name, setting.label) for _, setting in known], _SETTINGS_A_SEQUENCE, first)
+    return [(known[place][1], known[place][0]) for place in kept]
+
+
+def _kept(names: _Names, count: int, first: _Names) -> list[int]:
+    """Places of `count` of the names, in order: those that stand in `first`, and of the others some, spread evenly."""
+    kept = [names.index(name) for name in first if name in names][:count]
+    others = [place for place in range(len(names)) if place not in kept]
+    spread = np.linspace(0, len(others) - 1, min(len(others), count - len(kept))).round().astype(int)
+    return sorted([*kept, *(others[place] for place in spread)])
 
 
 def _holds_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[PluginSetting, float]]) -> bool:
@@ -193,12 +208,12 @@ def _spent(run: RunResult, rate: float) -> str:
     return "" if run.rate is None or np.isnan(rate) else f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
 
 
-def _thinned(views: list[_Views], budget_bytes: int) -> list[_Views]:
-    """As many settings, spread evenly, as the budget allows."""
+def _thinned(views: list[_Views], budget_bytes: int, first: _Names) -> list[_Views]:
+    """As many settings as the budget allows, see `_kept`."""
+    names = [(setting.name, setting.label) for setting, *_ in views]
     count = len(views)
     while count:
-        picks = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
-        chosen = [views[pick] for pick in picks]
+        chosen = [views[place] for place in _kept(names, count, first)]
         originals = sum(len(view.original) for view in chosen[0][2])
         if originals + sum(view.weight_bytes for *_, found in chosen for view in found) <= budget_bytes:
             return chosen

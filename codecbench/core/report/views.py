@@ -9,10 +9,15 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
+from codecbench.core.analysis.choosing import Demand, candidates, links_read
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.limits import criteria, tests_of
+from codecbench.core.analysis.passing import Level, parts
+from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.view import Drawing, Stroke, View, ViewKind
+from codecbench.core.engine.identity import seed_from
+from codecbench.core.report.answers import answers_of_settings, nearest
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,58 @@ def curve_views(run: RunResult) -> list[CurveView]:
     pairs += [("", x, y) for x, y in combinations(tasks, 2) if x.evaluator.name != y.evaluator.name]
     pairs = pairs or [("", x, y) for x, y in combinations(run.headlines(), 2)]
     return [CurveView(title or _title(x, y), x, y) for title, x, y in pairs]
+
+
+def first_view(run: RunResult) -> CurveView | None:
+    """The curve that is shown first: over the rate, what most settings have a value of among what is judged and asked.
+
+    A search measures some of what is asked at few settings alone.
+    """
+    judged = judged_column(run)
+    asked = [judged, *(column for columns in criteria(run) for column in columns)]
+    views = [view for view in curve_views(run) if view.x == run.rate and view.y in asked]
+    values = run.wide.notna().sum()
+    return max(views, key=lambda view: (values[view.y.name], view.y == judged), default=None)
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A setting that the answer names of a curve: the last that passes, or where none does, what came nearest."""
+
+    codec: str
+    setting: str
+    passes: bool
+
+
+def picked(run: RunResult) -> list[Pick]:
+    """A setting of each curve, that of the answer first; over links, those that pass over the first."""
+    found: dict[str, tuple[str, bool]] = {}
+    if links := links_read(run):
+        able = candidates(run, Demand(links[0]))
+        for each in able:
+            if each.verdict == "passes" and each.sequence == able[0].sequence:
+                found.setdefault(each.curve, (each.point, True))
+    else:
+        ranked = []
+        for answer in answers_of_settings(run)[0].answers:
+            if taken := answer.shown:
+                passes, likely = taken == answer.limit.lowest, taken == nearest(answer.limit)
+                place = (0, 0.0) if passes else (1, taken.rate) if likely else (2, 0.0)
+                ranked.append((place, answer.curve, (taken.point, passes)))
+        found = {curve: taken for _, curve, taken in sorted(ranked, key=lambda each: each[0])}
+    keys = {(point.curve, point.point): key for key, point in run.curves.items()}
+    return [Pick(*keys[curve, point], passes) for curve, (point, passes) in found.items()]
+
+
+def bounds(run: RunResult) -> dict[str, dict[str, float]]:
+    """What is asked of columns by name and sequence, in the unit of the table, where that is a number."""
+    found: dict[str, dict[str, float]] = {}
+    for columns in criteria(run):
+        for (sequence, *_), test in tests_of(run, columns).items():
+            for part in parts(test):
+                if isinstance(part, Level) and math.isfinite(part.bound):
+                    found.setdefault(part.column.name, {}).setdefault(sequence, part.bound)
+    return found
 
 
 def _title(x: Column, y: Column) -> str:
@@ -147,8 +204,14 @@ def _views(run: RunResult, kind: ViewKind) -> Iterator[tuple[str, View]]:
                 yield title, view
 
 
-PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
-"""Okabe and Ito's colours, which colour-blind readers can tell apart, and two that go with them."""
+_ORANGE: Final = "#E69F00"
+PALETTE: Final = (
+    "#0072B2", "#D55E00", "#5D3A9B", "#994F00", "#009E73", "#005F6B", "#7F3B08", "#CC79A7", "#882255", _ORANGE,
+    "#56B4E9", "#1A85FF",
+)  # fmt: skip
+"""Six colors of Okabe and Ito, which color-blind readers can tell apart, and six that go with them."""
+_SEED: Final = 11_321_003
+"""Of the hash that gives names their colors: one by which codecs differ that are often compared with each other."""
 NEUTRAL: Final = "#777777"
 """What others are compared with: baseline codecs, ground truth."""
 FAILED: Final = "#a02020"
@@ -187,7 +250,7 @@ class LineStyle:
 
 STROKES: Final[dict[Stroke, LineStyle]] = {
     "truth": LineStyle("#8a8f98", "-", "", 3.6),
-    "before": LineStyle(PALETTE[4], "--", "3 2", 1.2),
+    "before": LineStyle(_ORANGE, "--", "3 2", 1.2),
     "after": LineStyle(PALETTE[0], "-", "", 1.4),
 }
 
@@ -195,19 +258,19 @@ STROKES: Final[dict[Stroke, LineStyle]] = {
 def curve_styles(curves: Iterable[str], baselines: Iterable[str]) -> dict[str, CurveStyle]:
     """A style for every curve of a run, the same in every figure and on the page.
 
-    A codec has one colour, and its curves differ in dashes and markers. Colours repeat after eight codecs, with other
-    dashes and markers: eight curves of a colour are told apart. baselines: names of codecs whose curves are neutral.
+    A codec's color is that of its name, in every run and where its plugin is not installed too. Curves of a color, of
+    one codec or of several, differ in dashes and markers, up to eight. baselines: names of codecs whose curves are
+    neutral.
     """
     neutral = set(baselines)
     styles: dict[str, CurveStyle] = {}
-    codecs: dict[str, int] = {}
     used: Counter[int] = Counter()
     for curve in dict.fromkeys(curves):
         codec = curve.split(" ")[0]
         if codec in neutral:
             styles[curve] = CurveStyle(NEUTRAL, *_MARKERS[0])
             continue
-        colour = codecs.setdefault(codec, len(codecs)) % len(PALETTE)
+        colour = seed_from(codec, _SEED) % len(PALETTE)
         marker, symbol = _MARKERS[(colour + used[colour]) % len(_MARKERS)]
         styles[curve] = CurveStyle(PALETTE[colour], marker, symbol, _DASHES[used[colour] % len(_DASHES)])
         used[colour] += 1

@@ -17,6 +17,7 @@ from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.report.choosing import answer, chosen
 from codecbench.core.report.page import render
+from codecbench.core.report.views import Pick, picked
 
 WAIT = Metric("wait", "ms", "lower", "", need="delay")
 GONE = Metric("gone", "1", "lower", "", label="gone astray", need="cause")
@@ -112,6 +113,12 @@ def test_what_is_not_asked_is_not_judged() -> None:
     assert near["q=1.0"].verdict == "fails"
     assert near["q=8.0"].verdict == "passes"
     assert {candidate.verdict for candidate in judged(Demand("radio"), *RUN).values()} == {"passes"}
+
+
+def test_the_setting_to_take_over_the_first_link_is_picked() -> None:
+    assert picked(run_of(*RUN)) == [Pick("plain", "q=1.0", True)]
+    lost = [size(1.0), *read(1.0, [2.0] * 5)]
+    assert picked(run_of(*lost)) == []
 
 
 def test_knowing_nothing_is_never_a_success() -> None:

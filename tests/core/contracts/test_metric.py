@@ -165,7 +165,26 @@ def test_curves_of_a_codec_share_its_colour_and_24_are_told_apart() -> None:
     assert len({(style.colour, style.symbol) for style in styles.values()}) == 24
     assert all(styles[f"codec{n} level=1"].colour == styles[f"codec{n} level=2"].colour for n in range(12))
     assert all(styles[f"codec{n} level=1"].dashes != styles[f"codec{n} level=2"].dashes for n in range(12))
-    assert len({styles[f"codec{n} level=1"].colour for n in range(8)}) == 8
+
+
+def test_the_color_of_a_codec_is_that_of_its_name_alone() -> None:
+    compared = {
+        "jpeg": "#0072B2", "h264": "#D55E00", "jpeg2000": "#009E73", "webp": "#CC79A7", "avif": "#56B4E9",
+        "multilevel": "#E69F00", "hevc": "#882255", "av1": "#5D3A9B", "vp9": "#005F6B", "jpegxl": "#1A85FF",
+        "png": "#994F00",
+    }  # fmt: skip
+    assert len(set(compared.values())) == 11
+    for order in (list(compared), list(reversed(compared)), ["codec7", *compared]):
+        styles = curve_styles(order, {"raw"})
+        assert {name: styles[name].colour for name in compared} == compared
+    assert curve_styles(["mine qf=5"], set())["mine qf=5"].colour == curve_styles(["mine"], set())["mine"].colour
+
+
+def test_codecs_that_share_a_color_differ_in_dashes_and_markers() -> None:
+    hevc, ours = curve_styles(["hevc", "jpeg_qf"], set()).values()
+    assert hevc.colour == ours.colour
+    assert hevc.dashes != ours.dashes
+    assert hevc.marker != ours.marker
 
 
 @pytest.mark.parametrize(
@@ -195,3 +214,10 @@ def test_marks_have_a_verdict_for_each_place() -> None:
 def test_a_drawing_names_both_axes_or_none(axes: object) -> None:
     with pytest.raises(PluginError, match="names both axes, or none"):
         Drawing((), "it", None, axes)  # type: ignore[arg-type]
+
+
+def test_the_axes_of_a_plane_have_the_unit_of_its_course() -> None:
+    positions, errors = np.zeros((2, 2)), np.zeros(2)
+    assert Drawing((), "a map", course=Course(np.arange(2), positions, errors, "m")).labels == ("x [m]", "y [m]")
+    assert Drawing((), "a map").labels == ("x", "y")
+    assert Drawing((), "ages", axes=("time [s]", "age [s]")).labels == ("time [s]", "age [s]")

@@ -223,6 +223,45 @@ def test_a_click_on_a_point_shows_its_frames_and_its_path_and_the_address_keeps_
     assert "frame 225" in again.evaluate("$('frame-caption').textContent")
 
 
+def test_the_page_looks_at_the_setting_of_the_answer_which_the_curve_rings(chromium: Browser, tmp_path: Path) -> None:
+    run, address = written(tmp_path / "page.html", codecs=3, sequences=2)
+    assert str(run.answer).startswith("Use plain q=2.0")
+    page = opened(chromium, address)
+    assert page.evaluate("JSON.parse($('look-setting').value)") == ["sequence0", "plain", "q=2.0"]
+    rings = "[...document.querySelectorAll('#curve .ring')].map((ring) => JSON.parse(ring.parentNode.dataset.key)[1])"
+    assert page.evaluate(rings) == ["plain", "codec1", "codec2"]
+    assert "coarsest that passes" in page.evaluate("$('legend').textContent")
+
+
+def test_what_is_asked_is_a_line_where_the_curve_is_of_it(chromium: Browser, tmp_path: Path) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=1)[1])
+    told = "[...document.querySelectorAll('#curve .asked + text')].map((text) => text.textContent)"
+    assert page.evaluate(told) == []
+    page.evaluate("DATA.asked[$('y').value] = { sequence0: 0.02 }; $('y').dispatchEvent(new Event('change'))")
+    assert page.evaluate(told) == ["≤ 0.02 asked"]
+    assert page.evaluate(PROBE) == []
+
+
+def test_points_are_one_stop_of_the_tab_key_and_arrows_go_between_them(chromium: Browser, tmp_path: Path) -> None:
+    page = opened(chromium, written(tmp_path / "page.html", codecs=2)[1])
+    assert page.evaluate("document.querySelectorAll('#curve .point').length") == 6
+    assert page.evaluate("document.querySelectorAll('#curve .point[tabindex=\"0\"]').length") == 1
+    label = "document.activeElement.getAttribute('aria-label')"
+    page.evaluate("document.querySelector('#curve .point').focus()")
+    page.press("ArrowRight")
+    assert page.evaluate(label).startswith("plain q=2.0, ")
+    assert page.evaluate("document.querySelector('#curve .tip').textContent.startsWith('plain q=2.0\\n')")
+    page.press("Enter")
+    assert page.evaluate("STATE.at") == '["sequence0","plain","q=2.0"]'
+    assert page.evaluate(label).startswith("plain q=2.0, "), "the point keeps the focus where the curve is drawn again"
+    page.press("ArrowLeft")
+    page.press("ArrowLeft")
+    assert page.evaluate(label).startswith("codec1 q=4.0, "), "after the first comes the last"
+    page.press("Tab")
+    assert page.evaluate("Boolean(document.activeElement.closest('#curve'))") is False
+    assert page.evaluate("document.querySelectorAll('#curve .tip').length") == 0
+
+
 def test_a_failure_opens_to_its_traceback_which_stays_text(chromium: Browser, tmp_path: Path) -> None:
     page = opened(chromium, written(tmp_path / "page.html", codecs=2, failed=1)[1])
     page.evaluate("document.querySelector('.failure summary').click()")
@@ -237,4 +276,11 @@ def test_an_axis_is_numbered_wherever_its_values_lie(chromium: Browser, tmp_path
     assert page.evaluate("ticksOf(0.9, 5.5, true, 6)") == [1, 2, 5]
     assert page.evaluate("ticksOf(0.001, 1000, true, 8)") == [0.001, 0.01, 0.1, 1, 10, 100, 1000]
     assert page.evaluate("ticksOf(-1, 1, false, 4)") == [-1, -0.5, 0, 0.5, 1]
+    assert page.evaluate("apart([0.1, 0.15, 0.2, 0.25, 0.3], scaleOf([0.1, 0.3], true, [0, 200]), 40)") == [
+        0.1,
+        0.15,
+        0.2,
+        0.3,
+    ]
+    assert page.evaluate("apart([1.00000001, 1.00000002], scaleOf([1, 1.1], false, [0, 1e9]), 1)") == [1.00000001]
     assert page.evaluate("ticksOf(0.000081, 0.000083, true, 5)") == [0.000081, 0.0000815, 0.000082, 0.0000825, 0.000083]
