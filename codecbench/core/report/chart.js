@@ -182,7 +182,7 @@ function drawTrace(svg, trace, x, y, options, host) {
     const key = trace.keys && trace.keys[i];
     const group = shape("g", { transform: `translate(${x.at(value).toFixed(1)} ${y.at(trace.y[i]).toFixed(1)})`, class: key && key === options.chosen ? "point chosen" : "point" }, svg);
     shape("circle", { r: 11, fill: "transparent", class: "hit" }, group);
-    if (options.ringed && options.ringed.includes(key)) shape("circle", { r: 8, fill: "none", stroke: "var(--good)", "stroke-width": 2, class: "ring" }, group);
+    if (options.ringed && options.ringed.includes(key)) shape("circle", { r: 8, class: "ring" }, group);
     shape("path", { d: MARKERS[trace.symbol] || MARKERS.circle, fill: trace.colour }, group);
     if (trace.text) tip(group, host, trace.text[i]);
     if (!key || !options.pick) return;

@@ -98,7 +98,7 @@ function curves() {
       return button;
     }));
     if (fronted) $("legend").append(element("span", "front-name", "Pareto front"));
-    if (ringed) $("legend").append(element("span", "good", "○ coarsest that passes"));
+    if (ringed) $("legend").append(element("span", "soft", "○ coarsest that passes"));
     if (focused) [...$("legend").children].find((button) => button.dataset.toggle === focused)?.focus();
   };
   const another = () => {
