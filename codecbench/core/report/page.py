@@ -28,7 +28,7 @@ from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
 from codecbench.core.report.strips import strips
 from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
-from codecbench.core.report.views import STROKES
+from codecbench.core.report.views import STROKES, first_view
 
 SIZE_LIMIT_BYTES: Final = 6_000_000
 """What the page should weigh: pictures of frames take what is left of it, those of settings beyond are left out."""
@@ -59,7 +59,8 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     spent_bytes = len(_script_json(data).encode()) + len(run.plan.matrix_text.encode()) + told_bytes
     data |= frames(SIZE_LIMIT_BYTES - _REST_BYTES - spent_bytes)
     decided = verdicts(run)
-    judged = judged_column(run)
+    first = first_view(run)
+    judged = judged_column(run) if first is None else first.y
     ranked = next((verdict for verdict in decided if verdict.about is not None and verdict.about == judged), None)
     others = [verdict for verdict in decided if verdict is not ranked]
     succeeded = successes(run)

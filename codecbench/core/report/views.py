@@ -206,8 +206,8 @@ def _views(run: RunResult, kind: ViewKind) -> Iterator[tuple[str, View]]:
 
 _ORANGE: Final = "#E69F00"
 PALETTE: Final = (
-    "#0072B2", "#D55E00", "#5D3A9B", "#994F00", "#009E73", "#005F6B", "#7F3B08", "#CC79A7", "#882255", _ORANGE,
-    "#56B4E9", "#1A85FF",
+    "#0072B2", "#D55E00", "#5D3A9B", "#994F00", "#009E73", "#005F6B", "#1A85FF", "#CC79A7", "#7F3B08", _ORANGE,
+    "#56B4E9", "#882255",
 )  # fmt: skip
 """Six colors of Okabe and Ito, which color-blind readers can tell apart, and six that go with them."""
 _SEED: Final = 11_321_003

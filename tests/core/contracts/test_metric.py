@@ -170,7 +170,7 @@ def test_curves_of_a_codec_share_its_colour_and_24_are_told_apart() -> None:
 def test_the_color_of_a_codec_is_that_of_its_name_alone() -> None:
     compared = {
         "jpeg": "#0072B2", "h264": "#D55E00", "jpeg2000": "#009E73", "webp": "#CC79A7", "avif": "#56B4E9",
-        "multilevel": "#E69F00", "hevc": "#882255", "av1": "#5D3A9B", "vp9": "#005F6B", "jpegxl": "#1A85FF",
+        "multilevel": "#E69F00", "hevc": "#7F3B08", "av1": "#5D3A9B", "vp9": "#005F6B", "jpegxl": "#882255",
         "png": "#994F00",
     }  # fmt: skip
     assert len(set(compared.values())) == 11
