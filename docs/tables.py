@@ -75,7 +75,7 @@ BLOCKS = {
     "newcomer-run": Block("README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(cells: .*)")),
     "newcomer-tests": Block("README.md", "printed", "newcomer", (), newcomer.ended("bin/pytest", r"(\d+ passed.*)")),
     "newcomer-try": Block(
-        "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"\n((?:Use|Nothing) [^\n]*)\n?$")
+        "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"\n(The pick of each codec.*)")
     ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "known": Block(

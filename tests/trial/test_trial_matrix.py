@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from recordings import pictures, tum
 
-from codecbench.core.contracts.errors import MatrixError, Unsupported
+from codecbench.core.contracts.errors import ParamsError, Unsupported
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.registry import installed
@@ -184,7 +184,7 @@ def test_tracking_without_a_camera_is_answered_with_what_to_give(tmp_path: Path)
     assert "stand in" in made.choices[-1]
 
 
-def test_a_wrong_value_is_an_error_of_the_matrix(tmp_path: Path) -> None:
+def test_a_wrong_value_is_an_error_of_the_option(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
-    with pytest.raises(MatrixError, match=r"codecs\[1\].params.quality.*100"):
+    with pytest.raises(ParamsError, match=r"^--codec jpeg:500: quality: Input should be .* 100; got 500$"):
         trial_matrix(installed(), looked_at(tmp_path), ["jpeg:500"])
