@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from codecbench.core.engine.wording import counted
+
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
@@ -22,7 +24,7 @@ def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
     made = write_bundle(run, out, bitstreams=bitstreams)
     manifest = made.manifest
     statuses = ", ".join(f"{count} {status}" for status, count in manifest.statuses.items())
-    click.echo(f"{made.path}: {manifest.cells} cells ({statuses}), {len(manifest.files)} files")
+    click.echo(f"{made.path}: {counted(manifest.cells, 'cell')} ({statuses}), {counted(len(manifest.files), 'file')}")
     click.echo(f"{made.size_bytes:,} bytes")
     click.echo(f"SHA-256 {made.sha256}")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from codecbench.cli.completion import codec_names
+from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:
     from codecbench.core.contracts.hooks import Kind
@@ -85,7 +86,7 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
         ending = next((ending for magic, ending in _ENDINGS.items() if data.startswith(magic)), ".bin")
         contents[f"{frame:06}{ending}"] = data
     write_folder(out, contents)
-    click.echo(f"{out}: {len(contents)} files")
+    click.echo(f"{out}: {counted(len(contents), 'file')}")
 
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
@@ -105,7 +106,7 @@ def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float
     packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
     content = file_from_packets(codec, packets, frame_rate_hz, out.name)
     write_file(out, content)
-    click.echo(f"{out}: {len(packets)} frames, {len(content)} bytes")
+    click.echo(f"{out}: {counted(len(packets), 'frame')}, {len(content)} bytes")
 
 
 def _frame_rate_hz(run: Path, job: CodingJob) -> float:

@@ -14,6 +14,7 @@ from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.rank import everything_option, show_answer
 from codecbench.cli.screen import Screen
+from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -130,7 +131,7 @@ def show_cells(summary: RunSummary, *, err: bool = False) -> None:
         click.echo(f"unsupported ({count}): {reason}", err=True)
     click.echo(f"run folder: {summary.folder}", err=err)
     if summary.damaged:
-        click.echo(f"damaged and computed again: {len(summary.damaged)} cells; run.log says why", err=True)
+        click.echo(f"damaged and computed again: {counted(len(summary.damaged), 'cell')}; run.log says why", err=True)
 
 
 def _unsupported(summary: RunSummary) -> list[str]:

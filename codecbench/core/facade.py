@@ -29,7 +29,7 @@ from codecbench.core.engine.storage.store import Store
 from codecbench.core.report.answers import Answers, answers
 from codecbench.core.report.formatting import uninformative
 from codecbench.core.report.page import write_report
-from codecbench.core.report.tables import notes, short_table
+from codecbench.core.report.tables import notes, short_table, shown
 from codecbench.core.rounds.running import run_matrix
 
 if TYPE_CHECKING:
@@ -41,9 +41,7 @@ class Run(RunResult):
 
     def _repr_html_(self) -> str:
         """The headlines as a table and what is noted beside them, for notebooks."""
-        table = short_table(self).to_html(
-            index=False, na_rep="–", float_format=lambda value: f"{value:.4g}".replace("inf", "∞")
-        )
+        table = short_table(self).to_html(index=False, na_rep="–", float_format=shown)
         return "\n".join([str(table), *(f"<p>{escape(note)}</p>" for note in notes(self))])
 
     def plot(self, what: str = "", sequence: str | None = None) -> Figure:

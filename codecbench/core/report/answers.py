@@ -64,6 +64,12 @@ class Answers:
         return self.sentence
 
 
+def anchor_of(run: RunResult, found: Answers) -> Answer | None:
+    """The first anchor that has a pick: what others spend stands beside that."""
+    picked = [each for each in found.answers if each.limit.lowest is not None]
+    return next((each for name in run.schema.anchors for each in picked if each.curve.split(" ")[0] == name), None)
+
+
 def answers(run: RunResult) -> Answers:
     """The answers of a run, over all of its sequences together.
 
@@ -163,10 +169,13 @@ def _codec(curve: str) -> str:
     return curve.split(" ")[0]
 
 
-def _place(found: _Judged, curve: str, limit: Limit) -> float:
-    """The setting that spends least comes first, and a curve that passes nowhere last."""
-    spent = math.inf if limit.lowest is None else found.spent(curve, limit.lowest)
-    return math.inf if math.isnan(spent) else spent
+def _place(found: _Judged, curve: str, limit: Limit) -> tuple[int, float]:
+    """The pick that spends least comes first, then what may pass by its rate, and last a curve that passes nowhere."""
+    if limit.lowest is not None:
+        spent = found.spent(curve, limit.lowest)
+        return 0, math.inf if math.isnan(spent) else spent
+    likely = nearest(limit)
+    return (2, 0.0) if likely is None else (1, likely.rate)
 
 
 def _asked(*found: Limit) -> str:

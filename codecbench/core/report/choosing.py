@@ -42,6 +42,11 @@ _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
 """What keeps settings from passing: in a cell of a table, and in a sentence."""
 
 
+def candidates_over_links(run: RunResult) -> list[list[Candidate]]:
+    """The settings over each link over which something reads the frames, on all sequences together, by rate."""
+    return [groups[0] for groups in _over_each(run, Demand(""))] if links_read(run) else []
+
+
 def over_links(run: RunResult) -> list[Verdict]:
     """What a run says of each link over which something reads the frames, where nothing more is asked."""
     return chosen(run, Demand("")) if links_read(run) else []

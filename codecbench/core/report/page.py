@@ -26,7 +26,7 @@ from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
-from codecbench.core.report.strips import strips
+from codecbench.core.report.strips import link_strips, strips
 from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
 from codecbench.core.report.views import STROKES, first_view
 
@@ -86,6 +86,7 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         cut=_cut,
         answers=found,
         strips=[strips(run, each) for each in found],
+        link_strips=link_strips(run),
         ranked=ranked,
         decided=_grouped(others),
         verdicts=verdict_tables(run),

@@ -11,7 +11,7 @@ from typing import Final
 from codecbench.core.analysis.choosing import Demand, links_read
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.report.answers import Answer, Answers
+from codecbench.core.report.answers import Answer, Answers, anchor_of
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, rate_cell, spent, times_decide
 from codecbench.core.report.formatting import Verdict, compact, rounded
@@ -44,11 +44,11 @@ def _text(value: object) -> str:
 
 
 def _of_answers(run: RunResult, found: Answers) -> Verdict:
-    """A row for each codec that has a pick; if none has, what comes nearest of each, the least rate first."""
+    """A row for each codec that has a pick; if none has, what comes nearest of each."""
     picked = [each for each in found.answers if each.limit.lowest is not None]
-    anchor = next((each for each in picked if each.curve.split(" ")[0] in run.schema.anchors), None)
+    anchor = anchor_of(run, found)
     rows = []
-    for each in picked or sorted(found.answers, key=lambda each: math.inf if each.shown is None else each.shown.rate):
+    for each in picked or found.answers:
         row, setting, after = {"codec": each.curve}, each.shown, each.limit.next
         if setting is not None:
             row |= {"setting": setting.point, **_costs(run, found.on, each.curve, setting)}

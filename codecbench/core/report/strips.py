@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
-from codecbench.core.analysis.passing import Passing, described
+from codecbench.core.analysis.passing import Passing, Standing, described
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.report.answers import Answer, Answers
-from codecbench.core.report.costs import bit_rate_mbps, coding_ms, times_decide
+from codecbench.core.report.answers import Answers, anchor_of
+from codecbench.core.report.choosing import candidates_over_links, limit_of
+from codecbench.core.report.costs import bit_rate_mbps, coding_ms, rate_cell, times_decide
 from codecbench.core.report.tables import three_digits
 
 _MARGIN: Final = 0.05
 """Of the axis that stays free at either end."""
+_TIME: Final = "ms"
 _NARROWEST: Final = 4.0
 """An axis spans this factor at least: settings that are close together are shown close together."""
 _MOST_TICKS: Final = 6
@@ -64,63 +67,110 @@ class Strips:
     rows: tuple[Row, ...]
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A setting that was tried. value: what it spends, NaN if that is not known. why: what was found, in words."""
+
+    setting: str
+    value: float
+    verdict: Passing
+    why: str
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """All that was tried of a curve, from the most that is spent to the least. after: what is known beyond the pick."""
+
+    curve: str
+    tried: tuple[_Tried, ...]
+    pick: _Tried | None
+    after: str
+
+
 def strips(run: RunResult, found: Answers) -> Strips | None:
     """The strips of an answer; None where no setting was judged."""
     if not found.answers:
         return None
     unit, spent = _spent(run, found)
-    axis = _Axis.around(spent.values())
-    base, least = _anchor(run, found, spent)
+    sweeps = []
+    for each in found.answers:
+        tried = tuple(
+            _Tried(test.point or "its setting", spent[each.curve, test.point], test.verdict, described(test))
+            for test in each.limit.settings
+        )
+        at = None if each.limit.lowest is None else each.limit.settings.index(each.limit.lowest)
+        after = each.limit.reason or (each.limit.after_words() if each.limit.settings else "no run")
+        sweeps.append(_Sweep(each.curve, tried, None if at is None else tried[at], after))
+    anchor = anchor_of(run, found)
+    return _drawn(found.about, unit, sweeps, "" if anchor is None else anchor.curve)
+
+
+def link_strips(run: RunResult) -> list[Strips]:
+    """The strips over each link by which a run is judged, over all sequences together."""
+    found = []
+    for own in candidates_over_links(run):
+        unit, of_curve = "", defaultdict[str, list[_Tried]](list)
+        for each in own:
+            unit, number = rate_cell(run, each.sequence, each.curve, Standing(each.point, each.rate, 0, 0))
+            name = " ".join(filter(None, (each.point, each.way))) or "its setting"
+            tried = _Tried(name, float(number), each.verdict, limit_of(each))
+            of_curve[each.curve].insert(0, tried)
+        sweeps = [_over_link(curve, tuple(tried)) for curve, tried in of_curve.items()]
+        sweeps.sort(key=lambda sweep: math.inf if sweep.pick is None else sweep.pick.value)
+        picked = [sweep.curve for sweep in sweeps if sweep.pick is not None]
+        base = next((curve for curve in picked if curve.split(" ")[0] in run.schema.anchors), "")
+        found.append(_drawn(f"what comes over {own[0].demand.link}", unit, sweeps, base))
+    return found
+
+
+def _over_link(curve: str, tried: tuple[_Tried, ...]) -> _Sweep:
+    """Over a link finer settings may fail for want of room, so that the pick is the last that passes."""
+    pick = next((each for each in reversed(tried) if each.verdict == "passes"), None)
+    coarser = tried if pick is None else tried[tried.index(pick) + 1 :]
+    after = next((f"{each.setting} {each.verdict} ({each.why})" for each in coarser), "nothing coarser was tried")
+    return _Sweep(curve, tried, pick, after)
+
+
+def _drawn(about: str, unit: str, sweeps: Sequence[_Sweep], base: str) -> Strips:
+    """base: the curve beside whose pick the others' stand."""
+    axis = _Axis.around(each.value for sweep in sweeps for each in sweep.tried)
+    least = next((sweep.pick.value for sweep in sweeps if sweep.curve == base and sweep.pick), math.nan)
 
     def cost(value: float) -> str:
         return "" if math.isnan(value) else f"{three_digits(value)} {unit}"
 
-    def saved(curve: str, value: float) -> str:
-        if curve == base:
-            return "the anchor"
+    def saved(sweep: _Sweep, value: float) -> str:
         more = 100.0 * (value / least - 1.0)
-        if math.isnan(more):
-            return ""
+        if sweep.curve == base or math.isnan(more):
+            return "the anchor" if sweep.curve == base else ""
         share = f"{abs(more):.0f} % {'less' if more < 0.0 else 'more'}"
-        return f"{share} {'time ' if times_decide(run) else ''}than {base}"
+        return f"{share} {'time ' if unit == _TIME else ''}than {base}"
 
-    def row(answer: Answer) -> Row:
-        limit, curve = answer.limit, answer.curve
+    def row(sweep: _Sweep) -> Row:
         marks = []
-        for test in limit.settings:
-            value = spent[curve, test.point]
-            setting = test.point or "its setting"
-            words = f"{', '.join(filter(None, (setting, cost(value))))}: {test.verdict} ({described(test)})"
-            marks.append(Mark(setting, test.verdict, words, axis.place(value), test is limit.lowest))
-        after = limit.reason or (limit.after_words() if limit.settings else "no run")
-        if limit.lowest is None:
-            return Row(curve, "", "passes nowhere" if answer.passes is False else "no pick", "", after, tuple(marks))
-        value = spent[curve, limit.lowest.point]
-        pick = limit.lowest.point or "its setting"
-        return Row(curve, pick, cost(value), saved(curve, value), after, tuple(marks))
+        for each in sweep.tried:
+            why = f" ({each.why})" if each.why else ""
+            words = f"{', '.join(filter(None, (each.setting, cost(each.value))))}: {each.verdict}{why}"
+            marks.append(Mark(each.setting, each.verdict, words, axis.place(each.value), each is sweep.pick))
+        if sweep.pick is None:
+            fails = sweep.tried and all(each.verdict == "fails" for each in sweep.tried)
+            return Row(sweep.curve, "", "passes nowhere" if fails else "no pick", "", sweep.after, tuple(marks))
+        value = sweep.pick.value
+        return Row(sweep.curve, sweep.pick.setting, cost(value), saved(sweep, value), sweep.after, tuple(marks))
 
-    return Strips(found.about, unit, axis.ticks, tuple(row(answer) for answer in found.answers))
+    return Strips(about, unit, axis.ticks, tuple(map(row, sweeps)))
 
 
 def _spent(run: RunResult, found: Answers) -> tuple[str, dict[tuple[str, str], float]]:
     """What each setting spends by curve and point, and the unit: what decides between them, in one unit for all."""
     tests = {(answer.curve, test.point): test for answer in found.answers for test in answer.limit.settings}
     if times_decide(run):
-        return "ms", {key: sum(coding_ms(run, found.on, key[0], test)) for key, test in tests.items()}
+        return _TIME, {key: sum(coding_ms(run, found.on, key[0], test)) for key, test in tests.items()}
     mbps = {key: bit_rate_mbps(run, found.on, key[0], test) for key, test in tests.items()}
     if mbps and all(value > 0.0 for value in mbps.values()):
         return "Mbit/s", mbps
     assert run.rate is not None
     return run.rate.unit, {key: test.rate * run.rate.factor for key, test in tests.items()}
-
-
-def _anchor(run: RunResult, found: Answers, spent: dict[tuple[str, str], float]) -> tuple[str, float]:
-    """The curve of the first anchor that passes somewhere and what its pick spends; NaN if none does."""
-    for name in run.schema.anchors:
-        for answer in found.answers:
-            if answer.curve.split(" ")[0] == name and (lowest := answer.limit.lowest) is not None:
-                return answer.curve, spent[answer.curve, lowest.point]
-    return "", math.nan
 
 
 @dataclass(frozen=True)

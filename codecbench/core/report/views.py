@@ -17,7 +17,7 @@ from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.view import Drawing, Stroke, View, ViewKind
 from codecbench.core.engine.identity import seed_from
-from codecbench.core.report.answers import answers_of_settings, nearest
+from codecbench.core.report.answers import answers_of_settings
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,8 @@ def picked(run: RunResult) -> list[Pick]:
             if each.verdict == "passes" and each.sequence == able[0].sequence:
                 found.setdefault(each.curve, (each.point, True))
     else:
-        ranked = []
-        for answer in answers_of_settings(run)[0].answers:
-            if taken := answer.shown:
-                passes, likely = taken == answer.limit.lowest, taken == nearest(answer.limit)
-                place = (0, 0.0) if passes else (1, taken.rate) if likely else (2, 0.0)
-                ranked.append((place, answer.curve, (taken.point, passes)))
-        found = {curve: taken for _, curve, taken in sorted(ranked, key=lambda each: each[0])}
+        told = answers_of_settings(run)[0].answers
+        found = {each.curve: (each.shown.point, each.shown is each.limit.lowest) for each in told if each.shown}
     keys = {(point.curve, point.point): key for key, point in run.curves.items()}
     return [Pick(*keys[curve, point], passes) for curve, (point, passes) in found.items()]
 
