@@ -15,8 +15,9 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
-from codecbench.core.report.choosing import answer, chosen
+from codecbench.core.report.choosing import answer, chosen, link_picks
 from codecbench.core.report.page import render
+from codecbench.core.report.strips import link_strips
 from codecbench.core.report.views import Pick, picked
 
 WAIT = Metric("wait", "ms", "lower", "", need="delay")
@@ -365,3 +366,37 @@ def test_the_report_begins_with_what_to_take_over_each_link() -> None:
     assert '<p class="answer"><b>Over radio use plain q=2.0: 2 bpp</b>; passes in 5 of 5 runs' in section
     shown = section[section.index('<div id="links">') : section.index("</table>")]
     assert "<td" in shown
+
+
+def test_the_pick_of_each_codec_over_a_link_is_in_one_table() -> None:
+    run = run_of(*coded("fine", 1.0, 600.0), *coded("plain", 2.0, 2000.0), *coded("plain", 3.0, 3000.0))
+    table = link_picks(run, Demand("radio", error_m=0.05))
+    assert table.title == "The pick of each codec, s, an error of at most 0.05 m"
+    assert table.heads == ("codec", "setting", "Mbit/s", "vs. plain")
+    assert table.rows == (("fine", "q=1.0", "0.600", "-70 %"), ("plain", "q=2.0", "2.00", "–"))
+    assert table.sentences == (
+        "In all rows: link radio, verdict passes, error m 0.0200, fresh pose 80 %, runs 8/8, next coarser none tried.",
+    )
+    cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire"), *read(1.0, [1.1] * 5, "string")]
+    table = link_picks(run_of(*cells), Demand(""))
+    assert [row[:3] for row in table.rows] == [
+        ("radio", "q=2.0", "passes"),
+        ("wire", "q=1.0", "passes"),
+        ("string", "q=1.0", "fails: no better than nothing received"),
+    ]
+    assert [row[-1] for row in table.rows] == ["q=1.0 fails", "none tried", "–"]
+
+
+def test_the_strip_of_a_codec_over_a_link_has_its_pick_and_why_the_next_coarser_fails() -> None:
+    """Over a link a finer setting may fail where a coarser one passes."""
+    cells = [*BY_ERROR, size(8.0), *read(8.0, [1.2] * 5)]
+    (found,) = link_strips(run_of(*cells))
+    assert (found.about, found.unit) == ("what comes over radio", "bpp")
+    (row,) = found.rows
+    assert (row.curve, row.pick, row.cost, row.saved) == ("plain", "q=2.0", "2 bpp", "the anchor")
+    assert row.words == "q=8.0: fails; q=4.0, q=2.0: passes; q=1.0: fails"
+    assert [mark.is_pick for mark in row.marks] == [False, False, True, False]
+    assert row.after == "q=1.0 fails (error 1.1 m is no better than 1 m with nothing received)"
+    assert [row.cost for strips in link_strips(run_of(size(1.0), *read(1.0, [1.1] * 5))) for row in strips.rows] == [
+        "passes nowhere"
+    ]
