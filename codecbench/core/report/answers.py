@@ -16,22 +16,25 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, spent, times_decide
-from codecbench.core.report.formatting import Verdict, ranked_verdict, share_of_rate, uninformative, where
+from codecbench.core.report.formatting import Verdict, limit_sentence, ranked_verdict, uninformative, where
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A sentence about a curve. passes: whether it is known to pass at some setting, or to fail, or neither.
-
-    limit: all of its settings, from the most rate to the least, and with `lowest` the pick among them.
-    """
+    """A sentence about a curve. limit: its settings, from the most rate to the least, with `lowest` the pick."""
 
     curve: str
     sentence: str
-    passes: bool | None = None
-    limit: Limit = field(default_factory=Limit)
+    limit: Limit
+
+    @property
+    def passes(self) -> bool | None:
+        """Whether it is known to pass at some setting, or to fail from the finest on, or neither."""
+        if self.limit.lowest is not None:
+            return True
+        return False if self.limit.settings and self.limit.settings[0].verdict == "fails" else None
 
     @property
     def shown(self) -> Test | None:
@@ -161,7 +164,7 @@ def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {over}"
     if raw.settings:
         basis += f"; raw itself: {described(raw.settings[0])}"
-    told = tuple(Answer(curve, *_limited(found, curve, limit), limit) for curve, limit in found.limits.items())
+    told = tuple(Answer(curve, limit_sentence(run, on, curve, limit), limit) for curve, limit in found.limits.items())
     return Answers(f"{basis}.", told, what, _sentence(found, raw), on, over, raw)
 
 
@@ -194,18 +197,6 @@ def _over(run: RunResult, found: Iterable[Limit] = ()) -> str:
         return f"{len(sequences)} sequences together{many}"
     used = next((note.removesuffix(" are used") for note in sequences[0].notes if note.endswith("frames are used")), "")
     return f"{sequences[0].name}, {used or f'{sequences[0].frames} frames'}{many}"
-
-
-def _limited(found: _Judged, curve: str, limit: Limit) -> tuple[str, bool | None]:
-    """How far a curve passes, with the settings on both sides of the limit."""
-    if limit.reason or not limit.settings:
-        return f"{curve}: {limit.reason or 'no run'}.", None
-    if limit.lowest is not None:
-        share = share_of_rate(found.run, found.on, limit.lowest.rate)
-        return f"{_named(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}.", True
-    if limit.settings[0].verdict == "fails":
-        return f"{curve} passes at no setting: {limit.after_words()}.", False
-    return f"{curve} is not known to pass at any setting: {limit.after_words()}.", None
 
 
 def _named(curve: str, test: Test) -> str:

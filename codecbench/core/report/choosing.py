@@ -55,13 +55,12 @@ def over_links(run: RunResult) -> list[Verdict]:
 def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
     """What a run says of a demand over a link, or over each where that names none (""): tables, and last the answers.
 
-    A table of all links comes first where there are several. Raises NotMeasured.
+    Raises NotMeasured.
     """
     every = _over_each(run, demand)
-    overview = [_overview(run, [groups[0] for groups in every])] if len(every) > 1 else []
     tables = [_table(run, found, is_first=found is groups[0]) for groups in every for found in groups]
     answers = tuple(answer(run, groups[0]) for groups in every)
-    return [*overview, *tables, Verdict("answer", (), (), answers)]
+    return [*tables, Verdict("answer", (), (), answers)]
 
 
 def link_picks(run: RunResult, demand: Demand) -> Verdict:
@@ -114,25 +113,6 @@ def _by_sequence(found: list[Candidate]) -> list[list[Candidate]]:
 
 def _passing(found: list[Candidate]) -> list[Candidate]:
     return [candidate for candidate in found if candidate.verdict == "passes"]
-
-
-def _overview(run: RunResult, every: list[list[Candidate]]) -> Verdict:
-    """A row a link."""
-    rows = []
-    for found in every:
-        others: dict[str, list[str]] = defaultdict(list)
-        for candidate in found:
-            if candidate.limit is not None:
-                others[_GROUPS[candidate.limit][0]].append(candidate.name)
-        cells = next(
-            ((taken.name, rate_of(run, taken), _number(taken.error_m), str(taken.least_sure))
-             for taken in _passing(found)), ("none is known to pass", "–", "–", "–")
-        )  # fmt: skip
-        limits = "; ".join(f"{group}: {_some(names)}" for group, names in others.items())
-        rows.append((found[0].demand.link, *cells, limits or "–"))
-    title = f"{where(every[0][0].sequence)}: over each link, {asked_words(every[0][0].demand)}"
-    heads = ("link", "take", *_rate_heads(run), "error [m]", "how sure", "limits of the others")
-    return Verdict(title, heads, tuple(rows), ())
 
 
 def _some(names: list[str]) -> str:

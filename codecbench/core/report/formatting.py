@@ -316,7 +316,7 @@ def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
         by_sequence[sequence][curve] = limit
     what = " and ".join(column.label for column in columns)
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
-        sentences = [_sentence(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
+        sentences = [_of_curve(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
         yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
 
 
@@ -324,17 +324,22 @@ def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:
     return sorted(limits_of_curves.items(), key=lambda pair: pair[1].rate)
 
 
-def _sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
-    """`jpeg quality=10 passes at 1/87 of raw's rate (5/5 runs, at least 57 % at 95 %); quality=5 fails (...)`."""
+def _of_curve(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
     if limit.settings and curve.split(" ")[0] in run.schema.baselines:
         return f"{curve} itself: {limit.settings[0]}."
-    if limit.lowest is None or run.rate is None:
-        return f"{curve}: {limit_words(limit, run.rate)}."
-    standing = limit.lowest
-    words = (
-        f"{f'{curve} {standing.point}'.strip()} passes at {share_of_rate(run, sequence, standing.rate)} ({standing})"
-    )
-    return f"{words}; {limit.after_words()}."
+    return limit_sentence(run, sequence, curve, limit)
+
+
+def limit_sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
+    """`jpeg quality=10 passes at 1/87 of raw's rate (5/5 runs, at least 57 % at 95 %); quality=5 fails (...)`."""
+    if limit.reason or not limit.settings:
+        return f"{curve}: {limit.reason or 'no run'}."
+    if limit.lowest is not None:
+        named = curve if curve.endswith(f" {limit.lowest.point}") else f"{curve} {limit.lowest.point}".strip()
+        share = share_of_rate(run, sequence, limit.lowest.rate)
+        return f"{named} passes at {share} ({limit.lowest}); {limit.after_words()}."
+    none = "passes at no setting" if limit.settings[0].verdict == "fails" else "is not known to pass at any setting"
+    return f"{curve} {none}: {limit.after_words()}."
 
 
 def share_of_rate(run: RunResult, sequence: str, rate: float) -> str:
@@ -413,13 +418,3 @@ def _of_limits(found: list[LimitPower]) -> Verdict:
     )
     stood = sum(limit.more_runs == 0 for limit in found)
     return Verdict(title, _LIMIT_HEADS, rows, (f"{stood} of {len(found)} verdicts stand at 95 %.",))
-
-
-def limit_words(limit: Limit, rate: Column | None) -> str:
-    """Where a limit lies, and what comes after it."""
-    if limit.reason or rate is None:
-        return limit.reason
-    if limit.lowest is None:
-        return limit.after_words()
-    spent = f"{three_digits(limit.lowest.rate * rate.factor)} {rate.unit}"
-    return f"{limit.lowest.point or 'its setting'} ({spent}, {limit.lowest}); {limit.after_words()}"

@@ -9,19 +9,17 @@ from typing import Any, Final
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.limits import Limit, limits
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranking, rankings_on
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import json_value
 from codecbench.core.analysis.verdicts import (
-    SequenceCurve,
     intervals,
     pareto_criteria,
     pareto_settings,
     spread,
 )
 from codecbench.core.contracts.view import Course, Lane
-from codecbench.core.report.formatting import limit_words, signed_percent, uninformative
+from codecbench.core.report.formatting import signed_percent, uninformative
 from codecbench.core.report.tables import caveats, three_digits
 from codecbench.core.report.views import (
     PALETTE,
@@ -211,12 +209,9 @@ _LEADS: Final = "on the Pareto front"
 def verdict_tables(run: RunResult) -> list[dict[str, Any]]:
     """A table for each sequence as the template takes it."""
     judged = [column for column in run.headlines("quality", "task") if column.metric.better != "neither"]
-    limits_of = {column: limits(run, [column]) for column in run.headlines("success")}
     ranges = [column for column in (run.rate, *run.headlines("quality")[:1]) if column is not None]
     times = run.headlines("time")
     heads = ["curve", "settings", "Pareto front", *(column.heading for column in ranges)]
-    last_heads = [f"{column.label} down to" for column in limits_of]
-    last_heads += [column.heading for column in times]
     criteria = pareto_criteria(run)
     tables = []
     for entry in run.plan.sequences:
@@ -229,18 +224,15 @@ def verdict_tables(run: RunResult) -> list[dict[str, Any]]:
         rankings = [ranking for column in judged for ranking in rankings_on(run, column, [[entry.name]])]
         rows = []
         for curve, records in curves.items():
-            key = (entry.name, curve)
             row = [curve, str(len(records)), f"{sum(record[_LEADS] for record in records)} of {len(records)}"]
             row += [_range(records, column) for column in ranges]
-            row += [limit_words(found[key], run.rate) if key in found else "–" for found in limits_of.values()]
             rows.append([*row, *(spread(_values(records, column)) for column in times)])
         tables.append(
             {
                 "sequence": entry.name,
-                "heads": [*heads, *last_heads],
+                "heads": [*heads, *(column.heading for column in times)],
                 "rows": rows,
                 "note": f"Pareto front: settings that no other beats in all of {', '.join(used)}." if used else "",
-                "words": _in_words(entry.name, limits_of, run.rate),
                 "beside": [_beside(rankings, anchor, list(curves)) for anchor in _anchors(rankings)],
                 "missing": _missing(rankings),
             }
@@ -285,18 +277,6 @@ def _missing(rankings: list[Ranking]) -> list[str]:
             columns.setdefault(reason, []).append(ranking.column.label)
     silent = [sentence for ranking in rankings for sentence in uninformative(ranking)]
     return [*silent, *(f"{', '.join(labels)}: {reason}." for reason, labels in columns.items())]
-
-
-def _in_words(sequence: str, limits_of: dict[Column, dict[SequenceCurve, Limit]], rate: Column | None) -> list[str]:
-    """The codec that passes down to the least rate on a sequence, for each success."""
-    words = []
-    for column, limited in limits_of.items():
-        held = {curve: limit for (name, curve), limit in limited.items() if name == sequence and limit.lowest}
-        if held and rate is not None:
-            least = min(held, key=lambda curve: held[curve].rate)
-            subject = column.label[:1].upper() + column.label[1:]
-            words.append(f"{subject} down to the least rate with {least}: {limit_words(held[least], rate)}.")
-    return words
 
 
 def _values(records: list[Any], column: Column) -> np.ndarray:

@@ -302,14 +302,15 @@ def test_the_error_is_the_same_with_a_demand_and_without() -> None:
 
 def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -> None:
     cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire"), *delivered(1.0, 10, "pigeon")]
-    overview, radio, wire, answers = chosen(run_of(*cells), Demand(""))
-    assert overview.title == "s: over each link, a smaller error than with nothing received"
-    assert overview.heads == ("link", "take", "rate [bpp]", "error [m]", "how sure", "limits of the others")
-    assert overview.rows == (
-        ("radio", "plain q=2.0", "2", "0.11", "5/5 runs, at least 57 % at 95 %",
-         "no better than nothing received: plain q=1.0"),
-        ("wire", "plain q=1.0", "1", "0.9", "5/5 runs, at least 57 % at 95 %", "–"),
-    )  # fmt: skip
+    run = run_of(*cells)
+    radio, wire, answers = chosen(run, Demand(""))
+    picks = link_picks(run, Demand(""))
+    assert picks.title == "The pick of each codec, s, a smaller error than with nothing received"
+    assert picks.heads == ("link", "setting", "bpp", "error m", "next coarser")
+    assert picks.rows == (
+        ("radio", "q=2.0", "2.00", "0.110", "q=1.0 fails"),
+        ("wire", "q=1.0", "1.00", "0.900", "none tried"),
+    )
     assert [table.title.split(",")[0] for table in (radio, wire)] == ["s: over radio", "s: over wire"]
     assert [sentence.split(":")[0] for sentence in answers.sentences] == [
         "Over radio use plain q=2.0", "Over wire use plain q=1.0"
@@ -320,8 +321,8 @@ def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -
 
 def test_where_nothing_passes_over_a_link_its_row_says_so() -> None:
     cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire")]
-    overview, *_ = chosen(run_of(*cells), Demand("", error_m=0.5))
-    assert overview.rows[1] == ("wire", "none is known to pass", "–", "–", "–", "the error: plain q=1.0")
+    table = link_picks(run_of(*cells), Demand("", error_m=0.5))
+    assert table.rows[1][:3] == ("wire", "q=1.0", "fails: the error")
 
 
 def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:

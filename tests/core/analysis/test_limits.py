@@ -5,17 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.stats
-from measured_runs import BITS, cell_result, run_of
+from measured_runs import cell_result, run_of
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import Limit, limits, limits_of, together
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test
 from codecbench.core.analysis.run_result import CurvePoint
 from codecbench.core.analysis.table import CellResult
-from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.report.formatting import limit_words
-
-RATE = Column(PluginSetting("evaluator", "size", "1"), BITS, "", "mean")
 
 
 def sweep(**held: tuple[int, int]) -> Limit:
@@ -66,18 +61,18 @@ def test_the_limit_is_the_last_setting_before_the_first_that_fails() -> None:
     assert limit.lowest == Standing("q7", 2.0, 5, 5)
     assert limit.next == Standing("q5", 1.0, 0, 5)
     assert limit.out_of_order == ()
-    words = "q7 (2 bpp, 5/5 runs, at least 57 % at 95 %); q5 fails (0/5 runs, at most 43 % at 95 %)"
-    assert limit_words(limit, RATE) == words
+    assert str(limit.lowest) == "5/5 runs, at least 57 % at 95 %"
+    assert limit.after_words() == "q5 fails (0/5 runs, at most 43 % at 95 %)"
 
 
 def test_a_limit_ends_where_the_sample_is_inconclusive() -> None:
     limit = sweep(q9=(5, 5), q7=(3, 5), q5=(5, 5))
     assert limit.lowest == Standing("q9", 3.0, 5, 5)
     assert limit.next == Standing("q7", 2.0, 3, 5)
-    assert "q7 is inconclusive (3/5 runs; at least 6 more would tell)" in limit_words(limit, RATE)
+    assert "q7 is inconclusive (3/5 runs; at least 6 more would tell)" in limit.after_words()
     few = sweep(q9=(3, 3))
     assert few.lowest is None
-    assert limit_words(few, RATE) == "q9 is inconclusive (3/3 runs; at least 1 more would tell)"
+    assert few.after_words() == "q9 is inconclusive (3/3 runs; at least 1 more would tell)"
 
 
 def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
@@ -85,7 +80,7 @@ def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
     assert limit.lowest is not None
     assert limit.lowest.point == "q9"
     assert [setting.point for setting in limit.out_of_order] == ["q7"]
-    assert limit_words(limit, RATE).endswith(
+    assert limit.after_words().endswith(
         "q7 fails (0/5 runs, at most 43 % at 95 %); out of order, for q5 below it passes"
     )
 
@@ -93,13 +88,13 @@ def test_a_setting_that_fails_between_two_that_hold_is_out_of_order() -> None:
 def test_a_codec_that_fails_at_its_best_has_no_limit() -> None:
     limit = sweep(q9=(0, 5), q7=(0, 5))
     assert limit.lowest is None
-    assert limit_words(limit, RATE) == "q9 fails (0/5 runs, at most 43 % at 95 %)"
+    assert limit.after_words() == "q9 fails (0/5 runs, at most 43 % at 95 %)"
 
 
 def test_a_sweep_that_never_fails_has_nothing_after_its_limit() -> None:
     limit = sweep(q9=(5, 5), q7=(9, 10))
     assert limit.next is None
-    assert limit_words(limit, RATE).endswith("; nothing coarser was tried")
+    assert limit.after_words() == "nothing coarser was tried"
 
 
 def test_a_missing_value_is_a_run_without_success() -> None:
@@ -114,7 +109,7 @@ def test_a_missing_value_is_a_run_without_success() -> None:
 def test_a_limit_is_refused_where_a_rate_is_not_known() -> None:
     """Sorted by rates with a NaN among them, a sweep would say anything."""
     limit = limit_of(Standing("q", float("nan"), 1, 1))
-    assert limit.reason == limit_words(limit, RATE) == "no rate is known of q"
+    assert limit.reason == "no rate is known of q"
     assert limit.lowest is None
 
 
