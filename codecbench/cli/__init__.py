@@ -20,7 +20,7 @@ COMMANDS = {
     "plan": ("codecbench.cli.plan:plan", "Show what a run would do, what is cached and what is unsupported."),
     "list": ("codecbench.cli.list:list_plugins", "List installed plugins."),
     "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
-    "rank": ("codecbench.cli.rank:rank", "Say which codecs are ahead, and down to which rate each passes."),
+    "rank": ("codecbench.cli.rank:rank", "Say which codec to take, at which setting."),
     "power": ("codecbench.cli.rank:power", "Say what a run could decide, and how much more of it would tell."),
     "choose": (
         "codecbench.cli.choose:choose",

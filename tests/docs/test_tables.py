@@ -184,7 +184,7 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tm
         "page\n",
         "..\n7 passed, 1 skipped in 9.00s\n",
         "",
-        "found\n\nA setting passes.\n\nrows\nUse jpeg.\n",
+        "found\nThe pick of each codec, mine\nrows\n\nUse jpeg.\n",
     ]
     said = newcomer.commands((ROOT / "README.md").read_text(), Path("/recordings/mine"))
     assert said[-1] == ".venv/bin/codecbench try mine"
@@ -199,7 +199,7 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tm
     assert "It took 1 min 2 s on 2 cores" in shown["run"]
     assert "```text\ncells: 89 ok\nreport: page\n```" in shown["run"]
     assert "```text\n7 passed, 1 skipped in 9.00s\n```" in shown["tests"]
-    assert "```text\nUse jpeg.\n```" in shown["try"]
+    assert "```text\nThe pick of each codec, mine\nrows\n\nUse jpeg.\n```" in shown["try"]
 
 
 @pytest.mark.thorough
