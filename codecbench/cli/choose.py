@@ -97,7 +97,7 @@ def _show(run: RunResult, demand: Demand, format_: str, everything: bool) -> Non
 
     *tables, answer = chosen(run, demand)
     behind = tables if everything or format_ == "json" else []
-    show_found(run, [*behind, link_picks(run, demand), answer], format_, everything=everything)
+    show_found(run, [*behind, *link_picks(run, demand), answer], format_, everything=everything)
 
 
 def _run_and_choose(

@@ -24,7 +24,7 @@ from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.metric import FRESH_S
 from codecbench.core.report.costs import rate_cell, rate_words, spent
-from codecbench.core.report.formatting import Verdict, compact, rounded, where
+from codecbench.core.report.formatting import Verdict, compact, rounded, where, without_pick
 from codecbench.core.report.tables import aligned, three_digits
 
 _NAMED: Final = 3
@@ -63,40 +63,53 @@ def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
     return [*tables, Verdict("answer", (), (), answers)]
 
 
-def link_picks(run: RunResult, demand: Demand) -> Verdict:
-    """The pick of each codec over a link, or over each, on all sequences together. Raises NotMeasured."""
-    every = [groups[0] for groups in _over_each(run, demand)]
-    rows = [row for found in every for row in _pick_rows(run, found)]
-    return compact(f"The pick of each codec, {where(every[0][0].sequence)}, {asked_words(every[0][0].demand)}", rows)
+def link_picks(run: RunResult, demand: Demand) -> list[Verdict]:
+    """The pick of each codec over a link, or a table over each, on all sequences together. Raises NotMeasured."""
+    return [_picks(run, groups[0]) for groups in _over_each(run, demand)]
 
 
-def _pick_rows(run: RunResult, found: list[Candidate]) -> Iterator[dict[str, str]]:
-    """A row a codec: its setting of least rate that passes with what keeps the next coarser one from it, or else the
-    setting of most rate."""
-    passing = _passing(found)
-    anchor = next((each for each in passing if each.curve.split(" ")[0] in run.schema.anchors), None)
-    for curve in dict.fromkeys(each.curve for each in (*passing, *found)):
-        own = [each for each in found if each.curve == curve]
-        taken = next((each for each in own if each.verdict == "passes"), own[-1])
-        versus = {"": ""} if anchor is None else {f"vs. {anchor.curve}": ""}
-        row = {
-            "link": taken.demand.link,
-            "codec": curve,
-            "setting": f"{taken.point} {taken.way}".strip(),
-            "verdict": taken.verdict if taken.limit is None else f"{taken.verdict}: {_GROUPS[taken.limit][0]}",
-            **dict([rate_cell(run, taken.sequence, curve, _setting(taken))]),
-            **versus,
-            "error m": "" if math.isnan(taken.error_m) else aligned(taken.error_m),
-            "fresh pose": "" if math.isnan(taken.fresh) else _percent(taken.fresh),
-            "in time": "" if math.isnan(taken.share) else _percent(taken.share),
-            "runs": " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings),
-        }
+def _picks(run: RunResult, found: list[Candidate]) -> Verdict:
+    """A row a codec: its setting of least rate that passes and the next coarser one; if none passes, the nearest."""
+    by_curve: dict[str, list[Candidate]] = defaultdict(list)
+    for candidate in sorted(found, key=lambda candidate: candidate.verdict != "passes"):
+        by_curve[candidate.curve].append(candidate)
+    passing = {curve: own[0] for curve, own in by_curve.items() if own[0].verdict == "passes"}
+    anchors = [each for each in passing.values() if each.curve.split(" ")[0] in run.schema.anchors]
+    rows = []
+    for curve, taken in (passing or {curve: _nearest(own) for curve, own in by_curve.items()}).items():
+        row = {"codec": curve, "setting": f"{taken.point} {taken.way}".strip()}
+        row |= dict([rate_cell(run, taken.sequence, curve, _setting(taken))])
+        if anchors:
+            beside = "" if taken is anchors[0] else f"{rounded(_more(run, taken, anchors[0]))} %"
+            row[f"vs. {anchors[0].curve}"] = beside
+        row["error m"] = "" if math.isnan(taken.error_m) else aligned(taken.error_m)
+        row["fresh"] = "" if math.isnan(taken.fresh) else _percent(taken.fresh)
+        row["in time"] = "" if math.isnan(taken.share) else _percent(taken.share)
+        row["runs"] = " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings)
         if taken.limit is None:
-            if anchor is not None and taken is not anchor:
-                row[f"vs. {anchor.curve}"] = f"{rounded(_more(run, taken, anchor))} %"
-            coarser = own[: own.index(taken)]
+            coarser = [each for each in found[: found.index(taken)] if each.curve == curve]
             row["next coarser"] = f"{coarser[-1].point} {coarser[-1].verdict}" if coarser else "none tried"
-        yield row
+        else:
+            row["verdict"] = f"{taken.verdict}: {_GROUPS[taken.limit][0]}"
+        rows.append(row)
+    demand = found[0].demand
+    table = compact(
+        f"The pick of each codec over {demand.link}, {where(found[0].sequence)}, {asked_words(demand)}", rows
+    )
+    others = [curve for curve in by_curve if passing and curve not in passing]
+    return replace(
+        table,
+        sentences=(
+            *table.sentences,
+            *without_pick(
+                [curve for curve in others if all(each.verdict == "fails" for each in by_curve[curve])], others
+            ),
+        ),
+    )
+
+
+def _nearest(found: list[Candidate]) -> Candidate:
+    return max(found, key=lambda candidate: [standing.successes for standing in candidate.standings])
 
 
 def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
@@ -217,7 +230,7 @@ def answer(run: RunResult, found: list[Candidate]) -> str:
         (limit, count), *_ = Counter(candidate.limit for candidate in found).most_common()
         assert limit is not None
         alike = [candidate for candidate in found if candidate.limit == limit]
-        nearest = max(alike, key=lambda candidate: [standing.successes for standing in candidate.standings])
+        nearest = _nearest(alike)
         why = f"{count} of {len(found)} settings {_GROUPS[limit][1]}, such as {nearest.name}"
         none = "passes" if all(candidate.verdict == "fails" for candidate in found) else "is known to pass"
         return f"Nothing {none} over {demand.link}, because {why} ({limit_of(nearest)})."

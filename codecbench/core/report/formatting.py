@@ -52,16 +52,25 @@ class Verdict:
 def compact(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
     """A table of cells by head, in the order in which heads first appear; what is the same in all rows stands below.
 
-    Cells that a row lacks are a dash. A head that is empty counts for nothing.
+    Cells that a row lacks are a dash; a column of nothing else is left out, and so is one without a head.
     """
     heads = list(dict.fromkeys(head for row in rows for head in row if head))
     columns = {head: [row.get(head) or "–" for row in rows] for head in heads}
-    same = {head: cells[0] for head, cells in columns.items() if len(rows) > 1 and len(set(cells)) == 1}
+    constant = {head: cells[0] for head, cells in columns.items() if len(set(cells)) == 1}
+    same = {head: cell for head, cell in constant.items() if len(rows) > 1 or cell == "–"}
     kept = {head: cells for head, cells in columns.items() if head not in same}
     words = ", ".join(f"{head} {cell}" for head, cell in same.items() if cell != "–")
     return Verdict(
         title, tuple(kept), tuple(zip(*kept.values(), strict=True)), (f"In all rows: {words}.",) if words else ()
     )
+
+
+def without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
+    """Of curves that have no pick, those of which each setting fails, and the others."""
+    open_ = [curve for curve in curves if curve not in failing]
+    for words, names in (("No setting tried passes of", failing), ("No setting is known to pass of", open_)):
+        if names:
+            yield f"{words} {', '.join(names)}."
 
 
 def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 from typing import Final
@@ -11,10 +10,10 @@ from typing import Final
 from codecbench.core.analysis.choosing import Demand, links_read
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.report.answers import Answer, Answers, anchor_of
+from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, rate_cell, spent, times_decide
-from codecbench.core.report.formatting import Verdict, compact, rounded
+from codecbench.core.report.formatting import Verdict, compact, rounded, without_pick
 from codecbench.core.report.tables import aligned, short_table
 
 _COLUMNS: Final = 8
@@ -25,7 +24,7 @@ def picks(run: RunResult, found: Answers) -> list[Verdict]:
     """The pick of each codec by an answer of the run, and over the links by which it is judged; if by nothing, what was
     measured of each setting."""
     tables = [_of_answers(run, found)] if found.answers else [] if found.table is None else [found.table]
-    over = [link_picks(run, Demand(""))] if links_read(run) else []
+    over = link_picks(run, Demand("")) if links_read(run) else []
     return [*tables, *over] or [_of_settings(run)]
 
 
@@ -60,20 +59,14 @@ def _of_answers(run: RunResult, found: Answers) -> Verdict:
             row |= {"next coarser": _next(after)} if picked else {"verdict": setting.verdict}
         rows.append(row)
     table = compact(f"The pick of each codec, {found.over}", rows)
-    return replace(table, sentences=(*table.sentences, *_without_pick(found, picked)))
+    others = [each for each in found.answers if picked and each not in picked and not each.limit.reason]
+    without = without_pick([each.curve for each in others if each.passes is False], [each.curve for each in others])
+    unjudged = (each.sentence for each in found.answers if each.limit.reason)
+    return replace(table, sentences=(*table.sentences, *without, *unjudged))
 
 
 def _next(after: Test | None) -> str:
     return "none tried" if after is None else f"{after.point} {after.verdict}".strip()
-
-
-def _without_pick(found: Answers, picked: list[Answer]) -> Iterator[str]:
-    """The codecs of which no setting is known to pass, beside those of which one is."""
-    others = [each for each in found.answers if each not in picked and not each.limit.reason]
-    for passes, words in ((False, "No setting tried passes of"), (None, "No setting is known to pass of")):
-        if picked and (names := [each.curve for each in others if each.passes is passes]):
-            yield f"{words} {', '.join(names)}."
-    yield from (each.sentence for each in found.answers if each.limit.reason)
 
 
 def _costs(run: RunResult, on: str, curve: str, test: Test) -> dict[str, str]:

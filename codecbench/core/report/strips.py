@@ -13,7 +13,7 @@ from codecbench.core.analysis.passing import Passing, Standing, described
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import candidates_over_links, limit_of
-from codecbench.core.report.costs import bit_rate_mbps, coding_ms, rate_cell, times_decide
+from codecbench.core.report.costs import bit_rate_mbps, coding_ms, rate_cell, spent, times_decide
 from codecbench.core.report.tables import three_digits
 
 _MARGIN: Final = 0.05
@@ -91,11 +91,11 @@ def strips(run: RunResult, found: Answers) -> Strips | None:
     """The strips of an answer; None where no setting was judged."""
     if not found.answers:
         return None
-    unit, spent = _spent(run, found)
+    unit, values = _spent(run, found)
     sweeps = []
     for each in found.answers:
         tried = tuple(
-            _Tried(test.point or "its setting", spent[each.curve, test.point], test.verdict, described(test))
+            _Tried(test.point or "its setting", values[each.curve, test.point], test.verdict, described(test))
             for test in each.limit.settings
         )
         at = None if each.limit.lowest is None else each.limit.settings.index(each.limit.lowest)
@@ -111,9 +111,12 @@ def link_strips(run: RunResult) -> list[Strips]:
     for own in candidates_over_links(run):
         unit, of_curve = "", defaultdict[str, list[_Tried]](list)
         for each in own:
-            unit, number = rate_cell(run, each.sequence, each.curve, Standing(each.point, each.rate, 0, 0))
+            setting = Standing(each.point, each.rate, 0, 0)
+            unit, _ = rate_cell(run, each.sequence, each.curve, setting)
+            factor = 1.0 if unit == "Mbit/s" or run.rate is None else run.rate.factor
+            value = factor * spent(run, each.sequence, each.curve, setting)
             name = " ".join(filter(None, (each.point, each.way))) or "its setting"
-            tried = _Tried(name, float(number), each.verdict, limit_of(each))
+            tried = _Tried(name, value, each.verdict, limit_of(each))
             of_curve[each.curve].insert(0, tried)
         sweeps = [_over_link(curve, tuple(tried)) for curve, tried in of_curve.items()]
         sweeps.sort(key=lambda sweep: math.inf if sweep.pick is None else sweep.pick.value)
@@ -126,7 +129,8 @@ def link_strips(run: RunResult) -> list[Strips]:
 def _over_link(curve: str, tried: tuple[_Tried, ...]) -> _Sweep:
     """Over a link finer settings may fail for want of room, so that the pick is the last that passes."""
     pick = next((each for each in reversed(tried) if each.verdict == "passes"), None)
-    coarser = tried if pick is None else tried[tried.index(pick) + 1 :]
+    nearest = sorted(tried, key=lambda each: each.verdict == "fails")
+    coarser = nearest if pick is None else tried[tried.index(pick) + 1 :]
     after = next((f"{each.setting} {each.verdict} ({each.why})" for each in coarser), "nothing coarser was tried")
     return _Sweep(curve, tried, pick, after)
 
