@@ -153,7 +153,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.WRONG_USE, "choose runs/linked --link ideal --deadline 10ms --workers 2", "--workers is for a matrix"),
     (ExitStatus.NOT_POSSIBLE, "choose tiny.yaml --link ideal --deadline 10ms --out file/run", "a file is where"),
     (ExitStatus.NOT_POSSIBLE, "choose damaged --link ideal --deadline 10ms", "is damaged"),
-    (ExitStatus.SUCCESS, "rank runs/tiny", "nothing to rank"),
+    (ExitStatus.SUCCESS, "rank runs/tiny", "Nothing can be named"),
     (ExitStatus.SUCCESS, "rank runs/tiny --rate 0.5", "nothing to rank"),
     (ExitStatus.WRONG_USE, "rank runs/tiny --rate 0", "is not in the range"),
     (ExitStatus.SUCCESS, "rank runs/tiny --format json", "[]"),
@@ -320,7 +320,7 @@ def test_the_most_telling_rows_of_a_comparison_are_shown(place: Place) -> None:
         (place.folder / f"{name}.json").write_text("\n".join([head, *lines]) + "\n")
     done = place.call("compare", "old.json", "new.json", COLUMNS="60")
     lines = [text.rstrip() for text in done.stdout.splitlines()]
-    assert [line.split() for line in lines[3:23]] == [
+    assert [line.split() for line in lines[1:21]] == [
         *(["worse", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in range(19, 1, -1)),
         *(["better", f"error.m{value + 9}", str(value), f"{100 * (value - 1)}"] for value in (-9, -8)),
     ]
