@@ -259,7 +259,7 @@ def test_what_a_codec_says_is_shown_cleaned_and_cut(loud: Path, place: Path) -> 
         assert_clean(done.stdout + done.stderr)
         assert "owned" in done.stdout
         assert words[0] == "status" or "[red]x[/]" in done.stdout.replace("\n", "")
-    shown = command(place, "table", "--format", "markdown", "loud").stdout
+    shown = command(place, "table", "--all", "--format", "markdown", "loud").stdout
     assert_clean(shown)
     assert "!\\[p\\](http" in shown
     assert "&lt;img src" in shown
@@ -267,7 +267,7 @@ def test_what_a_codec_says_is_shown_cleaned_and_cut(loud: Path, place: Path) -> 
     html = (loud / "report" / "report.html").read_text()
     assert len(html) < 8_000_000
     assert "<img src=x" not in html
-    latex = command(place, "table", "--format", "latex", "loud").stdout
+    latex = command(place, "table", "--all", "--format", "latex", "loud").stdout
     assert "\\textbackslash{}\\textbackslash{}" not in latex
     assert "\\textbackslash{}x1b" in latex
 
