@@ -72,10 +72,12 @@ BLOCKS = {
         "README.md", "run", "features", ("codec", "rate vs. JPEG", "significantly better"),
         feature_tables.answer,
     ),
-    "newcomer-run": Block("README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(cells: .*)")),
+    "newcomer-run": Block(
+        "README.md", "printed", "newcomer", (), newcomer.ended("examples/first.yaml", "(The pick of each codec.*)")
+    ),
     "newcomer-tests": Block("README.md", "printed", "newcomer", (), newcomer.ended("bin/pytest", r"(\d+ passed.*)")),
     "newcomer-try": Block(
-        "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"\n(The pick of each codec.*)")
+        "README.md", "printed", "newcomer", (), newcomer.ended("codecbench try", r"\n((?:Use|Nothing) [^\n]*)\n?$")
     ),
     "first": Block("docs/first-run.md", "run", "first", CODING, run_tables.first_sequence),
     "known": Block(

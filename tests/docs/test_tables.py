@@ -180,7 +180,7 @@ def test_the_method_is_judged_at_the_paper_s_setting_and_at_its_best() -> None:
 def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tmp_path: Path) -> None:
     """The README's own commands, in order, with outputs as they are, cut down."""
     outputs = [
-        "rows\ncells: 89 ok\nreport: page\n",
+        "cells: 89 ok\nThe pick of each codec, room\nrows\n",
         "page\n",
         "..\n7 passed, 1 skipped in 9.00s\n",
         "",
@@ -197,9 +197,9 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed(root: Path, tm
     tables("--root", root, "--printed", f"newcomer={tmp_path / 'newcomer.json'}")
     shown = {name: block(root / "README.md", f"newcomer-{name}") for name in ("run", "tests", "try")}
     assert "It took 1 min 2 s on 2 cores" in shown["run"]
-    assert "```text\ncells: 89 ok\nreport: page\n```" in shown["run"]
+    assert "```text\nThe pick of each codec, room\nrows\n```" in shown["run"]
     assert "```text\n7 passed, 1 skipped in 9.00s\n```" in shown["tests"]
-    assert "```text\nThe pick of each codec, mine\nrows\n\nUse jpeg.\n```" in shown["try"]
+    assert "```text\nUse jpeg.\n```" in shown["try"]
 
 
 @pytest.mark.thorough
