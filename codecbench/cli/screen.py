@@ -25,9 +25,9 @@ def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None,
     It is wrapped between words on a terminal, and where COLUMNS says how wide that is. Else it stays one line, so that
     `tail -n 1` has the whole of the last. Paths and addresses are left whole.
     """
-    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.engine.foreign_text import clean_text
 
-    console, text = Screen(stderr=err), clean_line(text)
+    console, text = Screen(stderr=err), clean_text(text.replace("\n", " "))
     if console.is_terminal or "COLUMNS" in os.environ:
         text = textwrap.fill(
             text, console.width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False

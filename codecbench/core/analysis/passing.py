@@ -107,12 +107,12 @@ class Level:
     @property
     def reach(self) -> float:
         """How far the 95 % interval reaches, in the unit that people are shown; infinite if too few to tell."""
-        return self.column.factor * self.margin.reach(CONFIDENCE)
+        return abs(self.column.factor) * self.margin.reach(CONFIDENCE)
 
     @property
     def asked(self) -> str:
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
-        sign = "≥" if self.column.metric.better == "higher" else "≤"
+        sign = "≥" if self.column.better == "higher" else "≤"
         return f"{sign} {self.column.factor * self.bound:.3g}{unit}"
 
 

@@ -16,7 +16,7 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, spent, times_decide
-from codecbench.core.report.formatting import Verdict, limit_sentence, ranked_verdict, uninformative, where
+from codecbench.core.report.formatting import Verdict, limit_sentence, named, ranked_verdict, uninformative, where
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
@@ -199,10 +199,6 @@ def _over(run: RunResult, found: Iterable[Limit] = ()) -> str:
     return f"{sequences[0].name}, {used or f'{sequences[0].frames} frames'}{many}"
 
 
-def _named(curve: str, test: Test) -> str:
-    return f"{curve} {test.point}".strip() if not curve.endswith(f" {test.point}") else curve
-
-
 def _sentence(found: _Judged, raw: Limit) -> str:
     """What to take, or why nothing is known to pass."""
     passing = [(curve, limit) for curve, limit in found.limits.items() if limit.lowest is not None]
@@ -214,7 +210,7 @@ def _use(found: _Judged, curve: str, limit: Limit) -> str:
     taken = limit.lowest
     assert taken is not None
     endless = limit.next is None and not times_decide(found.run)
-    words = [f"Use {_named(curve, taken)}{' or coarser' if endless else ''}: {found.cost(curve, taken)}"]
+    words = [f"Use {named(curve, taken)}{' or coarser' if endless else ''}: {found.cost(curve, taken)}"]
     saved = _saved(found, curve, taken)
     sure = "; ".join(_sure(part) for part in parts(taken))
     words[0] += f", {saved}" if saved else ""
@@ -248,7 +244,7 @@ def _saved(found: _Judged, curve: str, taken: Test) -> str:
         if not following:
             return "the only codec known to pass" if others else ""
         other, least = following[0]
-        return f"{found.less(curve, taken, other, least)} than the next codec that passes ({_named(other, least)})"
+        return f"{found.less(curve, taken, other, least)} than the next codec that passes ({named(other, least)})"
     if not name:
         return f"where no {_codec(anchors[0])} setting tried passes" if anchors else ""
     lowest = found.limits[name].lowest
@@ -268,11 +264,11 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     likely = [(curve, near) for curve, limit in found.limits.items() if (near := nearest(limit)) is not None]
     if likely:
         curve, near = min(likely, key=lambda item: item[1].rate)
-        return f"Nothing is known to pass here: nearest is {_named(curve, near)} ({described(near)})."
+        return f"Nothing is known to pass here: nearest is {named(curve, near)} ({described(near)})."
     if stopped := next(iter(found.stopped.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
-    failing = "; ".join(f"{_named(curve, test)} ({described(test)})" for curve, test in finest[:2])
+    failing = "; ".join(f"{named(curve, test)} ({described(test)})" for curve, test in finest[:2])
     beside = f"; raw itself: {described(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
     return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
 

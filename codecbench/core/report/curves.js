@@ -46,7 +46,7 @@ function curves() {
   };
   const errorsOf = (rows, name) => {
     const ends = DATA.intervals[name];
-    return ends && rows.map((row) => ends[row.at] && ends[row.at].map((end) => end * columnOf(name).factor));
+    return ends && rows.map((row) => ends[row.at] && ends[row.at].map((end) => end * columnOf(name).factor).sort((a, b) => a - b));
   };
   const words = (row, x, y) => {
     const ends = (errorsOf([row], y) || [])[0];

@@ -18,6 +18,7 @@ from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import POWER, Evidence
 from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits, pooled_rates
+from codecbench.core.analysis.passing import Test
 from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers, powers_of
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult, successes
@@ -344,11 +345,15 @@ def limit_sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> s
     if limit.reason or not limit.settings:
         return f"{curve}: {limit.reason or 'no run'}."
     if limit.lowest is not None:
-        named = curve if curve.endswith(f" {limit.lowest.point}") else f"{curve} {limit.lowest.point}".strip()
         share = share_of_rate(run, sequence, limit.lowest.rate)
-        return f"{named} passes at {share} ({limit.lowest}); {limit.after_words()}."
+        return f"{named(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}."
     none = "passes at no setting" if limit.settings[0].verdict == "fails" else "is not known to pass at any setting"
     return f"{curve} {none}: {limit.after_words()}."
+
+
+def named(curve: str, test: Test) -> str:
+    """A setting by its codec and its own name, where that is another."""
+    return f"{curve} {test.point}".strip() if not curve.endswith(f" {test.point}") else curve
 
 
 def share_of_rate(run: RunResult, sequence: str, rate: float) -> str:

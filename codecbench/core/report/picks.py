@@ -10,6 +10,7 @@ from typing import Final
 from codecbench.core.analysis.choosing import Demand, links_read
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.engine.wording import counted
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, rate_cell, spent, times_decide
@@ -33,7 +34,10 @@ def _of_settings(run: RunResult) -> Verdict:
     frame = short_table(run, brief=True)
     heads = [str(name).replace("\n", " ") for name in frame.columns][:_COLUMNS]
     rows = [[_text(value) for value in row] for row in frame.itertuples(index=False)]
-    return compact(f"Every setting of {run.plan.name}", [dict(zip(heads, row, strict=False)) for row in rows])
+    table = compact(f"Every setting of {run.plan.name}", [dict(zip(heads, row, strict=False)) for row in rows])
+    more = frame.shape[1] - len(heads)
+    told = (f"{counted(more, 'more column')}: `codecbench table` shows them.",) if more else ()
+    return replace(table, sentences=table.sentences + told)
 
 
 def _text(value: object) -> str:

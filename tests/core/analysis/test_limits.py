@@ -7,10 +7,14 @@ import pytest
 import scipy.stats
 from measured_runs import cell_result, run_of
 
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.evidence import Evidence
 from codecbench.core.analysis.limits import Limit, limits, limits_of, together
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test
 from codecbench.core.analysis.run_result import CurvePoint
 from codecbench.core.analysis.table import CellResult
+from codecbench.core.contracts.metric import Metric
+from codecbench.core.engine.planning.model import PluginSetting
 
 
 def sweep(**held: tuple[int, int]) -> Limit:
@@ -210,3 +214,13 @@ def test_a_setting_has_to_pass_every_test(
 ) -> None:
     joint = Joint({"runs": Standing("q", 1.0, *first), "others": Standing("q", 1.0, *second)})
     assert (joint.verdict, str(joint)) == (verdict, words)
+
+
+def test_a_level_that_people_see_with_the_other_sign_asks_for_the_other_side() -> None:
+    """95 % saved, of which 90 % are asked, is shown as a size of -95 %, at most -90 %."""
+    metric = Metric("saved", "percent", "higher", "", display_unit="%", display_factor=-1.0, enough=90.0)
+    column = Column(PluginSetting("evaluator", "size", "1"), metric, "", "mean")
+    level = Level("q", 1.0, column, 95.0, 90.0, Evidence(5.0, 0.25, 3.0))
+    assert level.verdict == "passes"
+    assert level.reach == pytest.approx(0.5 * scipy.stats.t.ppf(0.975, 3))
+    assert str(level) == "-95 % ± 1.6, ≤ -90 % asked"
