@@ -111,9 +111,9 @@ def perform(task: Task) -> Any:
     """Call the task's function under its limits and return its value; whatever it raises is passed on.
 
     What the task changed of the process is changed back. A worker where that failed, or in which earlier tasks left
-    more than half the cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
+    more than half of this one's cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
     """
-    if _state.retiring:
+    if _state.retiring or _is_crowded(task.memory_mb):
         os._exit(RETIRED)
     if _state.begun is not None:
         begin(_state.begun, task)
@@ -135,8 +135,11 @@ def perform(task: Task) -> Any:
         faulthandler.cancel_dump_traceback_later()
         _end_children()
         _state.retiring = not state.restore() or retirement.asked
-        if task.memory_mb is not None:
-            _state.retiring |= private_mb(os.getpid()) > _state.baseline_mb + task.memory_mb / 2
+
+
+def _is_crowded(memory_mb: int | None) -> bool:
+    """Whether earlier tasks, such as compiling kernels, left so much that a task with this cap would suffer."""
+    return memory_mb is not None and private_mb(os.getpid()) > _state.baseline_mb + memory_mb / 2
 
 
 def begin(file: Path, task: Task) -> None:

@@ -5,18 +5,15 @@ What cannot be compiled ahead, for whatever reason, is compiled when it is first
 
 from __future__ import annotations
 
-import functools
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
-
-import psutil
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from codecbench.core.contracts.confinement import confines
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.executor import Executor, Finished, Task, retirement
+from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
@@ -26,7 +23,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("codecbench.run")
 
-_MOST_LEFT_BYTES: Final = 48 << 20
 _Call: TypeAlias = tuple[Kind, str, str]
 """Kind and name of a plugin, and a package or module whose kernels it calls."""
 
@@ -104,22 +100,11 @@ class WarmUp:
 
 
 def compile_entry(work: tuple[Entry, Path | None]) -> None:
-    """Compile a kernel into the cache, and copy it into a folder where there is one.
-
-    A worker in which the compiler has left much asks for another in its place.
-    """
+    """Compile a kernel into the cache, and copy it into a folder where there is one."""
     entry, out = work
-    before = _bytes_at_first()
     entry.compile()
     if out is not None:
         entry.copy_to(out)
-    retirement.asked = psutil.Process().memory_info().rss - before > _MOST_LEFT_BYTES
-
-
-@functools.cache
-def _bytes_at_first() -> int:
-    """Memory of this process before it compiled anything."""
-    return int(psutil.Process().memory_info().rss)
 
 
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | None = None) -> WarmUp:

@@ -21,6 +21,18 @@ from codecbench.plugins.codecs.dct.color import (
 Color = Literal["gray", "rgb", "ycbcr444", "ycbcr420"]
 Plane = NDArray[np.uint8]
 
+_DCT = "codecbench.plugins.codecs.dct"
+
+
+def dct_kernels(color: Color) -> tuple[str, ...]:
+    """The kernels of this package that a setting with planes of this color space calls, for `Codec.kernels`."""
+    names = ["planes", "quantisation", "transform"]
+    if color != "rgb":
+        names += ["color.luma_from_rgb", "color.chroma_from_rgb", "color.rgb_from_ycbcr"]
+    if color == "ycbcr420":
+        names += ["color.halve", "color.double"]
+    return tuple(f"{_DCT}.{name}" for name in names)
+
 
 def plane_shapes(height: int, width: int, color: Color) -> list[tuple[int, int]]:
     """(height, width) of every plane, before padding."""

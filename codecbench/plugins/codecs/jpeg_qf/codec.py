@@ -21,7 +21,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct import tables
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr
-from codecbench.plugins.codecs.dct.planes import cropped, padded, planes_from_image
+from codecbench.plugins.codecs.dct.planes import cropped, dct_kernels, padded, planes_from_image
 from codecbench.plugins.codecs.jfif.markers import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
 from codecbench.plugins.codecs.jpeg_qf.interchange import MAX_JPEG_QF_PIXELS, CodedPicture, read_file, write_file
 from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, scan_layout, write_scan
@@ -66,6 +66,7 @@ class JpegQf(Codec[JpegQfParams]):
 
     def __init__(self, params: JpegQfParams) -> None:
         super().__init__(params)
+        self.kernels = (*dct_kernels(params.color), "codecbench.plugins.codecs.jpeg_qf")
         self._quantisers = [_steps(table, params.qf) for table in _TABLES[params.table]]
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:

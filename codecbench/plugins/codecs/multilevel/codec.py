@@ -14,7 +14,14 @@ from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import Image, check_image
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
-from codecbench.plugins.codecs.dct.planes import Color, cropped, image_from_planes, padded, planes_from_image
+from codecbench.plugins.codecs.dct.planes import (
+    Color,
+    cropped,
+    dct_kernels,
+    image_from_planes,
+    padded,
+    planes_from_image,
+)
 from codecbench.plugins.codecs.dct.tables import steps_from_table
 from codecbench.plugins.codecs.multilevel import entropy_coding
 from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpack, version_of
@@ -27,11 +34,19 @@ from codecbench.plugins.codecs.multilevel.params import MultilevelParams
 from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
 
 _HERE = "codecbench.plugins.codecs.multilevel"
-STATIC_KERNELS = (
-    "codecbench.plugins.codecs.dct",
-    *(f"{_HERE}.{module}" for module in ("arithmetic", "minimise", "rice", "scan", "search", "tables")),
-)
 _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.codecs.dct.planes", f"{_HERE}.context")
+
+
+def static_kernels(params: MultilevelParams) -> tuple[str, ...]:
+    """What a setting of the profile `static` calls."""
+    names = ["arithmetic", "minimise"]
+    if params.scan == "coefficient":
+        names += ["scan"]
+    if params.decoding == "search":
+        names += ["tables.encode_codes", "tables.decode_codes", "search"]
+    else:
+        names += ["rice"] if params.effort == "fast" else ["tables.encode_tuples", "tables.decode_tuples"]
+    return *dct_kernels(params.color), *(f"{_HERE}.{name}" for name in names)
 
 
 class Multilevel(Codec[MultilevelParams]):
@@ -45,7 +60,7 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(counts_operations=True, partial_decoding=True)
-    kernels = (*STATIC_KERNELS, *_CONTEXT_KERNELS)
+    kernels = ("codecbench.plugins.codecs.dct", _HERE)
     examples = (
         {},
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},
@@ -59,7 +74,7 @@ class Multilevel(Codec[MultilevelParams]):
 
     def __init__(self, params: MultilevelParams) -> None:
         super().__init__(params)
-        self.kernels = _CONTEXT_KERNELS if params.profile == "context" else STATIC_KERNELS
+        self.kernels = _CONTEXT_KERNELS if params.profile == "context" else static_kernels(params)
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         """The bitstream of one image; a gray image is coded as one plane whatever `color` says.

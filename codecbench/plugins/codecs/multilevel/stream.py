@@ -14,7 +14,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.planes import Color
-from codecbench.plugins.codecs.multilevel.codec import STATIC_KERNELS, Multilevel, image_from_values
+from codecbench.plugins.codecs.multilevel.codec import Multilevel, image_from_values
 from codecbench.plugins.codecs.multilevel.header import MAX_GROUP, MAX_QF, MIN_GROUP, MIN_QF
 from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked
 from codecbench.plugins.codecs.multilevel.levels import expanded, minimised
@@ -42,8 +42,12 @@ class MultilevelStream(StreamCodec[MultilevelStreamParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelStreamParams
     capabilities: ClassVar[Capabilities] = Capabilities()
-    kernels = STATIC_KERNELS
+    kernels = Multilevel.kernels
     examples = ({}, {"qf": 20, "color": "ycbcr420", "gop": 5}, {"qf": 75, "group": 2, "scan": "coefficient"})
+
+    def __init__(self, params: MultilevelStreamParams) -> None:
+        super().__init__(params)
+        self.kernels = (*_still(params).kernels, "codecbench.plugins.codecs.multilevel.tables")
 
     def encoder(self, frame_rate_hz: float) -> StreamEncoder:
         return MultilevelEncoder(self.params)
@@ -52,12 +56,17 @@ class MultilevelStream(StreamCodec[MultilevelStreamParams]):
         return MultilevelDecoder()
 
 
+def _still(params: MultilevelStreamParams) -> Multilevel:
+    """The codec of pictures that depend on no other."""
+    return Multilevel.create(**params.model_dump(exclude={"gop"}))
+
+
 class MultilevelEncoder(StreamEncoder):
     """One sequence being encoded."""
 
     def __init__(self, params: MultilevelStreamParams) -> None:
         self._gop, self._group = params.gop, params.group
-        self._still = Multilevel.create(**params.model_dump(exclude={"gop"}))
+        self._still = _still(params)
         self._memory: Memory | None = None
         self._shape: tuple[int, ...] = ()
         self._pushed = 0

@@ -91,7 +91,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     name = "features"
     version = "3"
-    kernels = ("codecbench.plugins.evaluators.features", "codecbench.slam.features")
+    kernels = ("codecbench.plugins.evaluators.features", "codecbench.slam.features.orb_kernels")
     params_type = FeaturesParams
     typical_ms_per_frame = 40.0
     metrics: ClassVar[tuple[Metric, ...]] = (
