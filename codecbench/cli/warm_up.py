@@ -60,9 +60,10 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
     console = Screen(stderr=True)
     try:
         executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), prepare_worker)
-        wanted.begin(executor)
         with console.status("") as status:
-            while wanted.done < wanted.total:
+            while wanted:
+                while (task := wanted.take()) is not None:
+                    executor.submit(task)
                 status.update(wanted.progress)
                 finished = executor.next_finished(0.2)
                 if finished is not None and wanted.took(finished):

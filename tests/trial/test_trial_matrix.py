@@ -151,7 +151,9 @@ def test_codecs_with_memory_get_two_seconds(tmp_path: Path) -> None:
 def test_compiling_is_in_the_estimate_only_where_kernels_have_to_be_compiled(tmp_path: Path, machine: Machine) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     warm = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
-    machine.kernels = WarmUp([Entry("module:kernel", "fast", "f8", 10.0)], [Entry("module:other", "fast", "f8", 14.0)])
+    machine.kernels = WarmUp(
+        {Entry("module:kernel", "fast", "f8", 10.0): (), Entry("module:other", "fast", "f8", 14.0): ()}
+    )
     machine.pace = Pace(1.0, 0.0)
     cold = trial_matrix(installed(), looked_at(tmp_path), ["jpeg:10"])
     assert (warm.compiles, cold.compiles) == (False, True)

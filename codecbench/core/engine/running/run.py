@@ -176,16 +176,13 @@ class _Run:
             log.warning("ended by %s; %d jobs and cells were left", interruption.signal_name, len(self.schedule))
 
     def _start(self) -> None:
-        """Start the workers, and compile ahead what the cells to come will call."""
-        idle = self.warm_up.done == self.warm_up.total
-        if idle and self.executor.shares_files:  # elsewhere each machine has a cache of its own, any worker on any
+        """See which kernels the cells to come will call, and start the workers."""
+        if not self.warm_up and self.executor.shares_files:  # elsewhere each machine has a cache, any worker on any
             self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
         if not self.started:
             waiting = len(self.schedule) + len(self.warm_up)
             self.executor.start(self.workers if self.grows else min(self.workers, waiting), prepare_worker)
             self.started = True
-        if idle:
-            self.warm_up.begin(self.executor, meanwhile=self._hand_out)
 
     def summary(self, interrupted: str | None) -> RunSummary:
         computed = len(self.statuses) - len(self.kept)
@@ -199,10 +196,28 @@ class _Run:
         return RunSummary(self.store.folder, counts, computed, kept, jobs, interrupted, self.damaged, notices)
 
     def _hand_out(self) -> None:
-        """Keep every worker busy and one task in reserve for each, so that none waits for this process."""
-        while len(self.under_way) < 2 * self.workers and (work := self.schedule.take()) is not None:
-            self.under_way[work.id] = work
-            self.executor.submit(task_of(work, self.plan.run, self.store, self.executor.shares_files))
+        """Keep every worker busy and one task in reserve for each, so that none waits for this process.
+
+        While kernels are compiled, work that calls none of those that are left goes before them.
+        """
+        while len(self.under_way) + self.warm_up.under_way < 2 * self.workers:
+            work = self.schedule.take(self._is_ready if self.warm_up else None)
+            if work is not None:
+                self.under_way[work.id] = work
+                self.executor.submit(task_of(work, self.plan.run, self.store, self.executor.shares_files))
+            elif (kernel := self.warm_up.take()) is not None:
+                self.executor.submit(kernel)
+            else:
+                return
+
+    def _is_ready(self, work: Work) -> bool:
+        """Whether the kernels that it calls are compiled.
+
+        The first job goes ahead, and alone: others find the frames that it has rendered, unpacked or fetched.
+        """
+        if isinstance(work, CodingJob) and not self.jobs_done:
+            return not self.under_way
+        return self.warm_up.serves(work.id)
 
     def _take_back(self, finished: Finished) -> None:
         if self.warm_up.took(finished):

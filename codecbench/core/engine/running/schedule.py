@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -57,15 +58,25 @@ class Schedule:
         """How many cells and jobs have not ended."""
         return self._left
 
-    def take(self) -> Work | None:
-        """What to start next, or None while everything waits for something that is under way."""
+    def take(self, is_ready: Callable[[Work], bool] | None = None) -> Work | None:
+        """What to start next, or None while everything waits for something that is under way, or is not ready."""
         queue = self._ready
         if not queue and not any(self._waiting.values()) and all(self._runs_alone(id_) for id_ in self._out):
             queue = self._alone
         if not queue:
             return None
-        id_ = heapq.heappop(queue).id
-        self._out.add(id_)
+        if is_ready is not None:
+            found = next((entry for entry in sorted(queue) if is_ready(self._work(entry.id))), None)
+            if found is None:
+                return None
+            queue.remove(found)
+            heapq.heapify(queue)
+        else:
+            found = heapq.heappop(queue)
+        self._out.add(found.id)
+        return self._work(found.id)
+
+    def _work(self, id_: str) -> Work:
         return self.jobs.get(id_) or self.cells[id_]
 
     def ended(self, work: Work) -> None:

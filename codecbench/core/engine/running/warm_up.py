@@ -5,15 +5,17 @@ What cannot be compiled ahead, for whatever reason, is compiled when it is first
 
 from __future__ import annotations
 
+import functools
+import itertools
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from codecbench.core.contracts.confinement import confines
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.executor import Executor, Finished, Task
+from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
@@ -24,79 +26,75 @@ if TYPE_CHECKING:
 log = logging.getLogger("codecbench.run")
 
 _Call: TypeAlias = tuple[Kind, str, str]
-"""Kind and name of a plugin, and a package or module whose kernels it calls."""
+"""Kind and name of a plugin, and a package, module or function whose kernels it calls."""
+_Kernels: TypeAlias = "dict[Entry, tuple[str, ...]]"
+"""Kernels with the distributions that are imported to compile each."""
 
 
 class WarmUp:
-    """Kernels that are not in the cache: those that coding calls, which come first, and those of evaluators.
+    """Kernels that are not in the cache, and the work that waits for them.
 
-    Those that only longer work comes to are compiled once all others are, beside the first cells. companies: the
-    distributions that are imported to compile them. out: a folder that gets a copy of what is compiled.
+    wanted: in the order in which they are compiled, with the distributions that are imported to compile each; those
+    that only longer work comes to follow once all others are compiled, beside the first cells. needs: by the id of a
+    coding job or cell, what it calls. out: a folder that gets a copy of what is compiled.
     """
 
     def __init__(
         self,
-        coding: Iterable[Entry] = (),
-        evaluating: Iterable[Entry] = (),
-        companies: Mapping[Entry, tuple[str, ...]] | None = None,
+        wanted: _Kernels | None = None,
+        needs: Mapping[str, frozenset[Entry]] | None = None,
         out: Path | None = None,
     ) -> None:
-        wanted = {True: list(coding), False: list(evaluating)}
-        self._coding, self._evaluating = ([entry for entry in wanted[c] if entry.stage == 0] for c in (True, False))
-        self._later = [entry for entries in wanted.values() for entry in entries if entry.stage > 0]
-        self._companies, self._out = companies or {}, out
+        self._companies, self._needs, self._out = wanted or {}, needs or {}, out
+        self._waiting = sorted(self._companies, key=lambda entry: entry.stage > 0)
+        self._missing = {entry for entry in self._waiting if entry.stage == 0}
         self._under_way: dict[str, Entry] = {}
-        self._executor: Executor[Any] | None = None
-        self.total = len(self._coding) + len(self._evaluating) + len(self._later)
+        self.total = len(self._waiting)
         self.done = self.failed = 0
 
     def __len__(self) -> int:
         return self.total - self.done
 
     @property
+    def under_way(self) -> int:
+        """How many were taken and have not ended."""
+        return len(self._under_way)
+
+    @property
     def seconds(self) -> float:
         """What compiling them takes one worker, as it did where their lists were made."""
-        return sum(entry.seconds for entry in (*self._coding, *self._evaluating, *self._later))
+        return sum(entry.seconds for entry in self._companies)
 
     @property
     def progress(self) -> str:
         """How far it is, for people; empty once it is over."""
         return f"compiling kernels, once: {self.done} of {self.total}" if self.done < self.total else ""
 
-    def begin(self, executor: Executor[Any], meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Submit what comes first; `meanwhile` submits the work that waits for no more than the kernels of coding."""
-        self._executor = executor
-        self._submit(self._coding)
-        meanwhile()
-        self._submit(self._evaluating)
-        self._submit_later()
+    def serves(self, id_: str) -> bool:
+        """Whether a coding job or cell would find all kernels that it calls compiled."""
+        return self._missing.isdisjoint(self._needs.get(id_, ()))
+
+    def take(self) -> Task | None:
+        """What to compile next; None while that has to wait, and at the end."""
+        if not self._waiting or (self._waiting[0].stage > 0 and self._under_way):
+            return None
+        entry = self._waiting.pop(0)
+        id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
+        self._under_way[id_] = entry
+        company = self._companies[entry]
+        return Task(id_, compile_entry, (entry, self._out), company=company, confined=confines(company))
 
     def took(self, finished: Finished) -> bool:
         """Whether a task that has ended was one of these. However it ended, the run goes on."""
         entry = self._under_way.pop(finished.task_id, None)
         if entry is None:
             return False
+        self._missing.discard(entry)
         self.done += 1
         if finished.status != "ok":
             self.failed += 1
             log.warning("%s is compiled at its first call: %s", entry.kernel, finished.reason)
-        self._submit_later()
         return True
-
-    def _submit_later(self) -> None:
-        if not self._under_way and self._later:
-            later, self._later = self._later, []
-            self._submit(later)
-
-    def _submit(self, entries: list[Entry]) -> None:
-        """Earlier stages first, and of one stage the largest: no worker is left alone with a large one at the end."""
-        assert self._executor is not None
-        for entry in sorted(entries, key=lambda entry: (entry.stage, -entry.seconds)):
-            id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
-            self._under_way[id_] = entry
-            company = self._companies.get(entry, ())
-            work = entry, self._out
-            self._executor.submit(Task(id_, compile_entry, work, company=company, confined=confines(company)))
 
 
 def compile_entry(work: tuple[Entry, Path | None]) -> None:
@@ -108,30 +106,47 @@ def compile_entry(work: tuple[Entry, Path | None]) -> None:
 
 
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | None = None) -> WarmUp:
-    """What the cells will call and the cache does not have; with `out` all that they will call."""
-    by_setting = {(cell.sequence.dataset, cell.codec, cell.evaluator): cell for cell in cells}
-    coding: dict[_Call, None] = {}
-    counted: dict[_Call, None] = {}
-    evaluating: dict[_Call, None] = {}
-    descriptions: dict[PluginSetting, dict[str, Any]] = {}
+    """What the cells will call and the cache does not have; with `out` all that they will call.
 
-    def calls(setting: PluginSetting) -> dict[_Call, None]:
-        if setting not in descriptions:
-            descriptions[setting] = _description(registry, setting.kind, setting.name, setting.params)
-        return {(setting.kind, setting.name, kernels): None for kernels in descriptions[setting]["kernels"]}
+    Kernels of sequences come first, then those of evaluators, so that codecs without any have results early, then those
+    of codecs; of each, the largest first, so that no worker is left alone with a large one at the end.
+    """
 
-    for cell in by_setting.values():
-        coding |= calls(cell.sequence.dataset) | calls(cell.codec)
-        for plugin in (cell.evaluator, *cell.evaluator.uses):
-            evaluating |= calls(plugin)
-        if descriptions[cell.evaluator]["counts"]:
-            counted |= calls(cell.codec)
-    kept = out is not None
-    first = missing(registry, coding, "fast", kept=kept)
-    counting = missing(registry, counted, "counting", kept=kept)
-    evaluated = missing(registry, evaluating, "fast", kept=kept)
-    later = [entry for entry in evaluated if entry not in first]
-    return WarmUp([*first], [*counting, *later], companies={**evaluated, **counting, **first}, out=out)
+    @functools.cache
+    def described(setting: PluginSetting) -> tuple[tuple[str, ...], bool]:
+        description = _description(registry, setting.kind, setting.name, setting.params)
+        return tuple(description["kernels"]), description["counts"]
+
+    @functools.cache
+    def listed_for(kind: Kind, name: str, kernels: tuple[str, ...], build: str) -> _Kernels:
+        return missing(registry, [(kind, name, kernel) for kernel in kernels], build, kept=out is not None)
+
+    def of(*settings: PluginSetting, build: str = "fast") -> _Kernels:
+        found = (listed_for(setting.kind, setting.name, described(setting)[0], build) for setting in settings)
+        return {entry: company for kernels in found for entry, company in kernels.items()}
+
+    cells = list(cells)
+    work = {cell.id: (cell.sequence.dataset, cell.codec, cell.evaluator) for cell in cells}
+    parts = {
+        key: (
+            of(key[0]),
+            of(key[2], *key[2].uses),
+            of(key[1]),
+            of(key[1], build="counting") if described(key[2])[1] else {},
+        )
+        for key in dict.fromkeys(work.values())
+    }
+    wanted: _Kernels = {}
+    for group in zip(*parts.values(), strict=True):
+        wanted |= _largest_first(group)
+    calls = {key: frozenset(itertools.chain(*kernels)) for key, kernels in parts.items()}
+    coding = {cell.job_id: frozenset(itertools.chain(*parts[work[cell.id]][::2])) for cell in cells if cell.job_id}
+    return WarmUp(wanted, {id_: calls[key] for id_, key in work.items()} | coding, out)
+
+
+def _largest_first(groups: Iterable[_Kernels]) -> _Kernels:
+    entries = {entry: company for group in groups for entry, company in group.items()}
+    return dict(sorted(entries.items(), key=lambda item: -item[0].seconds))
 
 
 def all_kernels(registry: Registry, out: Path | None = None) -> WarmUp:
@@ -140,14 +155,11 @@ def all_kernels(registry: Registry, out: Path | None = None) -> WarmUp:
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
         asked = plugin.kind, plugin.spec.name
         names |= {(*asked, kernels): None for kernels in _description(registry, *asked)["kernels"]}
-    entries = missing(registry, names, "fast", "counting", kept=out is not None)
-    return WarmUp([*entries], companies=entries, out=out)
+    return WarmUp(_largest_first([missing(registry, names, "fast", "counting", kept=out is not None)]), out=out)
 
 
-def missing(
-    registry: Registry, calls: Collection[_Call], *builds: str, kept: bool = False
-) -> dict[Entry, tuple[str, ...]]:
-    """The listed kernels of packages and modules, in these builds, that the cache does not have, with their company.
+def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bool = False) -> _Kernels:
+    """The listed kernels of these calls, in these builds, that the cache does not have.
 
     kept: also those that it has.
     """
@@ -158,7 +170,7 @@ def missing(
     by_plugin: dict[tuple[Kind, str], list[str]] = {}
     for kind, name, kernels in calls:
         by_plugin.setdefault((kind, name), []).append(kernels)
-    entries: dict[Entry, tuple[str, ...]] = {}
+    entries: _Kernels = {}
     for asked, names in by_plugin.items():
         company = registry.find(*asked).company
         try:

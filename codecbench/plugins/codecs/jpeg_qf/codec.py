@@ -56,7 +56,7 @@ class JpegQf(Codec[JpegQfParams]):
     version = "1"
     params_type = JpegQfParams
     capabilities = Capabilities(counts_operations=True)
-    kernels = ("codecbench.plugins.codecs.dct", "codecbench.plugins.codecs.jpeg_qf")
+    kernels: tuple[str, ...] = ("codecbench.plugins.codecs.dct", "codecbench.plugins.codecs.jpeg_qf")
     examples = (
         {},
         {"qf": 100, "optimize": True, "color": "ycbcr420"},

@@ -60,7 +60,7 @@ class Multilevel(Codec[MultilevelParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelParams
     capabilities: ClassVar[Capabilities] = Capabilities(counts_operations=True, partial_decoding=True)
-    kernels = ("codecbench.plugins.codecs.dct", _HERE)
+    kernels: tuple[str, ...] = ("codecbench.plugins.codecs.dct", _HERE)
     examples = (
         {},
         {"qf": 20, "levels": 2, "decoding": "search", "color": "ycbcr420"},

@@ -42,7 +42,7 @@ class MultilevelStream(StreamCodec[MultilevelStreamParams]):
     version: ClassVar[str] = "1"
     params_type = MultilevelStreamParams
     capabilities: ClassVar[Capabilities] = Capabilities()
-    kernels = Multilevel.kernels
+    kernels: tuple[str, ...] = Multilevel.kernels
     examples = ({}, {"qf": 20, "color": "ycbcr420", "gop": 5}, {"qf": 75, "group": 2, "scan": "coefficient"})
 
     def __init__(self, params: MultilevelStreamParams) -> None:
