@@ -10,6 +10,7 @@ from typing import Final
 import click
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as ProgressBar
+from rich.table import Column
 
 from codecbench.cli.screen import Screen
 from codecbench.core.engine.running.progress import Progress
@@ -20,17 +21,19 @@ _LINE_EVERY_S: Final = 60.0
 class Display:
     """A bar, or a line a minute where there is no terminal, and one line for every reason of which a cell fails.
 
-    What is counted are the cells of the plan, as `codecbench status` does; the bar grows with the work.
+    Both end with what was measured last; without a terminal, what is measured first is said at once. What is counted
+    are the cells of the plan, as `codecbench status` does; the bar grows with the work.
     """
 
     def __init__(self, console: Screen, keep_going: bool) -> None:
         self._keep_going = keep_going
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        note = TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+        columns = (TextColumn("{task.description}"), BarColumn(), note)
         self._bar = ProgressBar(*columns, console=console, transient=True)
         self._task = self._bar.add_task("starting", total=None, note="")
         self._reasons: Counter[str] = Counter()
         self._first: dict[str, str] = {}
-        self._said, self._ended = "starting", threading.Event()
+        self._said, self._measured, self._ended = "starting", "", threading.Event()
         lines = not console.is_terminal and not console.quiet
         self._lines = threading.Thread(target=self._say_every_minute, daemon=True) if lines else None
 
@@ -50,13 +53,17 @@ class Display:
 
     def show(self, progress: Progress) -> None:
         """Take in how far the run is. Raises ClickException where a cell failed and the run is to end then."""
-        self._said = spoken(progress)
+        from codecbench.core.engine.foreign_text import clean_line
+
+        first = progress.measured and not self._measured
+        self._measured = clean_line(progress.measured) or self._measured
+        self._said = "; ".join(filter(None, (spoken(progress), self._measured)))
+        if first and self._lines is not None:
+            click.echo(self._said, err=True)
         count, _, note = self._said.partition(", ")
         share = progress.share
         done, total = (0.0, None) if share is None else (share, 1.0)
         self._bar.update(self._task, description=count, completed=done, total=total, note=note)
-        from codecbench.core.engine.foreign_text import clean_line
-
         if progress.notice:
             click.secho(clean_line(progress.notice), fg="yellow", err=True)
         record, cell = progress.record, progress.cell

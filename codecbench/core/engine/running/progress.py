@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S, TYPICAL_CODING_MS
 from codecbench.core.engine.planning.model import Cell, CodingJob
@@ -21,7 +22,7 @@ class Progress:
     Cells and jobs that an earlier run left are in `cells_kept` and nowhere else. remaining_s: an estimate, None before
     the first job or cell has ended. compiling: how many kernels are compiled ahead so far, in words,
     empty when they all are. notice: something that its user has to know. cell and record: what just ended, None for a
-    coding job.
+    coding job. measured: its headlines in words, see `measured_words`.
     """
 
     cells_total: int
@@ -36,6 +37,7 @@ class Progress:
     notice: str = ""
     cell: Cell | None = None
     record: Record | None = None
+    measured: str = ""
 
     @property
     def share(self) -> float | None:
@@ -43,6 +45,21 @@ class Progress:
         if self.remaining_s is None:
             return None
         return self.elapsed_s / (self.elapsed_s + self.remaining_s) if self.remaining_s else 1.0
+
+
+def measured_words(cell: Cell, record: Record, declared: Mapping[str, Any]) -> str:
+    """The headlines of a cell, such as `jpeg quality=30: PSNR 30.3 dB, SSIM 0.88`; empty where it has none.
+
+    declared: as of a `Plan`.
+    """
+    values = []
+    for metric in declared.get("evaluators", {}).get(cell.evaluator.title, {}).get("metrics", ()):
+        value = record.summaries.get((metric["name"], "", metric["aggregates"][0]), math.nan)
+        if metric["headline"] and math.isfinite(value):
+            unit = "" if metric["display_unit"] in ("", "1") else f" {metric['display_unit']}"
+            values.append(f"{metric['label']} {value * metric['display_factor']:.3g}{unit}")
+    setting = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+    return f"{setting}: {', '.join(values)}" if values else ""
 
 
 @dataclass

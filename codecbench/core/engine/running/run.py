@@ -21,7 +21,7 @@ from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.distrust import beside_notice, made_beside
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.mending import mend_environments
-from codecbench.core.engine.running.progress import Pace, Progress
+from codecbench.core.engine.running.progress import Pace, Progress, measured_words
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
@@ -198,14 +198,15 @@ class _Run:
     def _hand_out(self) -> None:
         """Keep every worker busy and one task in reserve for each, so that none waits for this process.
 
-        While kernels are compiled, work that calls none of those that are left goes before them.
+        While kernels are compiled, work that calls none of those that are left goes before them; none is in reserve,
+        where such work would have to wait for it.
         """
-        while len(self.under_way) + self.warm_up.under_way < 2 * self.workers:
+        while (busy := len(self.under_way) + self.warm_up.under_way) < 2 * self.workers:
             work = self.schedule.take(self._is_ready if self.warm_up else None)
             if work is not None:
                 self.under_way[work.id] = work
                 self.executor.submit(task_of(work, self.plan.run, self.store, self.executor.shares_files))
-            elif (kernel := self.warm_up.take()) is not None:
+            elif busy < self.workers and (kernel := self.warm_up.take()) is not None:
                 self.executor.submit(kernel)
             else:
                 return
@@ -215,8 +216,8 @@ class _Run:
 
         The first job goes ahead, and alone: others find the frames that it has rendered, unpacked or fetched.
         """
-        if isinstance(work, CodingJob) and not self.jobs_done:
-            return not self.under_way
+        if self.jobs_total and not self.jobs_done:
+            return isinstance(work, CodingJob) and not self.under_way
         return self.warm_up.serves(work.id)
 
     def _take_back(self, finished: Finished) -> None:
@@ -311,6 +312,7 @@ class _Run:
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,
                 record=record,
+                measured=measured_words(cell, record, self.plan.declared) if cell and record else "",
             )
         )
 

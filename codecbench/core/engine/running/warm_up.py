@@ -108,8 +108,8 @@ def compile_entry(work: tuple[Entry, Path | None]) -> None:
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | None = None) -> WarmUp:
     """What the cells will call and the cache does not have; with `out` all that they will call.
 
-    Kernels of sequences come first, then those of evaluators, so that codecs without any have results early, then those
-    of codecs; of each, the largest first, so that no worker is left alone with a large one at the end.
+    Kernels of sequences come first, then those of one evaluator after the other, so that codecs without any have
+    results early, then those of codecs; of each, the largest first, so that no worker is left alone with a large one.
     """
 
     @functools.cache
@@ -136,9 +136,12 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | No
         )
         for key in dict.fromkeys(work.values())
     }
-    wanted: _Kernels = {}
-    for group in zip(*parts.values(), strict=True):
-        wanted |= _largest_first(group)
+    evaluators = dict.fromkeys(key[2] for key in parts)
+    wanted = _largest_first(kernels[0] for kernels in parts.values())
+    for evaluator in evaluators:
+        wanted |= _largest_first(kernels[1] for key, kernels in parts.items() if key[2] == evaluator)
+    wanted |= _largest_first(kernels[2] for kernels in parts.values())
+    wanted |= _largest_first(kernels[3] for kernels in parts.values())
     calls = {key: frozenset(itertools.chain(*kernels)) for key, kernels in parts.items()}
     coding = {cell.job_id: frozenset(itertools.chain(*parts[work[cell.id]][::2])) for cell in cells if cell.job_id}
     return WarmUp(wanted, {id_: calls[key] for id_, key in work.items()} | coding, out)

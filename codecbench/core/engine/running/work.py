@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import platform
 import random
 import tempfile
@@ -75,13 +76,17 @@ class Order:
 
 
 def prepare_worker() -> None:
-    """Load what every cell needs, single-threaded, so that the first one is not slower than the others."""
+    """Load what every cell needs, single-threaded, so that the first one is not slower than the others.
+
+    What is loaded stays: looking for garbage among it would take each measurement of time a tenth of a second.
+    """
     import pyarrow
     import pyarrow.parquet
 
     pyarrow.set_cpu_count(1)
     pyarrow.set_io_thread_count(1)
     _workbench()
+    gc.freeze()
 
 
 def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
