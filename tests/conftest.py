@@ -8,6 +8,10 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("shared machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("shared machine")
 
 with pytest.MonkeyPatch.context() as environment:  # one thread in each of the processes that share the cores
     environment.setenv("OPENBLAS_NUM_THREADS", "1")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -21,6 +22,7 @@ COMMANDS = {
     "codecbench --help": [sys.executable, "-m", "codecbench", "--help"],
     "codecbench list": [sys.executable, "-m", "codecbench", "list"],
 }
+FIRST_RUN = [sys.executable, "-m", "codecbench", "run", "examples/first.yaml", "--out"]
 MATRIX = """
 version: 1
 name: engine
@@ -40,6 +42,23 @@ def starts(rounds: int) -> dict[str, float]:
             subprocess.run(command, capture_output=True, check=True)
             taken[name].append(time.perf_counter() - begun)
     return {name: statistics.median(values) for name, values in taken.items()}
+
+
+def first_runs(rounds: int) -> dict[str, tuple[float, float]]:
+    """Seconds to the first result and to the end of the first run, with an empty cache and then with a full one."""
+    taken: dict[str, list[tuple[float, float]]] = {"empty": [], "full": []}
+    for _ in range(rounds):
+        with tempfile.TemporaryDirectory() as folder:
+            for cache, times in taken.items():
+                environment = {**os.environ, "CODECBENCH_CACHE": folder}
+                command = [*FIRST_RUN, f"{folder}/{cache}"]
+                begun = time.perf_counter()
+                pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+                with subprocess.Popen(command, env=environment, **pipes) as run:
+                    said = [time.perf_counter() - begun for line in run.stderr if "; " in line]
+                assert run.returncode == 0
+                times.append((said[0], time.perf_counter() - begun))
+    return {cache: tuple(map(statistics.median, zip(*times, strict=True))) for cache, times in taken.items()}
 
 
 def engine_share(frames: int, rounds: int) -> float:
@@ -100,6 +119,10 @@ def main() -> None:
     print("| what | measured |\n|---|---:|")
     for name, seconds in starts(chosen.rounds).items():
         print(f"| `{name}` | {1000 * seconds:.0f} ms |", flush=True)
+    for cache, (first, last) in first_runs(3).items():
+        print(
+            f"| `codecbench run examples/first.yaml`, {cache} cache: first result, end | {first:.1f} s, {last:.1f} s |"
+        )
     mean, median = slam_ms(chosen.frames)
     print(f"| SLAM `orb`, 640x480, one thread: CPU time a frame, mean | {mean:.1f} ms |")
     print(f"| SLAM `orb`: wall time a frame, median | {median:.1f} ms |", flush=True)

@@ -47,6 +47,16 @@ class TwoMinutes(threading.Event):
         return super().wait()
 
 
+def test_without_a_terminal_what_is_measured_first_is_said_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with Display(Screen(file=io.StringIO()), keep_going=True) as shown:
+        shown.show(MOMENT)
+        assert capsys.readouterr().err == ""
+        for measured in ("jpeg quality=30: PSNR 30.3 dB", "", "jpeg quality=75: PSNR 34.7 dB"):
+            shown.show(replace(MOMENT, measured=measured))
+    said = "14 of 90 cells, about 3:20 left, 2 without a result; jpeg quality=30: PSNR 30.3 dB"
+    assert capsys.readouterr().err.splitlines() == [said]
+
+
 def test_without_a_terminal_a_line_is_said_every_minute(capsys: pytest.CaptureFixture[str]) -> None:
     shown, shown._ended = Display(Screen(file=io.StringIO()), keep_going=True), TwoMinutes()
     shown.show(MOMENT)

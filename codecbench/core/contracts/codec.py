@@ -102,9 +102,9 @@ class AnyCodec(Configured[P]):
     change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
     settings on which the conformance kit and the benchmarks exercise this codec; `reference`, what it is to
     others: the `baseline` that a task without compression is judged by, or the `anchor` of rates; `kernels`, the
-    packages and modules whose listed kernels it calls, which a run compiles ahead; a setting that calls fewer has its
-    own. The classes below say the rest: `carries`, what its packets carry, and `stateless`, whether each picture is
-    coded on its own, so that `encode` and `decode` may be called too.
+    packages, modules and functions whose listed kernels it calls, which a run compiles ahead; a setting that calls
+    fewer has its own. The classes below say the rest: `carries`, what its packets carry, and `stateless`, whether each
+    picture is coded on its own, so that `encode` and `decode` may be called too.
     """
 
     capabilities: ClassVar[Capabilities]

@@ -22,7 +22,7 @@ def test_equals_the_reference_implementation() -> None:
     assert ours.failures == (0, 0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(4, 9), st.integers(4, 9))
 def test_equals_the_reference_on_random_clean_curves(seed: int, anchors: int, tests: int) -> None:
     rng = np.random.default_rng(seed)

@@ -12,6 +12,10 @@ import pytest
 from distributions import register
 from project import SUPPORT
 
+from codecbench.core.contracts.executor import Finished
+from codecbench.core.engine.running.warm_up import WarmUp
+from codecbench.core.kernels.manifest import Entry
+
 PACKAGE = {
     "__init__.py": """
 from codecbench import PluginSpec, hookimpl
@@ -90,6 +94,28 @@ class Place:
         done = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout + done.stderr
+
+
+def test_work_waits_for_its_own_kernels_and_long_work_for_none() -> None:
+    first, second, late = (
+        Entry(f"module:{name}", "fast", "int64", 1.0, stage) for name, stage in (("a", 0), ("b", 0), ("late", 1))
+    )
+    warm_up = WarmUp({late: (), first: (), second: ()}, {"cell": frozenset({second, late}), "job": frozenset({first})})
+    assert warm_up.serves("another cell")
+    taken = [warm_up.take(), warm_up.take()]
+    assert [task.argument[0] for task in taken if task] == [first, second]
+    assert warm_up.take() is None, "what only longer work comes to waits for the others"
+    assert not warm_up.serves("job")
+    assert taken[1] is not None
+    assert warm_up.took(Finished(taken[1].id, "failed", reason="no compiler"))
+    assert warm_up.serves("cell"), "it compiles at the first call what could not be compiled ahead"
+    assert not warm_up.took(Finished("cell", "ok"))
+    assert taken[0] is not None
+    assert warm_up.took(Finished(taken[0].id, "ok"))
+    last = warm_up.take()
+    assert last is not None
+    assert last.argument[0] == late
+    assert (len(warm_up), warm_up.failed, warm_up.progress) == (1, 1, "compiling kernels, once: 2 of 3")
 
 
 @pytest.fixture(scope="module")

@@ -193,7 +193,7 @@ def test_a_codec_that_wrongly_says_that_it_holds_nothing_back_is_named(tmp_path:
         delivered(tmp_path, stream, Losing())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     link=st.sampled_from([
         Constant.create(rate_kbps=300, delay_ms=15, jitter_ms=10, loss=0.1, queue_packets=12),

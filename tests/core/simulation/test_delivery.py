@@ -349,7 +349,7 @@ LINKS = st.sampled_from(
 UNITS = st.lists(st.tuples(st.integers(1, 6000), st.booleans()), min_size=1, max_size=60)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     link=LINKS,
     drawn=UNITS,

@@ -41,7 +41,7 @@ def _lengths_by_symbol(table: HuffmanTable) -> dict[int, int]:
     return dict(zip(table.symbols, lengths, strict=True))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.dictionaries(st.integers(0, 255), st.integers(1, 10_000), min_size=1, max_size=60))
 def test_cost_is_that_of_the_textbook(frequencies: dict[int, int]) -> None:
     counts = np.zeros(256, np.int64)

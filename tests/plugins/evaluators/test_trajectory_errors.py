@@ -40,7 +40,7 @@ def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, 
     rotation=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
     translation=st.tuples(*[st.floats(-50.0, 50.0)] * 3),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_alignment_recovers_a_known_similarity(
     scale: float, rotation: tuple[float, ...], translation: tuple[float, ...]
 ) -> None:

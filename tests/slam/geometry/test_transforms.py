@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 from scipy.linalg import expm
@@ -59,7 +59,6 @@ def test_quaternions_agree_with_scipy(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(rotations.rotation_from_quaternion(3.0 * quaternion), rotation, atol=1e-14)
 
 
-@settings(deadline=None)
 @given(tangents, tangents)
 def test_group_laws_of_similarities(x: np.ndarray, y: np.ndarray) -> None:
     a, b = tf.sim3_exp(x), tf.sim3_exp(y)
@@ -69,7 +68,6 @@ def test_group_laws_of_similarities(x: np.ndarray, y: np.ndarray) -> None:
     np.testing.assert_allclose(tf.sim3_from_parts(*tf.sim3_to_parts(a)), a, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(tangents)
 def test_rigid_motions_are_similarities_of_scale_one(x: np.ndarray) -> None:
     motion = tf.se3_exp(x[:6])

@@ -8,10 +8,31 @@ import pytest
 
 from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S
 from codecbench.core.engine.planning.model import Cell, CodingJob, PluginSetting, SequenceEntry
-from codecbench.core.engine.running.progress import Pace, Progress
+from codecbench.core.engine.running.progress import Pace, Progress, measured_words
+from codecbench.core.engine.storage.record import Record
 
 COSTS_S = {"raw": 0.5, "slow": 20.0}
 """What a frame costs under each codec, whatever reads it."""
+
+
+def test_what_a_cell_measured_is_its_headlines_in_the_units_that_people_are_shown() -> None:
+    shown = {"aggregates": ["mean"], "headline": True, "display_unit": "1", "display_factor": 1.0}
+    declared = {
+        "evaluators": {
+            "tracking": {
+                "metrics": [
+                    {**shown, "name": "error_m", "label": "error", "display_unit": "cm", "display_factor": 100.0},
+                    {**shown, "name": "share", "label": "tracked"},
+                    {**shown, "name": "infinite", "label": "PSNR"},
+                    {**shown, "name": "detail", "label": "detail", "headline": False},
+                ]
+            }
+        }
+    }
+    summaries = {("error_m", "", "mean"): 0.01234, ("share", "", "mean"): 0.9, ("infinite", "", "mean"): float("inf")}
+    of, record = cell(5, "raw", "tracking"), Record("id", "ok", summaries={**summaries, ("detail", "", "mean"): 1.0})
+    assert measured_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
+    assert measured_words(of, record, {}) == ""
 
 
 def sequence(frames: int) -> SequenceEntry:

@@ -186,6 +186,14 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert len(schedule) == 4
 
 
+def test_the_schedule_gives_what_is_ready_in_its_order(bench: Bench) -> None:
+    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1, 2]}}}", "wandering"))
+    schedule, (first, second, third) = Schedule(plan, list(plan.cells), set()), plan.jobs
+    assert schedule.take(lambda work: work.id in (second.id, third.id)) is second
+    assert schedule.take(lambda work: False) is None
+    assert [schedule.take(), schedule.take()] == [first, third]
+
+
 @pytest.mark.thorough
 def test_a_clock_that_goes_backwards_harms_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(2_000_000_000, 0, -3600))

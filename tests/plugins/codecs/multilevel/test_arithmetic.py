@@ -28,7 +28,7 @@ def packed(symbols: np.ndarray) -> np.ndarray:
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=300))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_symbols_come_back(values: list[int]) -> None:
     symbols = packed(np.array(values))
     data, counts = coded(symbols)

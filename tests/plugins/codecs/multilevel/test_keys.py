@@ -27,7 +27,7 @@ def is_one_to_one(keys: np.ndarray, radix: int) -> bool:
 
 
 @given(st.lists(st.integers(1, 60), min_size=2, max_size=4), st.integers(1, 6))
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_collisions_are_found_exactly_where_they_are(values: list[int], radix: int) -> None:
     keys = np.array(values, np.int64)
     pair = colliding_digits(keys, radix)
@@ -41,7 +41,7 @@ def test_collisions_are_found_exactly_where_they_are(values: list[int], radix: i
 
 
 @given(st.integers(1, 40), st.integers(2, 6), st.integers(0, 1000))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_automatic_keys_are_super_increasing(radix: int, group: int, seed: int) -> None:
     assert is_super_increasing(np.array(canonical_keys(radix, group)), radix)
     assert is_super_increasing(np.array(random_keys(radix, group, np.random.default_rng(seed))), radix)

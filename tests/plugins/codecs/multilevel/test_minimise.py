@@ -21,7 +21,7 @@ def canonical(group: int):  # type: ignore[no-untyped-def]
 
 
 @given(st.lists(st.integers(-60, 60), min_size=1, max_size=200), st.integers(2, 5), st.integers(1, 4))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_levels_come_back(values: list[int], group: int, levels: int) -> None:
     indices = np.array(values, np.int32)
     result = minimised(indices, levels, canonical(group), NULL_TRACE)

@@ -81,7 +81,7 @@ def test_levels_decoding_keys_groups_and_scans_leave_the_pixels_alone() -> None:
     qf=st.floats(0.5, 1000),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_noise_of_any_size_keeps_its_shape(  # type: ignore[no-untyped-def]
     shape, channels, color, levels, group, decoding, scan, qf, seed
 ) -> None:

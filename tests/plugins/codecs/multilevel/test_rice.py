@@ -43,7 +43,7 @@ def coded(tuples: np.ndarray, counts: np.ndarray, usual: int) -> np.ndarray:
     st.floats(0, 0.99),
     st.integers(0, 10**6),
 )
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 def test_tables_come_back(radix: int, group: int, size: int, top: bool, usual: float, seed: int) -> None:
     tuples, counts = table(np.random.default_rng(seed), radix, group, size)
     sent, total, digit = counts if top else counts[:0], int(counts.sum()), int(usual * radix)

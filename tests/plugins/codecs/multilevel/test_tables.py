@@ -28,7 +28,7 @@ def table(rng: np.random.Generator, radix: int, group: int, size: int) -> tuple[
 
 
 @given(st.integers(1, 300), st.integers(2, 5), st.integers(1, 200), st.booleans(), st.integers(0, 10**6))
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 def test_tables_come_back(radix: int, group: int, size: int, top: bool, seed: int) -> None:
     codes, tuples, counts = table(np.random.default_rng(seed), radix, group, size)
     total = int(counts.sum())
