@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -25,6 +25,11 @@ def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> by
     if not done:
         raise ImageError(f"OpenCV cannot write shape {image.shape} as {extension}")
     return buffer.tobytes()
+
+
+def flags(options: Mapping[str, int]) -> list[int]:
+    """Options by the names of OpenCV's flags, as `write_image` takes them."""
+    return [number for name, value in options.items() for number in (getattr(cv2, name), value)]
 
 
 def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
