@@ -29,9 +29,9 @@ class Recipe:
     """What one pastes to get the bytes that were measured.
 
     stack: what it is for, with the version by which keys are named. text: empty if that stack cannot code so. A Python
-    text defines `encode(frame)`, which returns the bytes of a frame (uint8) of the layout that its argument names: `rgb`,
-    `bgr` or `gray`. Given None at the end of a stream, it returns what was held back. note: what differs there from what
-    was measured, or why there is no text; empty for nothing.
+    text defines `encode(frame)`, which returns the bytes of a frame (uint8) in the layout that its argument names:
+    `rgb`, `bgr` or `gray`. Given None at the end of a stream, it returns what was held back. note: what differs there
+    from what was measured, or why there is no text; empty for nothing.
     """
 
     stack: str

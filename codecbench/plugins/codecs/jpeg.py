@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, Self
 
-import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -33,7 +32,7 @@ from codecbench.plugins.codecs.jfif.markers import (
     read_segments,
 )
 from codecbench.plugins.codecs.jfif.restart import salvage
-from codecbench.plugins.codecs.opencv import flags, library_versions, read_image, write_image
+from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
 from codecbench.plugins.codecs.recipes import (
     CONVERSION,
     FFMPEG,
@@ -48,11 +47,6 @@ _MAX_SIDE = 65500  # libjpeg's JPEG_MAX_DIMENSION
 _MAX_SCANS = 32  # libjpeg's own progressive script takes 10; each scan costs a pass over the whole image
 _MAX_PIXELS_OF_SCANS = MAX_PIXELS // 2
 """libjpeg holds all coefficients of a picture in several scans, and that must stay below half a gigabyte."""
-_SAMPLING_FACTORS = {
-    "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-    "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
-    "420": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-}
 _EXACT_BELOW = 95  # finer, the rounding of a color conversion shows in the size
 _GSTREAMER_FORMATS = {"444": "Y444", "422": "Y42B", "420": "I420"}
 
@@ -100,15 +94,13 @@ class Jpeg(Codec[JpegParams]):
             raise ImageError(f"jpeg: {width}x{height} exceeds {_MAX_SIDE} a side or {most} pixels")
         return write_image(image, ".jpg", flags(self._options(width, is_gray=image.ndim == 2)))
 
-    def _options(self, width: int, *, is_gray: bool) -> dict[str, int]:
-        """What OpenCV is given, by the names of its flags."""
+    def _options(self, width: int, *, is_gray: bool) -> Options:
+        """What OpenCV is given."""
         params = self.params
-        options = {
-            "IMWRITE_JPEG_QUALITY": params.quality,
-            "IMWRITE_JPEG_OPTIMIZE": int(params.optimize),
-            "IMWRITE_JPEG_PROGRESSIVE": int(params.progressive),
-            "IMWRITE_JPEG_SAMPLING_FACTOR": _SAMPLING_FACTORS[params.subsampling],
-        }
+        options: Options = {"IMWRITE_JPEG_QUALITY": params.quality}
+        options |= {"IMWRITE_JPEG_OPTIMIZE": 1} if params.optimize else {}
+        options |= {"IMWRITE_JPEG_PROGRESSIVE": 1} if params.progressive else {}
+        options["IMWRITE_JPEG_SAMPLING_FACTOR"] = f"IMWRITE_JPEG_SAMPLING_FACTOR_{params.subsampling}"
         if params.restart:
             pixels = 8 if is_gray or params.subsampling == "444" else 16
             options["IMWRITE_JPEG_RST_INTERVAL"] = params.restart * -(-width // pixels)

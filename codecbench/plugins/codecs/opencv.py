@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -27,9 +28,14 @@ def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> by
     return buffer.tobytes()
 
 
-def flags(options: Mapping[str, int]) -> list[int]:
-    """Options by the names of OpenCV's flags, as `write_image` takes them."""
-    return [number for name, value in options.items() for number in (getattr(cv2, name), value)]
+Options: TypeAlias = dict[str, int | str]
+"""By the names of OpenCV's flags; a text is the name of a value."""
+
+
+def flags(options: Options) -> list[int]:
+    """Options as `write_image` takes them."""
+    pairs = ((name, getattr(cv2, value) if isinstance(value, str) else value) for name, value in options.items())
+    return [number for name, value in pairs for number in (getattr(cv2, name), value)]
 
 
 def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:

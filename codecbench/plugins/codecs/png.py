@@ -14,7 +14,7 @@ from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.opencv import flags, library_versions, read_image, write_image
+from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
 from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, compressed_image_transport, opencv
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -48,8 +48,8 @@ class Png(Codec[PngParams]):
             raise ImageError(f"png: an image of shape {image.shape} exceeds the {MAX_PIXELS} pixels of a decoder")
         return write_image(image, ".png", flags(self._options()))
 
-    def _options(self) -> dict[str, int]:
-        """What OpenCV is given, by the names of its flags."""
+    def _options(self) -> Options:
+        """What OpenCV is given."""
         return {} if self.params.effort is None else {"IMWRITE_PNG_COMPRESSION": self.params.effort}
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:

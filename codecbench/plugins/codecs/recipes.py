@@ -31,12 +31,14 @@ def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") ->
     return Recipe(COMPRESSED, "yaml", "\n".join(lines), note)
 
 
-def opencv(scene: Scene, extension: str, options: Mapping[str, int], note: str = "") -> Recipe:
-    """options: by the names of OpenCV's flags."""
+def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note: str = "") -> Recipe:
+    """options: by the names of OpenCV's flags; a text is the name of a value."""
     name = "gray" if scene.channels == 1 else "bgr"
-    flags = ", ".join(f"cv2.{flag}, {int(value)}" for flag, value in options.items())
-    text = f"def encode({name}):\n    return cv2.imencode({extension!r}, {name}, [{flags}])[1].tobytes()"
-    return Recipe("Python, OpenCV 4.5 and later", "python", f"import cv2\n\n\n{text}", note)
+    flags = ", ".join(
+        f"cv2.{flag}, {f'cv2.{value}' if isinstance(value, str) else value}" for flag, value in options.items()
+    )
+    text = f"def encode({name}):\n    return cv2.imencode("{extension}", {name}, [{flags}])[1].tobytes()"
+    return Recipe("Python, OpenCV 4.7 and later", "python", f"import cv2\n\n\n{text}", note)
 
 
 def gstreamer(scene: Scene, caps: str, encoder: str, out: str, note: str = "") -> Recipe:
