@@ -67,22 +67,28 @@ def apply(
     for job in chosen:
         name = f"{job.codec.name} {job.codec.label}".strip()
         doubt = "" if (job.codec.name, job.codec.label) in passing else "; it is not known to pass"
-        say(f"{name}: {_measured(result, job)}{doubt}", bold=True)
-        say(f"Replace /dev/video0, image_raw and out.* by your camera, topic and sink ({scene.width}x{scene.height}).")
+        _comment(f"{name}: {_measured(result, job)}{doubt}", bold=True)
+        _comment(f"for frames of {scene.width}x{scene.height}; /dev/video0, image_raw and out.* are to be your own")
         click.echo()
         for recipe in _recipes(installed(), job.codec, scene):
             if not stacks or any(word.lower() in recipe["stack"].lower() for word in stacks):
                 _show(recipe)
 
 
+def _comment(text: str, *, bold: bool = False, fg: str | None = None) -> None:
+    """Print a line that is a comment in YAML, shells and Python, so that all may be pasted; none is wrapped."""
+    from codecbench.core.engine.foreign_text import clean_line
+
+    click.secho(f"# {clean_line(text)}", bold=bold, fg=fg)
+
+
 def _show(recipe: dict[str, Any]) -> None:
-    """A heading, the text as it is pasted, without a line broken, and the note."""
-    from codecbench.cli.screen import say
+    """A heading, the note, and the text as it is."""
     from codecbench.core.engine.foreign_text import clean_text
 
-    say(f"# {recipe['stack']}", bold=True)
+    _comment(recipe["stack"], bold=True)
     if recipe["note"]:
-        say(f"# {recipe['note']}", fg="yellow")
+        _comment(recipe["note"], fg="yellow")
     if recipe["text"]:
         click.echo(clean_text(recipe["text"]))
     click.echo()

@@ -18,7 +18,7 @@ _CAMERA_RATE: Final = {"libx264": "x264-params", "libx265": "x265-params"}
 """The option that tells an encoder of ffmpeg_image_transport the frame rate: that opens it for 100 frames a second."""
 _GENERIC: Final = ("g", "b", "maxrate", "minrate", "bufsize", "threads", "bf", "keyint_min", "chroma_sample_location",
                    "x265-params", "svtav1-params")  # fmt: skip
-"""Options that it does not pass on: those that are not the encoder's own, and those with a colon in the value."""
+"""Options that it does not take: those that are not the encoder's own, and those with a colon in the value."""
 _ENDINGS: Final = {
     "libx264": "h264", "libx265": "hevc", "libsvtav1": "obu", "libvpx-vp9": "ivf", "mjpeg": "mjpeg", "ffv1": "mkv",
 }  # fmt: skip
@@ -44,11 +44,18 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
     encoder, settings = params.traits, params.traits.settings(params)
     if encoder.intra_only or not encoder.rates or params.pixel_format == "gray":
         note = "It sets no quantiser of this encoder's own." if encoder.rates else "It codes color, not gray."
-        note = "Its frames are limited-range yuv420p." if not encoder.rates else note
-        return Recipe(_TRANSPORT, "yaml", "", note)
+        return Recipe(
+            _TRANSPORT, "yaml", "", "Its frames are converted, so not lossless." if not encoder.rates else note
+        )
+    if encoder.name == "libsvtav1" and params.bitrate_kbps is not None:
+        return Recipe(
+            _TRANSPORT, "yaml", "", "SVT-AV1 takes a bit rate at low delay with maxrate alone, which is no key."
+        )
     own = {name: value for name, value in settings.items() if name not in _GENERIC}
     rate = _CAMERA_RATE.get(encoder.name)
     own |= {rate: f"fps={scene.rate}"} if rate else {}
+    own |= {"x264opts": "force-cfr=1"} if encoder.name == "libx264" and params.latency == "any" else {}
+    own |= {"svtav1-params": "pred-struct=1"} if encoder.name == "libsvtav1" and params.latency == "low" else {}
     keys: dict[str, str | int] = {
         "encoder": encoder.name,
         "encoder_av_options": f'"{",".join(f"{name}:{value}" for name, value in own.items())}"',
@@ -57,16 +64,15 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
         "pixel_format": f"{'yuvj' if rate else 'yuv'}{params.pixel_format[3:]}",
     }
     bit_rate = 0 if params.bitrate_kbps is None else round(params.bitrate_kbps * 1000)
-    if bit_rate:
-        keys["bit_rate"] = bit_rate if rate else round(bit_rate * 100 / scene.frame_rate_hz)
+    keys["bit_rate"] = bit_rate if rate else round(bit_rate * 100 / scene.frame_rate_hz)
     lines = [f"        {key}: {value}" for key, value in keys.items()]
     text = "\n".join(["/**:", "  ros__parameters:", "    image_raw:", "      ffmpeg:", *lines])
     timing = (
         f"{rate} gives the camera's frame rate: without it, as in 2.x, the encoder works for 100 frames/s and sent 0.6 "
         "of the bytes by crf and 0.25 by bit rate. Checked with FFmpeg opened as that package does, not in ROS."
         if rate
-        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: other bytes, by crf "
-        "0.8 of them for libsvtav1."
+        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: it sends other bytes, "
+        "by crf 0.82 of them for AV1 and VP9."
     )
     starts = "x265 writes its settings, 2 kB, at each keyframe." if encoder.name == "libx265" else ""
     bound = "No option bounds the bit rate (maxrate, bufsize)." if bit_rate else ""
