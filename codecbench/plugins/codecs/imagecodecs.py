@@ -83,7 +83,8 @@ class _Enveloped(Codec[P]):
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         """The very call of imagecodecs, and what other stacks have."""
         layout = "gray" if scene.channels == 1 else "rgb"
-        arguments = "".join(f", {name}={value + 0!r}" for name, value in self._arguments().items())
+        given = {name: int(value) if isinstance(value, int) else value for name, value in self._arguments().items()}
+        arguments = "".join(f", {name}={value}" for name, value in given.items())
         stored = "gray[:, :, None].repeat(3, axis=2)" if self.colour_only and layout == "gray" else layout
         text = f"import imagecodecs\n\n\ndef encode({layout}):\n"
         text += f"    return bytes(imagecodecs.{self.function}_encode({stored}{arguments}))"

@@ -129,7 +129,7 @@ class Jpeg(Codec[JpegParams]):
             opencv(scene, ".jpg", self._options(scene.width, is_gray=is_gray)),
             Recipe(
                 FFMPEG, "sh", "",
-                "FFmpeg's mjpeg encoder has quantisers of its own (-q:v), not libjpeg's quality: take another stack.",
+                "FFmpeg's mjpeg encoder has quantizers of its own (-q:v), not libjpeg's quality: take another stack.",
             ),
         )  # fmt: skip
 

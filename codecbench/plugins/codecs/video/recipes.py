@@ -40,17 +40,22 @@ def recipes(params: VideoParams, scene: Scene) -> Iterator[Recipe]:
     yield _pyav(params, scene, (width, height))
 
 
+def _not_transported(params: VideoParams) -> str:
+    """Why ffmpeg_image_transport cannot code so; empty if it can."""
+    encoder = params.traits
+    if not encoder.rates:
+        return "It converts frames to limited-range yuv420p, so it is not lossless."
+    if encoder.intra_only:
+        return "It has no key for this encoder's quantizer."
+    if encoder.name == "libsvtav1" and params.bitrate_kbps is not None:
+        return "At low delay SVT-AV1 takes a bit rate with maxrate alone, for which it has no key."
+    return "It codes color, not gray." if params.pixel_format == "gray" else ""
+
+
 def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
     encoder, settings = params.traits, params.traits.settings(params)
-    if encoder.intra_only or not encoder.rates or params.pixel_format == "gray":
-        note = "It sets no quantiser of this encoder's own." if encoder.rates else "It codes color, not gray."
-        return Recipe(
-            _TRANSPORT, "yaml", "", "Its frames are converted, so not lossless." if not encoder.rates else note
-        )
-    if encoder.name == "libsvtav1" and params.bitrate_kbps is not None:
-        return Recipe(
-            _TRANSPORT, "yaml", "", "SVT-AV1 takes a bit rate at low delay with maxrate alone, which is no key."
-        )
+    if reason := _not_transported(params):
+        return Recipe(_TRANSPORT, "yaml", "", reason)
     own = {name: value for name, value in settings.items() if name not in _GENERIC}
     rate = _CAMERA_RATE.get(encoder.name)
     own |= {rate: f"fps={scene.rate}"} if rate else {}
@@ -71,8 +76,8 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
         f"{rate} gives the camera's frame rate: without it, as in 2.x, the encoder works for 100 frames/s and sent 0.6 "
         "of the bytes by crf and 0.25 by bit rate. Checked with FFmpeg opened as that package does, not in ROS."
         if rate
-        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: it sends other bytes, "
-        "by crf 0.82 of them for AV1 and VP9."
+        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: by crf AV1 and VP9 sent "
+        "0.82 of the bytes."
     )
     starts = "x265 writes its settings, 2 kB, at each keyframe." if encoder.name == "libx265" else ""
     bound = "No option bounds the bit rate (maxrate, bufsize)." if bit_rate else ""
