@@ -111,7 +111,7 @@ def _job(result: RunResult, codec: str, setting: str = "", label: str | None = N
         raise click.UsageError(f"the run has no codec {codec}; it has: {names}")
     labels = "; ".join(found or dict.fromkeys(job.codec.label for job in own))
     if found:
-        raise click.UsageError(f"no answer takes one setting of {codec}; say which by --setting: {labels}")
+        raise click.UsageError(f"several settings of {codec} are meant; say which by --setting: {labels}")
     raise click.UsageError(f"the run has no {codec} {setting}; it has: {labels}")
 
 

@@ -76,8 +76,8 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
         f"{rate} gives the camera's frame rate: without it, as in 2.x, the encoder works for 100 frames/s and sent 0.6 "
         "of the bytes by crf and 0.25 by bit rate. Checked with FFmpeg opened as that package does, not in ROS."
         if rate
-        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: by crf AV1 and VP9 sent "
-        "0.82 of the bytes."
+        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: by crf AV1 and VP9 "
+        "sent 0.82 of the bytes."
     )
     starts = "x265 writes its settings, 2 kB, at each keyframe." if encoder.name == "libx265" else ""
     bound = "No option bounds the bit rate (maxrate, bufsize)." if bit_rate else ""
