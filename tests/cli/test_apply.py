@@ -111,7 +111,7 @@ def test_the_camera_of_the_robot_may_be_another(place: Place) -> None:
     [
         (["--codec", "h264"], "the run has no codec h264; it has: jpeg, webp, raw"),
         (["--codec", "jpeg", "--setting", "quality=3"], "it has: quality=95; quality=100"),
-        (["--codec", "jpeg", "--setting", "subsampling='420'"], "say which by --setting: quality=95; quality=100"),
+        (["--codec", "jpeg", "--setting", "optimize=false"], "say which by --setting: quality=95; quality=100"),
         (["--setting", "quality=95"], "give one --codec"),
         (["--size", "640"], "not WIDTHxHEIGHT"),
     ],
