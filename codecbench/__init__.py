@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.link import Channel, Link, Passage, Queue
     from codecbench.core.contracts.metric import Metric
     from codecbench.core.contracts.params import NoParams, Params, PathParam
+    from codecbench.core.contracts.recipe import Recipe, Scene
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, FrameSequence, Origin, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
     from codecbench.core.contracts.stream import LOST, Loss, Packet, Picture, StreamDecoder, StreamEncoder
@@ -93,6 +94,7 @@ _HOMES = {
     _CONTRACTS + "link": ("Channel", "Link", "Passage", "Queue"),
     _CONTRACTS + "metric": ("Metric",),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
+    _CONTRACTS + "recipe": ("Recipe", "Scene"),
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "FrameSequence", "Origin", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
     _CONTRACTS + "stream": ("LOST", "Loss", "Packet", "Picture", "StreamDecoder", "StreamEncoder"),

@@ -26,6 +26,7 @@ COMMANDS = {
         "codecbench.cli.choose:choose",
         "Say which settings are good enough over a link, and what limits the others.",
     ),
+    "apply": ("codecbench.cli.apply:apply", "Print what one pastes into a robot for the setting that a run takes."),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),

@@ -25,6 +25,7 @@ from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.features import FeatureDecoder, FeatureEncoder, Features, FeatureSet
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Configured, P
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
@@ -136,6 +137,25 @@ class AnyCodec(Configured[P]):
     def libraries(self) -> dict[str, str]:
         """Foreign libraries whose version can change the bytes, as name -> version. Recorded with every run."""
         return {}
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        """What one pastes into a robot to send what this setting sends; by default a call of codecbench itself."""
+        given = self.params.model_dump(mode="json", exclude_defaults=True)
+        if type(self.params).model_validate(given) != self.params:  # where one parameter sets another's default
+            given = self.params.model_dump(mode="json")
+        values = "".join(f", {name}={value!r}" for name, value in given.items())
+        layout = "gray" if scene.channels == 1 else "rgb"
+        text = f"""import codecbench
+
+codec = codecbench.codec({self.name!r}{values})
+session = codecbench.encoder_of(codec, {scene.frame_rate_hz:g})
+
+
+def encode({layout}):
+    packets = session.flush() if {layout} is None else session.push({layout})
+    return b"".join(packet.data for packet in packets)"""
+        note = f"No element of ROS 2, GStreamer or FFmpeg is known to code what {self.name} codes."
+        return (Recipe("Python, codecbench", "python", text, note),)
 
     def is_low_delay(self) -> bool:
         """Whether each pushed picture gives its packet at once, and each packet its picture at once."""

@@ -40,6 +40,15 @@ def bit_rate_mbps(run: RunResult, sequence: str, curve: str, test: Test) -> floa
     return math.nan if kbps is None else float(_rows(run, sequence, curve, test)[kbps].mean()) / 1e3
 
 
+def rate_of_setting(run: RunResult, sequence: str, codec: str, label: str) -> tuple[float, float]:
+    """Kilobits a second and bytes a frame of a setting on a sequence; NaN each if not measured."""
+    keys = zip(run.wide["codec"], run.wide["setting"], run.wide["sequence"], strict=True)
+    rows = run.wide[[key == (codec, label, sequence) for key in keys]]
+    kbps, size = (_of_rate(run, unit) for unit in ("kbit/s", "bytes"))
+    found = [math.nan if name is None else float(rows[name].mean()) for name in (kbps, size)]
+    return found[0], found[1]
+
+
 def rate_cell(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[str, str]:
     """The unit and the number of a setting's bit rate, or of its rate if no bit rate is known."""
     mbps = bit_rate_mbps(run, sequence, curve, test)

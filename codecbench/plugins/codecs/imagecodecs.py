@@ -22,7 +22,9 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image, gray_from_image
 from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
+from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv
 
 _HEADER = struct.Struct("<4sBBII")
 _CRC = struct.Struct("<I")
@@ -77,6 +79,25 @@ class _Enveloped(Codec[P]):
     @abstractmethod
     def _arguments(self) -> dict[str, Any]:
         """Keyword arguments of the encoding function."""
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        """The very call of imagecodecs, and what other stacks have."""
+        layout = "gray" if scene.channels == 1 else "rgb"
+        given = {name: int(value) if isinstance(value, int) else value for name, value in self._arguments().items()}
+        arguments = "".join(f", {name}={value}" for name, value in given.items())
+        stored = "gray[:, :, None].repeat(3, axis=2)" if self.colour_only and layout == "gray" else layout
+        text = f"import imagecodecs\n\n\ndef encode({layout}):\n"
+        text += f"    return bytes(imagecodecs.{self.function}_encode({stored}{arguments}))"
+        own = Recipe(
+            f"Python, imagecodecs {self._library.__version__}", "python", text, "Another release may give other bytes."
+        )
+        return (*self._elsewhere(scene), own)
+
+    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+        """Recipes of stacks other than imagecodecs."""
+        return (
+            Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", f"No element of theirs is known to code {self.name} so."),
+        )
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)
@@ -150,6 +171,12 @@ class JpegXl(_Enveloped[JpegXlParams]):
         lossless = self.is_lossless()
         return {"distance": self.params.distance, "lossless": lossless, "effort": self.params.effort, "numthreads": 1}
 
+    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+        layout = "gray" if scene.channels == 1 else "rgb24"
+        options = f"-c:v libjxl -pix_fmt {layout} -distance {self.params.distance:g} -effort {self.params.effort}"
+        note = "Frames depend on the release of libjxl: of 0.7 they had 0.91 to 0.96 of the bytes of 0.11."
+        return (ffmpeg(scene, [options], "%06d.jxl", note),)
+
 
 class JpegLsParams(Params):
     """The bound of near-lossless coding."""
@@ -171,6 +198,11 @@ class JpegLs(_Enveloped[JpegLsParams]):
     def _arguments(self) -> dict[str, Any]:
         offered = signature(self._library.jpegls_encode).parameters
         return {"level": self.params.near} | ({"spiff": True} if "spiff" in offered else {})  # older releases always do
+
+    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+        if not self.is_lossless():
+            return (Recipe(FFMPEG, "sh", "", "FFmpeg's jpegls encoder is lossless alone: there is no near."),)
+        return (ffmpeg(scene, [f"-c:v jpegls -pix_fmt {'gray' if scene.channels == 1 else 'rgb24'}"], "%06d.jls"),)
 
 
 class Htj2kParams(Params):
@@ -229,6 +261,22 @@ class Webp(_Enveloped[WebpParams]):
         quality = 75 if self.params.lossless else self.params.quality
         return {"level": quality, "lossless": self.params.lossless, "method": self.params.method, "numthreads": 1}
 
+    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+        params = self.params
+        lossless = "true" if params.lossless else "false"
+        element = f"webpenc preset=none quality={params.quality:g} speed={params.method} lossless={lossless}"
+        options = f"-c:v libwebp -pix_fmt bgra -quality {params.quality:g} -compression_level {params.method}"
+        flag = 101 if params.lossless else round(params.quality)
+        method = (
+            "" if params.method == 4 else "OpenCV sets no method: it is 4, so frames are a little larger or smaller."
+        )
+        method = "" if params.lossless else method
+        return (
+            gstreamer(scene, "format=RGB", element, "%06d.webp"),
+            ffmpeg(scene, [options, f"-lossless {int(params.lossless)}"], "%06d.webp"),
+            opencv(scene, ".webp", {"IMWRITE_WEBP_QUALITY": max(flag, 1)}, method),
+        )
+
 
 class AvifParams(Params):
     """libavif's quality and speed."""
@@ -257,3 +305,12 @@ class Avif(_Enveloped[AvifParams]):
         params = self.params
         chroma = self._library.AVIF.PIXEL_FORMAT[f"YUV{params.subsampling}"]  # releases spell its text differently
         return {"level": params.quality, "speed": params.speed, "pixelformat": chroma, "numthreads": 1}
+
+    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+        options = {"IMWRITE_AVIF_QUALITY": self.params.quality, "IMWRITE_AVIF_SPEED": self.params.speed}
+        kept = self.params.subsampling == "420"
+        note = "" if kept else "Chroma is coded as 4:2:0 there, so frames are smaller."
+        return (
+            opencv(scene, ".avif", options, note),
+            Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", "They code AV1 by other scales than libavif's quality."),
+        )

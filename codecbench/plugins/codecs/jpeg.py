@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, Self
 
-import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -21,6 +20,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec, Fragment, Parti
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
 from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.jfif.markers import (
     SOF_BASELINE,
@@ -32,17 +32,23 @@ from codecbench.plugins.codecs.jfif.markers import (
     read_segments,
 )
 from codecbench.plugins.codecs.jfif.restart import salvage
-from codecbench.plugins.codecs.opencv import library_versions, read_image, write_image
+from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
+from codecbench.plugins.codecs.recipes import (
+    CONVERSION,
+    FFMPEG,
+    FULL_RANGE,
+    compressed_image_transport,
+    gstreamer,
+    opencv,
+    sentences,
+)
 
 _MAX_SIDE = 65500  # libjpeg's JPEG_MAX_DIMENSION
 _MAX_SCANS = 32  # libjpeg's own progressive script takes 10; each scan costs a pass over the whole image
 _MAX_PIXELS_OF_SCANS = MAX_PIXELS // 2
 """libjpeg holds all coefficients of a picture in several scans, and that must stay below half a gigabyte."""
-_SAMPLING_FACTORS = {
-    "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-    "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
-    "420": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-}
+_EXACT_BELOW = 95  # finer, the rounding of a color conversion shows in the size
+_GSTREAMER_FORMATS = {"444": "Y444", "422": "Y42B", "420": "I420"}
 
 
 class JpegParams(Params):
@@ -86,12 +92,46 @@ class Jpeg(Codec[JpegParams]):
         most = _MAX_PIXELS_OF_SCANS if params.progressive else MAX_PIXELS
         if max(height, width) > _MAX_SIDE or height * width > most:
             raise ImageError(f"jpeg: {width}x{height} exceeds {_MAX_SIDE} a side or {most} pixels")
-        options = [cv2.IMWRITE_JPEG_QUALITY, params.quality]
-        options += [cv2.IMWRITE_JPEG_OPTIMIZE, int(params.optimize), cv2.IMWRITE_JPEG_PROGRESSIVE, params.progressive]
-        options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, _SAMPLING_FACTORS[params.subsampling]]
+        return write_image(image, ".jpg", flags(self._options(width, is_gray=image.ndim == 2)))
+
+    def _options(self, width: int, *, is_gray: bool) -> Options:
+        """What OpenCV is given."""
+        params = self.params
+        options: Options = {"IMWRITE_JPEG_QUALITY": params.quality}
+        options |= {"IMWRITE_JPEG_OPTIMIZE": 1} if params.optimize else {}
+        options |= {"IMWRITE_JPEG_PROGRESSIVE": 1} if params.progressive else {}
+        options["IMWRITE_JPEG_SAMPLING_FACTOR"] = f"IMWRITE_JPEG_SAMPLING_FACTOR_{params.subsampling}"
         if params.restart:
-            options += [cv2.IMWRITE_JPEG_RST_INTERVAL, params.restart * self._mcus_per_row(image)]
-        return write_image(image, ".jpg", options)
+            pixels = 8 if is_gray or params.subsampling == "444" else 16
+            options["IMWRITE_JPEG_RST_INTERVAL"] = params.restart * -(-width // pixels)
+        return options
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        params, is_gray = self.params, scene.channels == 1
+        lacking = []
+        if params.progressive:
+            lacking.append("Frames are sequential there, not progressive, so they are a few per cent larger.")
+        elif params.optimize:
+            lacking.append("Huffman tables are the standard's there, not the frame's, so frames are larger.")
+        if params.restart:
+            lacking.append("There are no restart markers there, so that a lost packet takes the frame from there on.")
+        chroma = ""
+        if not is_gray and params.subsampling != "420":
+            chroma = f"Chroma is coded as 4:2:0 there, not {':'.join(params.subsampling)}, so frames are smaller."
+        finest = CONVERSION if not is_gray and params.quality > _EXACT_BELOW else ""
+        element = f"jpegenc idct-method=islow quality={params.quality}"
+        caps = "format=GRAY8" if is_gray else f"format={_GSTREAMER_FORMATS[params.subsampling]},{FULL_RANGE}"
+        return (
+            compressed_image_transport(
+                {"format": "jpeg", "jpeg_quality": params.quality}, sentences(chroma, *lacking)
+            ),
+            gstreamer(scene, caps, element, "%06d.jpg", sentences(*lacking, finest)),
+            opencv(scene, ".jpg", self._options(scene.width, is_gray=is_gray)),
+            Recipe(
+                FFMPEG, "sh", "",
+                "FFmpeg's mjpeg encoder has quantizers of its own (-q:v), not libjpeg's quality: take another stack.",
+            ),
+        )  # fmt: skip
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         return read_image(bitstream, _checked_shape(bitstream), "jpeg")
@@ -113,11 +153,6 @@ class Jpeg(Codec[JpegParams]):
             whole[:-1] &= there[1:]
         image = _interpolated(strip, found.rows, found.header.height)
         return PartialImage(image, np.repeat(whole[:, None], found.header.width, axis=1))
-
-    def _mcus_per_row(self, image: Image) -> int:
-        pixels = 8 if image.ndim == 2 or self.params.subsampling == "444" else 16
-        width: int = image.shape[1]
-        return -(-width // pixels)
 
     def libraries(self) -> dict[str, str]:
         return library_versions("JPEG", "libjpeg-turbo")

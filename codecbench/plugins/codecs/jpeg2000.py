@@ -27,9 +27,11 @@ from codecbench.core.contracts.codec import Capabilities, Codec, Fragment, Parti
 from codecbench.core.contracts.errors import BitstreamError, ImageError, Unsupported
 from codecbench.core.contracts.image import Image, check_image, png_bytes
 from codecbench.core.contracts.params import Params
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.jp2_syntax import EOC, MAX_JP2_PIXELS, MAX_LAYERS, checked_shape, cut_file, with_checksum
 from codecbench.plugins.codecs.openjpeg import load_glymur, tolerant
+from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
 _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
@@ -128,11 +130,48 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             return self._write(image, self._found.block_side, cratios=[self._found.ratio])
         if params.cr_percent is not None:
             return self._largest_within(image, params.cr_percent).file
-        if params.ratio is not None:
-            return self._write(image, cratios=[params.ratio])
-        if params.psnr_db is not None:
-            return self._write(image, psnr=[params.psnr_db])
-        return self._write(image)
+        return self._write(image, _BLOCK_SIDES[0], **self._rate())
+
+    def _rate(self) -> dict[str, list[float]]:
+        """What OpenJPEG is asked for, where no search is needed."""
+        if self.params.ratio is not None:
+            return {"cratios": [self.params.ratio]}
+        return {} if self.params.psnr_db is None else {"psnr": [self.params.psnr_db]}
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        """The call of glymur, and what other stacks have; `cr_percent`, which is a search, is codecbench's alone."""
+        params = self.params
+        if params.cr_percent is not None:
+            return super().recipes(scene)
+        settings = {**self._settings((scene.height, scene.width)), **self._layered(self._rate())}
+        layout = "gray" if scene.channels == 1 else "rgb"
+        text = "import tempfile\nfrom pathlib import Path\n\nimport glymur\n\n\n"
+        text += f"def encode({layout}):\n    with tempfile.TemporaryDirectory() as folder:\n"
+        text += f'        path = Path(folder) / "frame.jp2"\n        glymur.Jp2k(path, data={layout}, **{settings})\n'
+        text += "        return path.read_bytes()"
+        own = Recipe("Python, glymur 0.14 with OpenJPEG 2.5", "python", text)
+        if params.lossless and params.layers == 1:
+            caps = "format=GRAY8" if scene.channels == 1 else "format=xRGB"
+            return gstreamer(scene, caps, "openjpegenc", "%06d.jp2"), own
+        return (*self._at_ratio(scene), own)
+
+    def _at_ratio(self, scene: Scene) -> Iterator[Recipe]:
+        params = self.params
+        yield Recipe(GSTREAMER, "sh", "", "openjpegenc has no property for a rate: it is lossless alone.")
+        if params.ratio is None:
+            yield Recipe(f"{FFMPEG} and OpenCV", "sh", "", "They take a ratio, no target quality and no layers.")
+            return
+        note = (
+            "" if params.layers == 1 else "There is one layer there, so that a cut frame loses fine detail everywhere."
+        )
+        level = round(params.ratio / 2)  # FFmpeg asks OpenJPEG for twice this ratio
+        layout = "gray" if scene.channels == 1 else "rgb24"
+        options = f"-c:v libopenjpeg -pix_fmt {layout} -compression_level {level} -irreversible {params.irreversible:d}"
+        if level == params.ratio / 2:
+            yield ffmpeg(scene, [options], "%06d.jp2", note)
+        else:
+            yield Recipe(FFMPEG, "sh", "", "FFmpeg takes even ratios alone.")
+        yield opencv(scene, ".jp2", {"IMWRITE_JPEG2000_COMPRESSION_X1000": round(1000 / params.ratio)}, note)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         return self._read(bitstream, checked_shape(bitstream))
@@ -211,13 +250,16 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return best, smallest, exceeds == image.size
 
     def _write(self, image: Image, block_side: int = _BLOCK_SIDES[0], **rate: list[float]) -> bytes:
-        resolutions = min(_RESOLUTIONS, min(image.shape[:2]).bit_length())
-        settings = {"irreversible": self.params.irreversible, "numres": resolutions, "cbsize": (block_side, block_side)}
+        settings = self._settings(image.shape, block_side)
         with _scratch_file() as path:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 self._glymur.Jp2k(path, data=image, **settings, **self._layered(rate))
             return with_checksum(path.read_bytes())
+
+    def _settings(self, shape: tuple[int, ...], block_side: int = _BLOCK_SIDES[0]) -> dict[str, Any]:
+        resolutions = min(_RESOLUTIONS, min(shape[:2]).bit_length())
+        return {"irreversible": self.params.irreversible, "numres": resolutions, "cbsize": (block_side, block_side)}
 
     def _layered(self, rate: dict[str, list[float]]) -> dict[str, Any]:
         """What OpenJPEG is asked for in each layer, the coarsest first; the last is what is asked for in all.

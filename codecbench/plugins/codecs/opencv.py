@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -25,6 +26,16 @@ def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> by
     if not done:
         raise ImageError(f"OpenCV cannot write shape {image.shape} as {extension}")
     return buffer.tobytes()
+
+
+Options: TypeAlias = dict[str, int | str]
+"""By the names of OpenCV's flags; a text is the name of a value."""
+
+
+def flags(options: Options) -> list[int]:
+    """Options as `write_image` takes them."""
+    pairs = ((name, getattr(cv2, value) if isinstance(value, str) else value) for name, value in options.items())
+    return [number for name, value in pairs for number in (getattr(cv2, name), value)]
 
 
 def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:

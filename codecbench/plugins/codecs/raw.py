@@ -22,6 +22,7 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
 from codecbench.core.contracts.params import NoParams
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 _MAGIC = b"RAW1"
@@ -46,6 +47,10 @@ class Raw(Codec[NoParams]):
             raise ImageError(f"raw: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels that a decoder takes")
         content = _HEADER.pack(_MAGIC, channel_count(image), width, height) + image.tobytes()
         return content + _CRC.pack(zlib.crc32(content))
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        note = "The pixels as they are: subscribe to the raw topic, transport `raw`, which every node publishes."
+        return (Recipe("ROS 2 image_transport", "yaml", "", note), *super().recipes(scene))
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         if len(bitstream) < _HEADER.size + _CRC.size:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, TypeVar
 
 from codecbench.core.contracts.codec import Capabilities, StreamCodec
+from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.plugins.codecs.video.decoding import VideoDecoder
 from codecbench.plugins.codecs.video.encoding import VideoEncoder
 from codecbench.plugins.codecs.video.library import open_encoder, require, versions
@@ -17,6 +18,7 @@ from codecbench.plugins.codecs.video.params import (
     VideoParams,
     Vp9Params,
 )
+from codecbench.plugins.codecs.video.recipes import recipes
 
 V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
@@ -54,6 +56,9 @@ class VideoCodec(StreamCodec[V]):
 
     def is_low_delay(self) -> bool:
         return self.params.latency == "low"
+
+    def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        return tuple(recipes(self.params, scene))
 
     def remark(self) -> str:
         return _REMARKS[self.params.pixel_format]

@@ -1,0 +1,180 @@
+"""`codecbench apply`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from codecbench.cli.completion import codec_names
+from codecbench.core.engine.wording import counted
+
+if TYPE_CHECKING:
+    from codecbench.core.analysis.run_result import RunResult
+    from codecbench.core.contracts.recipe import Scene
+    from codecbench.core.engine.planning.model import CodingJob, PluginSetting
+    from codecbench.core.engine.registry import Registry
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--codec", "codecs", multiple=True, shell_complete=codec_names,
+              help="The pick of this codec in place of the answer; may be given more than once.")  # fmt: skip
+@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Which setting of the --codec, not its pick.")
+@click.option("--stack", "stacks", multiple=True, metavar="WORD",
+              help="Only stacks with this word in their name, such as ros; may be given again.")  # fmt: skip
+@click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
+              help="That of the camera; the default is that of the sequence.")  # fmt: skip
+@click.option("--size", metavar="WIDTHxHEIGHT", help="That of the camera; the default is that of the sequence.")
+def apply(
+    run: Path,
+    codecs: tuple[str, ...],
+    setting: str,
+    stacks: tuple[str, ...],
+    frame_rate_hz: float | None,
+    size: str | None,
+) -> None:
+    """Print what one pastes into a robot for the setting that the answer of RUN takes.
+
+    For each stack that the codec has a recipe for: parameters of ROS 2, a GStreamer pipeline, a command of ffmpeg, a
+    call from Python; and a note where that stack does not code what was measured.
+    """
+    from codecbench.cli.screen import say
+    from codecbench.core.analysis.collect import open_nonempty_run
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.report.answers import answers
+    from codecbench.core.report.views import picked
+
+    if setting and len(codecs) != 1:
+        raise click.UsageError("--setting is of one codec; give one --codec")
+    result = open_nonempty_run(run)
+    picks = picked(result)
+    chosen = [_job(result, pick.codec, label=pick.setting) for pick in picks[:1] if pick.passes]
+    if codecs:
+        labels = {pick.codec: pick.setting for pick in reversed(picks)}
+        chosen = [_job(result, name, setting, None if setting else labels.get(name)) for name in codecs]
+    elif not chosen:
+        for sentence in answers(result).sentence.splitlines():
+            say(sentence)
+        say("Nothing to apply; --codec NAME prints the recipes of a codec all the same.")
+        return
+    scene = _scene(run, chosen[0], frame_rate_hz, size)
+    passing = {(pick.codec, pick.setting) for pick in picks if pick.passes}
+    for job in chosen:
+        name = f"{job.codec.name} {job.codec.label}".strip()
+        doubt = "" if (job.codec.name, job.codec.label) in passing else "; it is not known to pass"
+        _comment(f"{name}: {_measured(result, job)}{doubt}", bold=True)
+        _comment(f"for frames of {scene.width}x{scene.height}; /dev/video0, image_raw and out.* are to be your own")
+        click.echo()
+        for recipe in _recipes(installed(), job.codec, scene):
+            if not stacks or any(word.lower() in recipe["stack"].lower() for word in stacks):
+                _show(recipe)
+
+
+def _comment(text: str, *, bold: bool = False, fg: str | None = None) -> None:
+    """Print a line that is a comment in YAML, shells and Python, so that all may be pasted; none is wrapped."""
+    from codecbench.core.engine.foreign_text import clean_line
+
+    click.secho(f"# {clean_line(text)}", bold=bold, fg=fg)
+
+
+def _show(recipe: dict[str, Any]) -> None:
+    """A heading, the note, and the text as it is."""
+    from codecbench.core.engine.foreign_text import clean_text
+
+    _comment(recipe["stack"], bold=True)
+    if recipe["note"]:
+        _comment(recipe["note"], fg="yellow")
+    if recipe["text"]:
+        click.echo(clean_text(recipe["text"]))
+    click.echo()
+
+
+def _job(result: RunResult, codec: str, setting: str = "", label: str | None = None) -> CodingJob:
+    """The setting that is meant, on the first sequence that has it. Raises UsageError where it is none or several."""
+    from codecbench.core.conformance.settings import setting_from_text
+
+    wanted = setting_from_text(setting)
+    own = [job for job in result.plan.jobs if job.codec.name == codec]
+    found: dict[str, CodingJob] = {}
+    for job in own:
+        if label in (None, job.codec.label) and wanted.items() <= job.codec.params.items():
+            found.setdefault(job.codec.label, job)
+    if len(found) == 1:
+        return next(iter(found.values()))
+    if not own:
+        names = ", ".join(dict.fromkeys(job.codec.name for job in result.plan.jobs))
+        raise click.UsageError(f"the run has no codec {codec}; it has: {names}")
+    labels = "; ".join(found or dict.fromkeys(job.codec.label for job in own))
+    if found:
+        raise click.UsageError(f"several settings of {codec} are meant; say which by --setting: {labels}")
+    raise click.UsageError(f"the run has no {codec} {setting}; it has: {labels}")
+
+
+def _measured(result: RunResult, job: CodingJob) -> str:
+    """`0.544 Mbit/s at 30 fps, 2.27 kB a frame measured on SEQUENCE`, as far as it was measured."""
+    from codecbench.core.report.costs import rate_of_setting
+    from codecbench.core.report.tables import three_digits
+
+    kbps, frame_bytes = rate_of_setting(result, job.sequence.name, job.codec.name, job.codec.label)
+    words = [f"{three_digits(kbps / 1e3)} Mbit/s at {kbps * 125 / frame_bytes:.3g} fps"] if kbps > 0 else []
+    words += [f"{three_digits(frame_bytes / 1e3)} kB a frame"] if frame_bytes > 0 else []
+    several = len(result.plan.sequences)
+    on = f"{job.sequence.name}, one of {counted(several, 'sequence')}" if several > 1 else job.sequence.name
+    return f"{', '.join(words) or 'no rate was'} measured on {on}"
+
+
+def _scene(run: Path, job: CodingJob, frame_rate_hz: float | None, size: str | None) -> Scene:
+    """The frames of the robot: what is given, and else those of the sequence, which is opened for it."""
+    from codecbench.core.contracts.errors import CodecbenchError
+    from codecbench.core.contracts.recipe import Scene
+    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.storage.plan_file import PlanFile
+
+    dataset = job.sequence.dataset
+    found: Sequence[float] = (math.nan, 0, 0)
+    if frame_rate_hz is None or size is None:
+        elsewhere = PlanFile(run).origin_elsewhere()
+        if elsewhere is not None:
+            message = f"the run was made in {elsewhere}, so its sequence is not opened"
+            raise click.UsageError(f"{message}; give --frame-rate and --size")
+        try:
+            found = installed().ask(frames_of, dataset.name, dataset.params, of=[("dataset", dataset.name)])
+        except CodecbenchError as error:
+            raise click.UsageError(f"{error}; give --frame-rate and --size, and no sequence is opened") from error
+    width, height = (int(side) for side in found[1:])
+    if size is not None:
+        sides = size.split("x")
+        if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
+            raise click.UsageError(f"--size {size}: not WIDTHxHEIGHT in pixels, such as 640x480")
+        width, height = map(int, sides)
+    return Scene(height, width, job.sequence.channels, found[0] if frame_rate_hz is None else frame_rate_hz)
+
+
+def frames_of(registry: Registry, dataset: str, params: dict[str, Any]) -> list[float]:
+    """Frame rate, width and height of a sequence, asked where its plugin may be loaded."""
+    sequence = registry.create("dataset", dataset, params).open()
+    height, width = sequence.read(0).image.shape[:2]
+    return [float(sequence.frame_rate_hz), width, height]
+
+
+def _recipes(registry: Registry, setting: PluginSetting, scene: Scene) -> list[dict[str, Any]]:
+    """What a codec says, wherever its plugin may be loaded. Raises CodecbenchError where it cannot be asked."""
+    asked = (setting.name, setting.params, asdict(scene))
+    found: list[dict[str, Any]] = registry.ask(recipes_of, *asked, of=[("codec", setting.name)])
+    return found
+
+
+def recipes_of(registry: Registry, codec: str, params: dict[str, Any], scene: dict[str, Any]) -> list[dict[str, Any]]:
+    """The recipes of a setting as JSON types. Raises PluginError where the codec says something else."""
+    from codecbench.core.contracts.errors import PluginError
+    from codecbench.core.contracts.recipe import Recipe, Scene
+
+    found = registry.create("codec", codec, params).recipes(Scene(**scene))
+    if not isinstance(found, tuple) or not all(isinstance(each, Recipe) for each in found):
+        raise PluginError(f"codec {codec}: recipes returned {type(found).__name__}, not a tuple of Recipe")
+    return [asdict(each) for each in found]

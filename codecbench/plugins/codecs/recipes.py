@@ -1,0 +1,55 @@
+"""Recipes of the stacks that several codecs share: what stands around the part that a codec says of its setting.
+
+Keys are those of ROS 2 compressed_image_transport 2.5 to 6.2, GStreamer 1.22 and FFmpeg 5.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from codecbench.core.contracts.recipe import Recipe, Scene
+
+COMPRESSED: Final = "ROS 2 compressed_image_transport 2.5 to 6.2 (Humble to Rolling)"
+GSTREAMER: Final = "GStreamer 1.22"
+FFMPEG: Final = "ffmpeg 5.1"
+CONVERSION: Final = "GStreamer converts color less exactly, which lossless and nearly lossless coding pays for."
+FULL_RANGE: Final = "colorimetry=1:4:0:0"
+"""Full-range BT.601; without it GStreamer converts to limited range, with fewer bytes and another picture."""
+
+
+def sentences(*notes: str) -> str:
+    """Notes as one, without the empty ones."""
+    return " ".join(filter(None, notes))
+
+
+def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") -> Recipe:
+    """Parameters of the node that publishes `image_raw`."""
+    names = [f"{key}: {value}" for key, value in keys.items()]
+    new, old = ([f"{' ' * indent}{name}" for name in names] for indent in (8, 6))
+    lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressed:", *new, "      # Humble:", *old]
+    return Recipe(COMPRESSED, "yaml", "\n".join(lines), note)
+
+
+def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note: str = "") -> Recipe:
+    """options: by the names of OpenCV's flags; a text is the name of a value."""
+    name = "gray" if scene.channels == 1 else "bgr"
+    flags = ", ".join(
+        f"cv2.{flag}, {f'cv2.{value}' if isinstance(value, str) else value}" for flag, value in options.items()
+    )
+    text = f'def encode({name}):\n    return cv2.imencode("{extension}", {name}, [{flags}])[1].tobytes()'
+    return Recipe("Python, OpenCV 4.7 and later", "python", f"import cv2\n\n\n{text}", note)
+
+
+def gstreamer(scene: Scene, caps: str, encoder: str, out: str, note: str = "") -> Recipe:
+    """caps: of what the encoder is given. encoder: elements with their properties. out: a file, or files of frames."""
+    camera = f"video/x-raw,width={scene.width},height={scene.height},framerate={scene.rate.numerator}"
+    sink = "multifilesink" if "%" in out else "filesink"
+    source = f"gst-launch-1.0 -e v4l2src device=/dev/video0 ! {camera}/{scene.rate.denominator} ! videoconvert"
+    return Recipe(GSTREAMER, "sh", f"{source} ! video/x-raw,{caps} ! {encoder} ! {sink} location={out}", note)
+
+
+def ffmpeg(scene: Scene, options: Iterable[str], out: str, note: str = "") -> Recipe:
+    """options: of the encoder. out: a file, or files of frames."""
+    camera = f"-f v4l2 -framerate {scene.rate} -video_size {scene.width}x{scene.height} -i /dev/video0"
+    return Recipe(FFMPEG, "sh", " ".join(["ffmpeg", camera, *options, out]), note)
