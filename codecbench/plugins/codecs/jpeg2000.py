@@ -16,7 +16,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -142,7 +142,8 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         """The call of glymur, and what other stacks have; `cr_percent`, which is a search, is codecbench's alone."""
         params = self.params
         if params.cr_percent is not None:
-            return super().recipes(scene)
+            note = "The ratio is searched for each frame, which no other stack does; measure ratio, which FFmpeg takes."
+            return tuple(replace(recipe, note=note) for recipe in super().recipes(scene))
         settings = {**self._settings((scene.height, scene.width)), **self._layered(self._rate())}
         layout = "gray" if scene.channels == 1 else "rgb"
         text = "import tempfile\nfrom pathlib import Path\n\nimport glymur\n\n\n"
