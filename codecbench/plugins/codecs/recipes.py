@@ -38,7 +38,7 @@ def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note:
         f"cv2.{flag}, {f'cv2.{value}' if isinstance(value, str) else value}" for flag, value in options.items()
     )
     text = f'def encode({name}):\n    return cv2.imencode("{extension}", {name}, [{flags}])[1].tobytes()'
-    return Recipe("Python, OpenCV 4.7 and later", "python", f"import cv2\n\n\n{text}", note)
+    return Recipe("Python, OpenCV 4.8 and later", "python", f"import cv2\n\n\n{text}", note)
 
 
 def gstreamer(scene: Scene, caps: str, encoder: str, out: str, note: str = "") -> Recipe:

@@ -25,6 +25,7 @@ _ENDINGS: Final = {
 _RAW_FORMATS: Final = {"gray": "I420", "yuv420p": "I420", "yuv444p": "Y444", "rgb": "BGRx"}
 _OTHER_BUILD: Final = "Another release of the encoder gives other bytes."
 _SVT: Final = "SVT-AV1 1.4 gave 0.75 to 1.2 times the bytes of 4.1."
+_UNBOUND: Final = "No option bounds the bit rate (maxrate, bufsize): hevc and VP9 sent 1.06 and 1.07 of the bytes."
 _HARDWARE: Final = "Not run without this hardware."
 
 
@@ -80,7 +81,7 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
         "sent 0.82 of the bytes."
     )
     starts = "x265 writes its settings, 2 kB, at each keyframe." if encoder.name == "libx265" else ""
-    bound = "No option bounds the bit rate (maxrate, bufsize)." if bit_rate else ""
+    bound = _UNBOUND if bit_rate else ""
     return Recipe(
         _TRANSPORT, "yaml", text, sentences(pads, timing, bound, starts, _HARDWARE if encoder.hardware else "")
     )
