@@ -4,36 +4,47 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Final
 
 import click
+from rich.console import RenderableType
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as ProgressBar
-from rich.table import Column
+from rich.text import Text
 
-from codecbench.cli.screen import Screen
+from codecbench.cli.screen import Screen, say
 from codecbench.core.engine.running.progress import Progress
 
 _LINE_EVERY_S: Final = 60.0
 
 
+class _Bar(ProgressBar):
+    """A bar, and below it what was measured last."""
+
+    measured = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        yield Text(self.measured, style="dim", no_wrap=True, overflow="ellipsis")
+
+
 class Display:
     """A bar, or a line a minute where there is no terminal, and one line for every reason of which a cell fails.
 
-    Both end with what was measured last; without a terminal, what is measured first is said at once. What is counted
-    are the cells of the plan, as `codecbench status` does; the bar grows with the work.
+    What was measured last stands below the bar or ends the line, and the first line comes with the first result. What is
+    counted are the cells of the plan, as `codecbench status` does; the bar grows with the work.
     """
 
     def __init__(self, console: Screen, keep_going: bool) -> None:
         self._keep_going = keep_going
-        note = TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
-        columns = (TextColumn("{task.description}"), BarColumn(), note)
-        self._bar = ProgressBar(*columns, console=console, transient=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        self._bar = _Bar(*columns, console=console, transient=True)
         self._task = self._bar.add_task("starting", total=None, note="")
         self._reasons: Counter[str] = Counter()
         self._first: dict[str, str] = {}
-        self._said, self._measured, self._ended = "starting", "", threading.Event()
+        self._said, self._ended = "starting", threading.Event()
         lines = not console.is_terminal and not console.quiet
         self._lines = threading.Thread(target=self._say_every_minute, daemon=True) if lines else None
 
@@ -55,12 +66,13 @@ class Display:
         """Take in how far the run is. Raises ClickException where a cell failed and the run is to end then."""
         from codecbench.core.engine.foreign_text import clean_line
 
-        first = progress.measured and not self._measured
-        self._measured = clean_line(progress.measured) or self._measured
-        self._said = "; ".join(filter(None, (spoken(progress), self._measured)))
+        first = progress.measured and not self._bar.measured
+        self._bar.measured = clean_line(progress.measured) or self._bar.measured
+        words = spoken(progress)
+        self._said = "; ".join(filter(None, (words, self._bar.measured)))
         if first and self._lines is not None:
-            click.echo(self._said, err=True)
-        count, _, note = self._said.partition(", ")
+            say(self._said, err=True)
+        count, _, note = words.partition(", ")
         share = progress.share
         done, total = (0.0, None) if share is None else (share, 1.0)
         self._bar.update(self._task, description=count, completed=done, total=total, note=note)
@@ -81,7 +93,7 @@ class Display:
     def _say_every_minute(self) -> None:
         while not self._ended.wait(_LINE_EVERY_S):
             with suppress(OSError):
-                click.echo(self._said, err=True)
+                say(self._said, err=True)
 
 
 def spoken(progress: Progress) -> str:

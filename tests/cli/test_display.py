@@ -47,7 +47,10 @@ class TwoMinutes(threading.Event):
         return super().wait()
 
 
-def test_without_a_terminal_what_is_measured_first_is_said_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_terminal_what_is_measured_first_is_said_at_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
     with Display(Screen(file=io.StringIO()), keep_going=True) as shown:
         shown.show(MOMENT)
         assert capsys.readouterr().err == ""
