@@ -33,8 +33,8 @@ class _Bar(ProgressBar):
 class Display:
     """A bar, or a line a minute where there is no terminal, and one line for every reason of which a cell fails.
 
-    What was measured last stands below the bar or ends the line, and the first line comes with the first result. What is
-    counted are the cells of the plan, as `codecbench status` does; the bar grows with the work.
+    What was measured last stands below the bar or ends the line, and the first line comes with the first result.
+    What is counted are the cells of the plan, as `codecbench status` does; the bar grows with the work.
     """
 
     def __init__(self, console: Screen, keep_going: bool) -> None:
