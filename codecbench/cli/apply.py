@@ -44,30 +44,39 @@ def apply(
     call from Python; and a note where that stack does not code what was measured.
     """
     from codecbench.cli.screen import say
+    from codecbench.core.analysis.choosing import links_read
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.registry import installed
     from codecbench.core.report.answers import answers
-    from codecbench.core.report.views import picked
+    from codecbench.core.report.views import Pick, picked
 
     if setting and len(codecs) != 1:
         raise click.UsageError("--setting is of one codec; give one --codec")
     result = open_nonempty_run(run)
-    picks = picked(result)
-    chosen = [_job(result, pick.codec, label=pick.setting) for pick in picks[:1] if pick.passes]
+    picks = {link: picked(result, link) for link in links_read(result) or [""]}
+    taken = dict.fromkeys((found[0].codec, found[0].setting) for found in picks.values() if found and found[0].passes)
+    chosen = [_job(result, codec, label=label) for codec, label in taken]
     if codecs:
-        labels = {pick.codec: pick.setting for pick in reversed(picks)}
-        chosen = [_job(result, name, setting, None if setting else labels.get(name)) for name in codecs]
+        chosen = []
+        for name in codecs:
+            own = dict.fromkeys(pick.setting for found in picks.values() for pick in found if pick.codec == name)
+            labels: list[str | None] = [None] if setting or not own else [*own]
+            chosen += [_job(result, name, setting, label) for label in labels]
     elif not chosen:
         for sentence in answers(result).sentence.splitlines():
             say(sentence)
         say("Nothing to apply; --codec NAME prints the recipes of a codec all the same.")
         return
     scene = _scene(run, chosen[0], frame_rate_hz, size)
-    passing = {(pick.codec, pick.setting) for pick in picks if pick.passes}
     for job in chosen:
         name = f"{job.codec.name} {job.codec.label}".strip()
-        doubt = "" if (job.codec.name, job.codec.label) in passing else "; it is not known to pass"
-        _comment(f"{name}: {_measured(result, job)}{doubt}", bold=True)
+        passes, nearest = (Pick(job.codec.name, job.codec.label, each) for each in (True, False))
+        over = [link for link, found in picks.items() if passes in found]
+        verdict = f"; passes over {' and '.join(over)}" if any(over) else ""
+        if not over:
+            is_nearest = any(nearest in found for found in picks.values())
+            verdict = "; it is not known to pass" if is_nearest else "; it is not a pick of the answer"
+        _comment(f"{name}: {_measured(result, job)}{verdict}", bold=True)
         _comment(f"for frames of {scene.width}x{scene.height}; /dev/video0, image_raw and out.* are to be your own")
         click.echo()
         for recipe in _recipes(installed(), job.codec, scene):

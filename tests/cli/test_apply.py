@@ -131,7 +131,7 @@ def test_a_run_that_takes_nothing_says_so_and_applies_what_is_named(tmp_path: Pa
     ]
     named = tiny.call("apply", "runs/tiny", "--codec", "shift").stdout
     assert named.startswith("# shift: ")
-    assert "not known to pass" in named
+    assert "not a pick of the answer" in named
     assert "codecbench.codec(" in named
 
 

@@ -104,11 +104,11 @@ class Pick:
     passes: bool
 
 
-def picked(run: RunResult) -> list[Pick]:
-    """A setting of each curve, that of the answer first; over links, those that pass over the first."""
+def picked(run: RunResult, link: str = "") -> list[Pick]:
+    """A setting of each curve, that of the answer first; of a run over links, those that pass over one of them."""
     found: dict[str, tuple[str, bool]] = {}
     if links := links_read(run):
-        able = candidates(run, Demand(links[0]))
+        able = candidates(run, Demand(link or links[0]))
         for each in able:
             if each.verdict == "passes" and each.sequence == able[0].sequence:
                 found.setdefault(each.curve, (each.point, True))

@@ -116,8 +116,12 @@ def test_what_is_not_asked_is_not_judged() -> None:
     assert {candidate.verdict for candidate in judged(Demand("radio"), *RUN).values()} == {"passes"}
 
 
-def test_the_setting_to_take_over_the_first_link_is_picked() -> None:
+def test_the_setting_to_take_over_a_link_is_picked() -> None:
     assert picked(run_of(*RUN)) == [Pick("plain", "q=1.0", True)]
+    worse = [*delivered(1.0, 10, "worse"), *read(1.0, [2.0] * 5, "worse"), *read(2.0, [0.05] * 5, "worse")]
+    both = run_of(*RUN, *worse)
+    assert picked(both) == picked(both, "radio") == [Pick("plain", "q=1.0", True)]
+    assert picked(both, "worse") == [Pick("plain", "q=2.0", True)]
     lost = [size(1.0), *read(1.0, [2.0] * 5)]
     assert picked(run_of(*lost)) == []
 
