@@ -105,10 +105,10 @@ def test_the_report_says_which_code_made_what(place: Place) -> None:
     run(place, evaluators="quality, features")
     assert place.call("report", "runs/m").status == 0
     page = (place.folder / "runs/m/report/report.html").read_text()
-    rows = re.findall(r"<td class=\"text\">codec posterize</td>.*?</tr>", page)
+    rows = re.findall(r"<td[^>]*>codec posterize</td>.*?</tr>", page)
     assert len(rows) == 2
     assert all("other code made the rest" in row for row in rows)
-    assert len(re.findall(r"<td class=\"text\">codec raw</td>.*?</tr>", page)) == 1
+    assert len(re.findall(r"<td[^>]*>codec raw</td>.*?</tr>", page)) == 1
 
 
 @pytest.mark.slow
