@@ -130,7 +130,8 @@ def _measured(result: RunResult, job: CodingJob) -> str:
     from codecbench.core.report.tables import three_digits
 
     kbps, frame_bytes = rate_of_setting(result, job.sequence.name, job.codec.name, job.codec.label)
-    words = [f"{three_digits(kbps / 1e3)} Mbit/s at {kbps * 125 / frame_bytes:.3g} fps"] if kbps > 0 else []
+    pace = f" at {kbps * 125 / frame_bytes:.3g} fps" if frame_bytes > 0 else ""
+    words = [f"{three_digits(kbps / 1e3)} Mbit/s{pace}"] if kbps > 0 else []
     words += [f"{three_digits(frame_bytes / 1e3)} kB a frame"] if frame_bytes > 0 else []
     several = len(result.plan.sequences)
     on = f"{job.sequence.name}, one of {counted(several, 'sequence')}" if several > 1 else job.sequence.name

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ from ruamel.yaml import YAML
 
 from codecbench import Recipe
 from codecbench.cli import cli
+from codecbench.cli.apply import _measured as words_of_rate
 from codecbench.cli.apply import recipes_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.registry import installed
@@ -176,3 +179,20 @@ def test_a_run_from_elsewhere_asks_for_the_camera(place: Place, tmp_path: Path) 
     )
     assert result.exit_code == 0, result.output
     assert "webpenc" in result.output
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [
+        ((500.0, 2000.0), "0.5 Mbit/s at 31.2 fps, 2 kB a frame measured on office"),
+        ((500.0, math.nan), "0.5 Mbit/s measured on office"),
+        ((math.nan, 2000.0), "2 kB a frame measured on office"),
+        ((math.nan, math.nan), "no rate was measured on office"),
+    ],
+)
+def test_what_is_not_measured_of_a_rate_is_left_out(
+    rate: tuple[float, float], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("codecbench.core.report.costs.rate_of_setting", lambda *_: rate)
+    job = SimpleNamespace(sequence=SimpleNamespace(name="office"), codec=SimpleNamespace(name="jpeg", label=""))
+    assert words_of_rate(SimpleNamespace(plan=SimpleNamespace(sequences=[job.sequence])), job) == words  # type: ignore[arg-type]
