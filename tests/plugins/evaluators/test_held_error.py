@@ -36,7 +36,7 @@ class Run:
     def held(self, kept: np.ndarray) -> float:
         """The error where only these tracked frames are known, by their positions."""
         part = Trajectory(self.whole.timestamps_s[kept], self.whole.world_from_camera[kept])
-        return errors.held_rmse(self.stamps_s, self.true_positions, part)
+        return errors.held_errors(self.stamps_s, self.true_positions, part).whole_m
 
 
 def positions(path: Path) -> Trajectory:

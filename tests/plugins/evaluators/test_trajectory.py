@@ -19,7 +19,7 @@ from codecbench.core.contracts.slam import LoopEvent
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 from codecbench.plugins.evaluators.trajectory.alignment import Pairs, align
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
-from codecbench.plugins.evaluators.trajectory.metrics import LIVE
+from codecbench.plugins.evaluators.trajectory.metrics import HELD, LIVE
 
 COUNT = 100
 
@@ -69,7 +69,8 @@ def test_a_perfect_run(tmp_path: Path) -> None:
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, abs=1e-9), name
     assert found["rpe_rot_deg"].value == pytest.approx(0.0, abs=1e-4)
-    assert found["held_ate_m"].value == pytest.approx(0.0, abs=1e-6)
+    for name in HELD:
+        assert found[name].value == pytest.approx(0.0, abs=1e-6), name
 
 
 def test_merged_maps_are_no_loops(tmp_path: Path) -> None:
@@ -104,7 +105,14 @@ def test_frames_before_initialisation_and_losses_are_counted(tmp_path: Path) -> 
     assert found["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     held = np.r_[np.full(20, 20), 20:50, np.full(10, 49), 60:100]
     pairs = Pairs(Trajectory(truth.timestamps_s, truth.world_from_camera[held]), truth)
-    assert found["held_ate_m"].value == pytest.approx(rms(position_errors(pairs, align(pairs))))
+    off_m = position_errors(pairs, align(pairs))
+    assert found["held_ate_m"].value == pytest.approx(rms(off_m))
+    parts_m = [
+        rms(off_m[:20]) * math.sqrt(0.2),
+        rms(off_m[tracked]) * math.sqrt(0.7),
+        rms(off_m[50:60]) * math.sqrt(0.1),
+    ]
+    assert [found[name].value for name in HELD[1:]] == pytest.approx(parts_m)
 
 
 def test_a_trajectory_cut_to_its_first_tenth_ranks_worse(tmp_path: Path) -> None:
@@ -131,7 +139,9 @@ def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
         assert math.isnan(found[name].value)
         assert found[name].reason
     spread_m = np.linalg.norm(truth.positions_world - truth.positions_world.mean(axis=0), axis=1)
-    assert found["held_ate_m"].value == pytest.approx(rms(spread_m))
+    for name in ("held_ate_m", "held_waiting_m", "path_spread_m"):
+        assert found[name].value == pytest.approx(rms(spread_m))
+    assert (found["held_tracked_m"].value, found["held_lost_m"].value) == (0.0, 0.0)
     assert found["initialisation_frames"].value == COUNT
     assert found["tracked_since_map_fraction"].reason == "there never was a map"
     whole = measured(Told(moved(truth)), folder(tmp_path, "whole"), truth)
@@ -151,8 +161,9 @@ def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) 
         assert math.isnan(compared["success"].value)
         assert "raw frames give no map" in str(compared["success"].reason)
         assert "raw frames give no map" in str(compared["starts_in_time"].reason)
-        assert math.isnan(compared["held_ate_m"].value)
-        assert "raw frames give no map" in str(compared["held_ate_m"].reason)
+        for name in HELD:
+            assert math.isnan(compared[name].value)
+            assert "raw frames give no map" in str(compared[name].reason)
     assert "held_ate_m" not in verdicts(nothing, [nothing, whole])
 
 
@@ -200,12 +211,87 @@ def test_a_run_that_loses_as_much_as_raw_frames_do_succeeds(tmp_path: Path) -> N
     assert verdicts(started(tmp_path, 20, 100), [raw])["success"].value == 0.0
 
 
+def turning(count: int) -> Trajectory:
+    """A helix of which the second half is a hundred times smaller: the camera nearly only turns."""
+    truth = helix(count)
+    half = truth.world_from_camera[count // 2 :, :3, 3]
+    half[:] = half[0] + 0.01 * (half - half[0])
+    return truth
+
+
+def spread_m(positions: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((positions - positions.mean(axis=0)) ** 2, axis=1))))
+
+
+def test_the_spread_of_the_true_path_is_that_of_the_frames_from_the_start_on(tmp_path: Path) -> None:
+    truth = turning(COUNT)
+    backend = Told(part(moved(truth), slice(70, 90)))
+    for repeat, offset in enumerate((0, 50)):
+        found = measured(backend, folder(tmp_path, str(offset)), truth, repeat, start_offsets=[0, 50])
+        assert found["path_spread_m"].value == pytest.approx(spread_m(truth.positions_world[offset:]))
+
+
+def test_no_run_is_judged_from_a_start_where_raw_s_error_is_as_large_as_the_way(tmp_path: Path) -> None:
+    """The way spreads over a metre from the first frame on, over 8 mm from the middle on; raw errs by 52 and 8 mm."""
+    truth, offsets = turning(COUNT), {"start_offsets": [0, COUNT // 2]}
+    runs = {
+        name: [
+            outcome(measured(Told(path), where := folder(tmp_path, f"{name}{r}"), truth, r, **offsets), where, r)
+            for r in range(2)
+        ]
+        for name, path in (
+            ("raw", moved(noisy(truth, 0.03))), ("good", moved(truth)), ("lost", part(moved(truth), slice(0, 0)))
+        )
+    }  # fmt: skip
+    raw_m = np.median([run.value("ate_rmse_m") for run in runs["raw"]])
+    way_m = spread_m(truth.positions_world[COUNT // 2 :])
+    assert way_m < 2 * raw_m < 0.1
+    found = {name: [verdicts(run, runs["raw"], **offsets)["success"] for run in each] for name, each in runs.items()}
+    assert [each[0].value for each in found.values()] == [1.0, 1.0, 0.0]
+    for verdict in (each[1] for each in found.values()):
+        assert math.isnan(verdict.value)
+        assert f"2 x raw = {2e3 * raw_m:.3g} mm is above {1e3 * way_m:.3g} mm, the spread of the" in str(verdict.reason)
+        assert str(verdict.reason).endswith("give ate_limit_m below it")
+    limited = [verdicts(run[1], runs["raw"], **offsets, ate_limit_m=0.5 * way_m)["success"] for run in runs.values()]
+    assert [verdict.value for verdict in limited] == [0.0, 1.0, 0.0]
+
+
+def test_a_limit_above_the_spread_of_the_way_counts_as_the_spread(tmp_path: Path) -> None:
+    """The camera stands for 80 frames and goes a metre in 20, the only ones that have a pose, which is of noise."""
+    truth = helix(COUNT)
+    truth.world_from_camera[:, :3, 3] = np.outer(np.clip((np.arange(COUNT) - 79) / 20, 0, 1), [1.0, 0.0, 0.0])
+    found = {}
+    for name, sigma_m in (("noise", 5.0), ("good", 0.01)):
+        path = part(moved(noisy(truth, sigma_m)), slice(80, COUNT))
+        run = outcome(measured(Told(path), folder(tmp_path, name), truth), tmp_path / name)
+        assert run.value("path_spread_m") == pytest.approx(spread_m(truth.positions_world))
+        found[name] = run, verdicts(run, [], ate_limit_m=0.5)["success"]
+    noise, verdict = found["noise"]
+    assert noise.value("path_spread_m") < noise.value("ate_rmse_m") < 0.5
+    assert (verdict.value, found["good"][1].value) == (0.0, 1.0)
+    cap = f"spread of the true path (ate_limit_m is more: 0.5 m) = {noise.value('path_spread_m'):.3g} m"
+    assert cap in str(verdict.reason)
+    assert cap in str(found["good"][1].reason)
+    assert "spread" not in str(verdicts(noise, [], ate_limit_m=0.2)["success"].reason)
+
+
+def test_a_run_of_an_earlier_version_is_to_be_measured_again(tmp_path: Path) -> None:
+    new = started(tmp_path, 0)
+    later = ("path_spread_m", *HELD[1:])
+    old = Outcome(0, tuple(each for each in new.measurements if each.metric not in later), new.artifacts)
+    for limit in ({}, {"ate_limit_m": 0.1}):
+        found = verdicts(old, [old], **limit)["success"]
+        assert math.isnan(found.value)
+        assert str(found.reason).endswith("measure it again")
+
+
 def test_without_ground_truth_the_rest_is_there(tmp_path: Path) -> None:
     path = helix(COUNT)
     raw = measured(Told(moved(path)), folder(tmp_path, "raw"))
     assert raw["tracked_fraction"].value == 1.0
-    assert math.isnan(raw["ate_rmse_m"].value)
-    assert raw["ate_rmse_m"].reason == "the sequence has no ground truth"
+    for name in ("ate_rmse_m", *HELD, "path_spread_m"):
+        assert math.isnan(raw[name].value)
+        assert raw[name].reason == "the sequence has no ground truth"
     other = measured(Told(moved(noisy(path, 0.02), scale=5.0)), folder(tmp_path, "other"))
     evaluator = TrajectoryEvaluator.create(backend="told")
     compared = {

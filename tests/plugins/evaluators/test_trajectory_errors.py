@@ -183,11 +183,11 @@ def test_giving_up_costs_more_than_it_gains(share: float, sigma_m: float) -> Non
     truth = helix(400)
     whole = moved(noisy(truth, sigma_m))
     cut = part(whole, slice(0, round(share * 400)))
+    assert held(truth, cut).whole_m > held(truth, whole).whole_m
 
-    def held(estimate: Trajectory) -> float:
-        return errors.held_rmse(truth.timestamps_s, truth.positions_world, estimate)
 
-    assert held(cut) > held(whole)
+def held(truth: Trajectory, estimate: Trajectory) -> errors.HeldErrors:
+    return errors.held_errors(truth.timestamps_s, truth.positions_world, estimate)
 
 
 def ruler(count: int) -> Trajectory:
@@ -201,14 +201,37 @@ def test_held_error_in_closed_form() -> None:
     """On a line it is what a regression of 0 to 5 on 2, 2, 2, 3, 3, 3 leaves: 35/12 - 0.75^2 / 0.25."""
     truth = ruler(6)
     known = moved(part(truth, slice(2, 4)))
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, known) == pytest.approx(math.sqrt(2 / 3))
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, moved(truth)) == pytest.approx(0.0, abs=1e-6)
+    assert held(truth, known).whole_m == pytest.approx(math.sqrt(2 / 3))
+    assert held(truth, moved(truth)).whole_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_parts_of_the_held_error_in_closed_form() -> None:
+    """The same regression: 0 to 5 are off by 1, 0, 1, 1, 0 and 1, two frames each before, during and after."""
+    truth = ruler(6)
+    parts = held(truth, moved(part(truth, slice(2, 4))))
+    np.testing.assert_allclose(parts, np.sqrt([1 / 6, 2 / 6, 1 / 6]), rtol=1e-12)
+
+
+def test_a_helix_cut_at_both_ends_and_in_the_middle_has_parts_that_add_up() -> None:
+    """By evo's alignment of the held poses, frame by frame."""
+    truth = helix(100)
+    known = np.r_[20:50, 60:80]
+    parts = held(truth, moved(noisy(part(truth, known), 0.05)))
+    of_frames = np.r_[np.full(20, 0), np.arange(30), np.full(10, 29), np.arange(30, 50), np.full(20, 49)]
+    poses = noisy(part(truth, known), 0.05).world_from_camera[of_frames]
+    pairs = Pairs(Trajectory(truth.timestamps_s, poses), truth)
+    squares = errors.position_errors(pairs, align(pairs)) ** 2
+    tracked = np.isin(np.arange(100), known)
+    waiting = np.arange(100) < 20
+    expected = [np.sqrt(squares[of].sum() / 100) for of in (waiting, tracked, ~tracked & ~waiting)]
+    np.testing.assert_allclose(parts, expected, rtol=1e-9)
+    assert parts.whole_m**2 == pytest.approx(squares.mean())
 
 
 @pytest.mark.parametrize("known", [slice(0, 0), slice(3, 4)])
 def test_where_no_motion_is_known_the_spread_is_left(known: slice) -> None:
     truth = ruler(6)
-    found = errors.held_rmse(truth.timestamps_s, truth.positions_world, part(truth, known))
+    found = held(truth, part(truth, known)).whole_m
     assert found == pytest.approx(math.sqrt(35 / 12))
 
 
@@ -221,14 +244,14 @@ def test_held_error_of_a_whole_trajectory_is_evo_s(mirrored: bool) -> None:
     estimate = Trajectory(truth.timestamps_s, poses)
     pairs = Pairs(estimate, truth)
     expected = errors.rms(errors.position_errors(pairs, align(pairs)))
-    assert errors.held_rmse(truth.timestamps_s, truth.positions_world, estimate) == pytest.approx(expected, rel=1e-9)
+    assert held(truth, estimate).whole_m == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_position_is_held_from_frames_without_ground_truth_too() -> None:
     """Of frames 0 to 4 the estimate has all but the last, the truth all but the one before."""
     truth, estimate = ruler(5), part(ruler(5), slice(0, 4))
     there = [0, 1, 2, 4]
-    found = errors.held_rmse(truth.timestamps_s[there], truth.positions_world[there], estimate)
+    found = errors.held_errors(truth.timestamps_s[there], truth.positions_world[there], estimate).whole_m
     slope, offset = np.polyfit([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 4.0], 1)
     left = np.array([0.0, 1.0, 2.0, 4.0]) - (slope * np.arange(4.0) + offset)
     assert found == pytest.approx(errors.rms(left))

@@ -20,7 +20,7 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
     associate,
     nearest_stamps,
 )
-from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY
+from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, HELD, SPREAD
 
 
 class Accuracy:
@@ -59,7 +59,7 @@ class Accuracy:
         yield from _defined(("ate_rmse_m", "ate_median_m"), lambda: self._absolute(pairs))
         yield from _defined(("ate_rmse_first_frame_m",), lambda: (errors.first_frame_rmse(pairs),))
         yield from _defined(("ate_before_loops_m",), lambda: (self._before_loops(truth),))
-        yield from _defined(("held_ate_m",), lambda: (self._held(truth),))
+        yield from _defined((*HELD, SPREAD), lambda: self._held(truth))
         yield from _defined(("rpe_trans_m", "rpe_rot_deg"), lambda: self._relative(pairs))
         yield from _defined(("scale_drift",), lambda: (errors.scale_drift(pairs),))
 
@@ -73,13 +73,14 @@ class Accuracy:
         self.before = align(pairs)
         return errors.rms(errors.position_errors(pairs, self.before))
 
-    def _held(self, truth: Trajectory) -> float:
+    def _held(self, truth: Trajectory) -> tuple[float, ...]:
         stamps_s = self._stamps_s
         nearest = nearest_stamps(stamps_s, truth.timestamps_s, self._association_s)
         if not (nearest >= 0).any():
             raise Undefined("no frame has ground truth")
-        known = nearest[nearest >= 0]
-        return errors.held_rmse(stamps_s[nearest >= 0], truth.positions_world[known], self._run.trajectory)
+        true = truth.positions_world[nearest[nearest >= 0]]
+        held = errors.held_errors(stamps_s[nearest >= 0], true, self._run.trajectory)
+        return held.whole_m, *held, errors.spread(true)
 
     def _relative(self, pairs: Pairs) -> tuple[float, ...]:
         similarity = self.after or align(pairs)

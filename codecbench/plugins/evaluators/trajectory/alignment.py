@@ -94,16 +94,18 @@ def align(pairs: Pairs, whole_turn: bool = False) -> Similarity:
         estimated, true = pairs.estimate.positions_world, pairs.reference.positions_world
         if whole_turn or min(np.ptp(estimated, axis=0).max(), np.ptp(true, axis=0).max()) == 0.0:
             raise Undefined("the tracked positions lie in one point or on one line: no similarity is best") from error
-        return _align_any_turn(estimated, true)
+        return align_any_turn(estimated, true)
     return Similarity(float(scale), rotation, translation)
 
 
-def _align_any_turn(estimated: NDArray[np.float64], true: NDArray[np.float64]) -> Similarity:
-    """One of the best similarities (Umeyama, eqs. 40 to 42, which hold where several are best, too)."""
+def align_any_turn(estimated: NDArray[np.float64], true: NDArray[np.float64]) -> Similarity:
+    """One of the best similarities of positions (N, 3) (Umeyama, eqs. 40 to 42, which hold where several are best,
+    too); for estimates that are all one, that which puts them at the mean of the true ones."""
     from_mean, to_mean = estimated.mean(axis=0), true.mean(axis=0)
     left, strengths, right = np.linalg.svd((true - to_mean).T @ (estimated - from_mean) / len(true))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    scale = float(strengths @ signs / np.mean(np.sum((estimated - from_mean) ** 2, axis=1)))
+    power = float(np.mean(np.sum((estimated - from_mean) ** 2, axis=1)))
+    scale = float(strengths @ signs) / power if power > 0.0 else 0.0
     rotation = (left * signs) @ right
     return Similarity(scale, rotation, to_mean - scale * rotation @ from_mean)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -15,6 +16,7 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
     Pairs,
     Similarity,
     Undefined,
+    align_any_turn,
     nearest_stamps,
 )
 
@@ -27,6 +29,23 @@ class RelativeErrors(NamedTuple):
 
     trans_m: float
     rot_deg: float
+
+
+class HeldErrors(NamedTuple):
+    """Parts of the error with positions held, metres: their squares add up to that of the whole.
+
+    waiting_m: of frames before the first pose is known. tracked_m: of frames with a pose. lost_m: of those without one
+    after the first.
+    """
+
+    waiting_m: float
+    tracked_m: float
+    lost_m: float
+
+    @property
+    def whole_m(self) -> float:
+        """Root mean square over all frames."""
+        return math.hypot(*self)
 
 
 def position_errors(pairs: Pairs, similarity: Similarity) -> NDArray[np.float64]:
@@ -106,35 +125,28 @@ def _scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
     symmetric scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E."""
     if min(part.stop - part.start for part in parts) < MIN_POSES:
         raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed in each part")
-    true = [_spread(pairs.reference.positions_world[part]) for part in parts]
-    estimated = [_spread(pairs.estimate.positions_world[part]) for part in parts]
+    true = [spread(pairs.reference.positions_world[part]) for part in parts]
+    estimated = [spread(pairs.estimate.positions_world[part]) for part in parts]
     if min(*true, *estimated) == 0.0:
         raise Undefined("the camera does not move in a part of the way")
     return [float(np.log(of_truth / found)) for of_truth, found in zip(true, estimated, strict=True)]
 
 
-def held_rmse(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> float:
-    """Root mean square position error over all frames that have ground truth, tracked or not, metres.
+def held_errors(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> HeldErrors:
+    """The position error over all frames that have ground truth, tracked or not, in its parts.
 
     stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses. What is not tracked
     counts with the last position known by then, and before there is one with the first. The error is that under the
-    similarity that makes it least: Umeyama 1991, doi:10.1109/34.88573, eq. 33, which holds where several are best, too.
-    So positions that are all one, or none, leave the spread of the true ones, and nothing leaves more.
+    similarity that makes it least. So positions that are all one, or none, leave the spread of the true ones, and
+    nothing leaves more.
     """
-    true = true_positions - true_positions.mean(axis=0)
-    spread = float(np.mean(np.sum(true**2, axis=1)))
-    if len(estimate) == 0:
-        return float(np.sqrt(spread))
     # Stamps are seconds since 1970 to the microsecond: a double holds them to 0.2 microseconds.
     last = np.searchsorted(estimate.timestamps_s, stamps_s + 1e-6, side="right") - 1
-    held = estimate.positions_world[np.maximum(last, 0)]
-    held = held - held.mean(axis=0)
-    power = float(np.mean(np.sum(held**2, axis=1)))
-    if power == 0.0:
-        return float(np.sqrt(spread))
-    left, strengths, right = np.linalg.svd(true.T @ held / len(true))
-    strengths[2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return float(np.sqrt(max(0.0, spread - strengths.sum() ** 2 / power)))
+    held = estimate.positions_world[np.maximum(last, 0)] if len(estimate) else np.zeros_like(true_positions)
+    squares = np.sum((align_any_turn(held, true_positions).points(held) - true_positions) ** 2, axis=1)
+    tracked = nearest_stamps(stamps_s, estimate.timestamps_s, 0.0) >= 0
+    part = np.select([tracked, last < 0], [1, 0], 2)
+    return HeldErrors(*np.sqrt(np.bincount(part, squares, minlength=3) / len(stamps_s)).tolist())
 
 
 def _from_first(trajectory: Trajectory) -> NDArray[np.float64]:
@@ -149,5 +161,6 @@ def _motions(poses: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArra
     return np.asarray(np.linalg.inv(poses[starts]) @ poses[ends])
 
 
-def _spread(positions: NDArray[np.float64]) -> float:
+def spread(positions: NDArray[np.float64]) -> float:
+    """RMS distance of positions (N, 3) from their mean."""
     return rms(np.linalg.norm(positions - positions.mean(axis=0), axis=1))

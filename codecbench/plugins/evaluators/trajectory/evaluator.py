@@ -41,7 +41,7 @@ from codecbench.plugins.evaluators.trajectory.live import (
     live_positions,
     newest_poses,
 )
-from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, LIVE
+from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, HELD, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
 
@@ -49,7 +49,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
     """Accuracy and behaviour of monocular SLAM. A run that loses its way is a result; docs/metrics.md says which."""
 
     name = "trajectory"
-    version = "3"
+    version = "4"
     params_type = TrajectoryParams
     metrics: ClassVar[tuple[Metric, ...]] = (*ACCURACY, *LIVE, *BEHAVIOUR, *COMPARED)
     views = (
@@ -117,7 +117,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         baseline = [] if over_link else baseline
         yield verdicts.success(outcome, baseline, self.params)
         if verdicts.raw_makes_no_map(baseline):
-            yield Measurement("held_ate_m", math.nan, reason=verdicts.NO_MAP)
+            yield from (Measurement(metric, math.nan, reason=verdicts.NO_MAP) for metric in HELD)
         same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"

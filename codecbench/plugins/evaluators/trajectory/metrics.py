@@ -14,6 +14,15 @@ def _error(name: str, summary: str, label: str, aggregates: tuple[str, ...] = _M
     return Metric(name, unit, "lower", summary, aggregates, role="task", label=label, scale="log")
 
 
+def _part(name: str, of_what: str) -> Metric:
+    return Metric(
+        name, "m", "lower", f"part of held_ate_m: {of_what}", _MIDDLE, label=f"held error {of_what}", scale="log"
+    )
+
+
+HELD: Final = ("held_ate_m", "held_waiting_m", "held_tracked_m", "held_lost_m")
+"""The error with positions held and its parts, whose squares add up to its square."""
+SPREAD: Final = "path_spread_m"
 ACCURACY: Final = (
     Metric(
         "held_ate_m", "m", "lower", "RMS position error over all frames, the last known position held where untracked",
@@ -22,6 +31,13 @@ ACCURACY: Final = (
     Metric(
         "ate_rmse_m", "m", "lower", "RMS position error after Sim(3) alignment, over all tracked frames", _SPREAD,
         headline=True, label="trajectory error", brief="ATE m", scale="log",
+    ),
+    _part("held_waiting_m", "before the first pose"),
+    _part("held_tracked_m", "of tracked frames"),
+    _part("held_lost_m", "of frames without a pose"),
+    Metric(
+        SPREAD, "m", "neither", "RMS distance of the true positions from their mean: held_ate_m of no pose at all",
+        _MIDDLE, label="spread of the true path", scale="log",
     ),
     _error("ate_median_m", "median position error after the same alignment", "median trajectory error"),
     _error("ate_rmse_first_frame_m", "RMS position error in first-frame coordinates", "error from the first frame"),

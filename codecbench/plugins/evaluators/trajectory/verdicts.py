@@ -9,6 +9,7 @@ import numpy as np
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.plugins.evaluators.trajectory import stand_in
+from codecbench.plugins.evaluators.trajectory.metrics import SPREAD
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
 THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_percent", "delay_frames")
@@ -29,11 +30,11 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     """Whether enough is tracked from the first map on, and the error is within the limit.
 
     Both are relative to the medians of the raw codec's runs: single runs differ by factors from one start to the next.
-    Without such runs all frames are to be tracked. Missing, with the reason, where raw frames give no map either and
-    where there is nothing to compare the error with.
+    Without such runs all frames are to be tracked. Missing, with the reason, where raw frames give no map either, where
+    there is nothing to compare the error with, and where the limit would let pass what knows nothing of the path.
     """
-    if raw_makes_no_map(baseline):
-        return _missing("success", NO_MAP)
+    if reason := NO_MAP if raw_makes_no_map(baseline) else _no_reference(outcome, baseline, params):
+        return _missing("success", reason)
     if outcome.value("tracked_fraction") == 0.0:
         return Measurement("success", 0.0, reason="no frame is tracked")
     tracked = outcome.value("tracked_since_map_fraction")
@@ -47,13 +48,36 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     if not stand_in.has_truth(outcome):
         return _success_beside_raw(outcome, baseline, params, asked)
     raw_m = _median(baseline, "ate_rmse_m")
-    limit_m = params.ate_limit_m or params.ate_to_raw * raw_m
+    limit_m, spread_m = params.ate_limit_m or params.ate_to_raw * raw_m, outcome.value(SPREAD)
     if math.isnan(limit_m):
         reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
         return _missing("success", reason)
     times = "" if params.ate_limit_m else f"{params.ate_to_raw:g} x raw = "
-    factor, unit = (1e3, "mm") if limit_m < _SMALL_M else (1.0, "m")
+    if limit_m > spread_m:
+        times = f"the spread of the true path (ate_limit_m is more: {_length(limit_m)}) = "
+        limit_m = spread_m
+    factor, unit = _unit(limit_m)
     return _judged("ATE", factor * outcome.value("ate_rmse_m"), factor * limit_m, unit, times, asked)
+
+
+def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> str:
+    """Why ground truth judges no run from this start, whatever the codec; empty where it does, or where there is none.
+
+    A limit above the spread of the true path would pass any estimate: the best similarity never leaves more.
+    """
+    spread_m, limit_m = outcome.value(SPREAD), params.ate_to_raw * _median(baseline, "ate_rmse_m")
+    if not stand_in.has_truth(outcome):
+        return ""
+    if math.isnan(spread_m):
+        before = "measured before the spread of the true path was; measure it again"
+        return next((str(each.reason) for each in outcome.measurements if each.metric == SPREAD), before)
+    if params.ate_limit_m or not limit_m > spread_m:
+        return ""
+    return (
+        f"raw's error is no reference: {params.ate_to_raw:g} x raw = {_length(limit_m)} is above "
+        f"{_length(spread_m)}, the spread of the true path, by which an estimate without any information errs; "
+        "give ate_limit_m below it"
+    )
 
 
 def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams, asked: str) -> Measurement:
@@ -97,6 +121,15 @@ def _median(runs: list[Outcome], metric: str) -> float:
     """Over the runs that have the metric; NaN where none has."""
     values = [value for run in runs if not math.isnan(value := run.value(metric))]
     return float(np.median(values)) if values else math.nan
+
+
+def _unit(length_m: float) -> tuple[float, str]:
+    return (1e3, "mm") if length_m < _SMALL_M else (1.0, "m")
+
+
+def _length(length_m: float) -> str:
+    factor, unit = _unit(length_m)
+    return f"{factor * length_m:.3g} {unit}"
 
 
 def _missing(metric: str, reason: str) -> Measurement:
