@@ -16,7 +16,7 @@ from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import curve_values, objection
 from codecbench.core.analysis.evidence import FEWEST_FRAMES, Evidence, combined, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test, described, parts
-from codecbench.core.analysis.run_result import Key, RunResult, judged_column, successes
+from codecbench.core.analysis.run_result import Key, RunResult, judged_column, over_link, successes
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import Place, Points, SequenceCurve, values_in, values_of_repeats
 
@@ -80,18 +80,19 @@ def criteria(run: RunResult) -> list[list[Column]]:
     """What a setting has to pass, one list for each evaluator that says when a run succeeds.
 
     That success, and every task of another evaluator for which its metric says how much is enough; if no success is
-    measured, the first task, or else the first quality. What comes over a link is judged elsewhere, see `choosing`.
+    measured, the first task, or else the first quality. A success that every run lacks is asked for only if no such
+    task is there: then nothing is judged, and its reason says why. What comes over a link is judged elsewhere, see
+    `choosing`.
     """
-    groups = [group for group in successes(run) if not _over_link(group[0])]
-    tasks = [column for column in run.headlines("task") if column.metric.enough is not None and not _over_link(column)]
-    if groups:
-        return [[*group, *(task for task in tasks if task.evaluator != group[0].evaluator)] for group in groups]
+    groups = [group for group in successes(run) if not over_link(group[0])]
+    tasks = [column for column in run.headlines("task") if column.metric.enough is not None and not over_link(column)]
+    judged = [group for group in groups if all(run.wide[column.name].notna().any() for column in group)]
+    if groups and not judged:
+        return [tasks[:1]] if tasks else groups
+    if judged:
+        return [[*group, *(task for task in tasks if task.evaluator != group[0].evaluator)] for group in judged]
     column = judged_column(run)
-    return [] if column is None or _over_link(column) else [[column]]
-
-
-def _over_link(column: Column) -> bool:
-    return any(used.kind == "link" for used in column.evaluator.uses)
+    return [] if column is None or over_link(column) else [[column]]
 
 
 def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:

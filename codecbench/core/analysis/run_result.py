@@ -177,15 +177,29 @@ def judged_column(run: RunResult) -> Column | None:
     judged, tasks = successes(run), run.headlines("task")
     if judged:
         tasks = [column for column in tasks if column.evaluator == judged[0][0].evaluator] or tasks
-    linked = [column for column in tasks if any(used.kind == "link" for used in column.evaluator.uses)]
-    over_link = [column for column in linked if column.metric.need == "error"]
-    ranked = [column for column in (*over_link, *tasks, *run.headlines("quality")) if column.metric.better != "neither"]
+    linked = [column for column in tasks if over_link(column)]
+    erring = [column for column in linked if column.metric.need == "error"]
+    ranked = [column for column in (*erring, *tasks, *run.headlines("quality")) if column.metric.better != "neither"]
     return next(iter(ranked), None)
 
 
 def successes(run: RunResult) -> list[list[Column]]:
-    """Headlines of role `success` by evaluator: a run counts that succeeds in all."""
+    """Headlines of role `success` by evaluator: a run counts that succeeds in all.
+
+    Where the baseline's runs are there to compare with, one that every run lacks is among them, and judges nobody.
+    """
+    known = run.headlines("success")
+    beside = {
+        each.cell.evaluator for each in run.results if each.status == "ok" and each.row[1] in run.schema.baselines
+    }
+    asked = beside & {column.evaluator for column in known if not over_link(column)}
     found: dict[str, list[Column]] = defaultdict(list)
-    for column in run.headlines("success"):
-        found[column.evaluator.title].append(column)
+    for column in run.columns.values():
+        if column in known or (column.evaluator in asked and column.is_headline and column.metric.role == "success"):
+            found[column.evaluator.title].append(column)
     return list(found.values())
+
+
+def over_link(column: Column) -> bool:
+    """Whether it is measured of what comes over a link."""
+    return any(used.kind == "link" for used in column.evaluator.uses)

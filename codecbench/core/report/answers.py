@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Final
@@ -116,11 +116,14 @@ def _on(run: RunResult) -> str:
 
 @dataclass(frozen=True)
 class _Judged:
-    """What is known of the curves of a run on a sequence. limits: best first, baselines left out."""
+    """What is known of the curves of a run on a sequence. limits: best first, baselines left out. silent: of several
+    sequences those on which nothing can be judged.
+    """
 
     run: RunResult
     on: str
     limits: Mapping[str, Limit]
+    silent: Sequence[str] = ()
 
     def spent(self, curve: str, test: Test) -> float:
         return spent(self.run, self.on, curve, test)
@@ -151,13 +154,16 @@ class _Judged:
 
 def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     on = _on(run)
-    own = {curve: limit for (sequence, curve), limit in limits(run, columns).items() if sequence == on}
+    every = limits(run, columns)
+    own = {curve: limit for (sequence, curve), limit in every.items() if sequence == on}
     if not own:
         return None
     raw = next((limit for curve, limit in own.items() if _codec(curve) in run.schema.baselines), Limit())
     others = {curve: limit for curve, limit in own.items() if _codec(curve) not in run.schema.baselines}
     unsorted = _Judged(run, on, others)
-    found = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))))
+    judged = {sequence for (sequence, _), limit in every.items() if not limit.reason}
+    silent = [each.name for each in run.plan.sequences if each.name not in judged] if on == POOLED else []
+    found = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))), silent)
     what = " and ".join(column.label for column in columns)
     asked = _asked(raw, *own.values())
     over = _over(run, own.values())
@@ -214,7 +220,8 @@ def _use(found: _Judged, curve: str, limit: Limit) -> str:
     saved = _saved(found, curve, taken)
     sure = "; ".join(_sure(part) for part in parts(taken))
     words[0] += f", {saved}" if saved else ""
-    words += [sure + f", {_over(found.run)}"]
+    silent = f" (nothing can be judged on {', '.join(found.silent)})" if found.silent else ""
+    words += [f"{sure}, {_over(found.run)}{silent}"]
     if endless:
         coarser = [name for name in dict.fromkeys([curve, *found.anchors[:1]]) if found.limits[name].next is None]
         more = [spelled for name in coarser if (spelled := coarser_settings(found.run, name))]

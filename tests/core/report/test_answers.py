@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_runs import cell_result, run_of
+from measured_runs import HELD, SCORE, cell_result, run_of
 
 from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
+from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.answers import Answers, answers
 from codecbench.core.report.pasting import answer_tables, pasted
@@ -62,6 +63,47 @@ def test_the_answer_is_the_setting_of_least_rate_that_passes_and_what_it_saves()
         "Use good q=0.5: 0.5 bpp, 75 % less than the smallest plain that passes (q=2.0, 2 bpp); "
         "held in 5 of 5 runs (at least 57 % at 95 %), s, 5 frames."
     )
+
+
+NAN = float("nan")
+
+
+def unjudged(codec: str, rate: float, sequence: str = "s") -> list[CellResult]:
+    """Runs that are tracked in time (`kept`), and of which nobody can say whether they hold."""
+    cells = tracked(codec, rate, [NAN] * 5, sequence)
+    kept = replace(HELD, name="kept", label="kept")
+    return [
+        replace(cell, metrics={**cell.metrics, "kept": kept},
+                measurements=(Measurement("held", NAN, reason="raw is no reference"), Measurement("kept", 1.0)))
+        if cell.cell.evaluator.name == "track" else cell
+        for cell in cells
+    ]  # fmt: skip
+
+
+def test_a_success_that_no_run_has_is_not_left_out_of_what_is_asked() -> None:
+    """The other one alone would pass every codec. Without raw's runs there is nothing that it could be beside."""
+    codecs = [*unjudged("plain", 2.0), *unjudged("plain", 1.0)]
+    assert str(answers(run_of(*unjudged("raw", 24.0), *codecs))) == "Nothing can be named here: raw is no reference."
+    assert str(answers(run_of(*codecs))).startswith("Use plain q=1.0 or coarser: 1 bpp; kept in 5 of 5 runs")
+
+
+def test_a_task_that_says_what_is_enough_decides_if_no_success_can() -> None:
+    task = replace(SCORE, role="task", enough=0.9)
+    own = [cell_result(codec, rate, "find", {("score", ""): [value] * 16}, count=16)
+           for codec, rate, value in (("raw", 24.0, 1.0), ("plain", 2.0, 0.95), ("plain", 1.0, 0.5))]  # fmt: skip
+    frames = [replace(cell, metrics={"score": task}) for cell in own]
+    run = run_of(*unjudged("raw", 24.0), *unjudged("plain", 2.0), *unjudged("plain", 1.0), *frames)
+    assert str(answers(run)).startswith("Use plain q=2.0: 2 bpp; score:")
+
+
+def test_the_answer_says_on_which_sequences_nothing_can_be_judged() -> None:
+    there = [*tracked("raw", 24.0, [1.0] * 5), *tracked("plain", 1.0, [1.0] * 5)]
+    silent = [*tracked("raw", 24.0, [NAN] * 5, "t"), *tracked("plain", 1.0, [NAN] * 5, "t")]
+    found = answers(run_of(*there, *silent))
+    assert "held in 5 of 5 runs (at least 57 % at 95 %), 2 sequences together (nothing can be judged on t);" in str(
+        found
+    )
+    assert "judged" not in str(answers(run_of(*there)))
 
 
 def test_the_anchor_is_compared_with_the_next_codec_and_what_never_failed_has_a_lower_limit() -> None:
