@@ -163,10 +163,10 @@ def limits_of(tests: Mapping[Key, Test], points: Points) -> dict[SequenceCurve, 
 
 
 def _limit(members: list[Test]) -> Limit:
-    if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
-        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
     if empty := next((test for member in members for test in parts(member) if is_empty(test)), None):
         return Limit(reason=empty.why or "its runs cannot be judged here")
+    if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
+        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
     return Limit(tuple(sorted(members, key=lambda member: -member.rate)))
 
 

@@ -115,6 +115,7 @@ def test_a_limit_is_refused_where_a_rate_is_not_known() -> None:
     limit = limit_of(Standing("q", float("nan"), 1, 1))
     assert limit.reason == "no rate is known of q"
     assert limit.lowest is None
+    assert limit_of(Standing("q", float("nan"), 0, 0, why="no map")).reason == "no map", "which no rate would mend"
 
 
 def test_runs_succeed_that_succeed_in_every_column() -> None:
