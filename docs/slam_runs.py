@@ -1,8 +1,8 @@
 """SLAM over frames without the engine: what tables are made of, and a table by which a change of the SLAM is judged.
 
-python docs/slam_runs.py [--sequences NAME ...] [--codecs raw jpeg] [--starts 5] [--severity 0.5] [--quick]
+python docs/slam_runs.py [--sequences NAME ...] [--codecs raw jpeg10] [--starts 5] [--severity 0.5] [--quick]
 
-A row is a sequence, raw or as JPEG at quality 10, from so many starts. The real sequences are in the folder that
+A row is a sequence, raw or as JPEG at a quality, from so many starts. The real sequences are in the folder that
 CODECBENCH_DATA names. Decoded frames are kept in the cache folder. `--quick` takes two starts, and no long sequence.
 """
 
@@ -67,13 +67,13 @@ def opened(name: str, severity: float) -> FrameSequence:
 
 def frames_of(sequence: FrameSequence, codec: str) -> Image:
     """All frames (N, H, W), gray, as they are or as a codec leaves them, from the cache folder."""
-    coder = Jpeg.create(quality=10)
-    key = f"{sequence.fingerprint} {codec} {coder.version if codec == 'jpeg' else ''}"
+    coder = None if codec == "raw" else Jpeg.create(quality=int(codec.removeprefix("jpeg")))
+    key = f"{sequence.fingerprint} {codec} {coder.version if coder else ''}"
     path = cache_folder() / "slam_runs" / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.npy"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         images = (sequence.read(index).image for index in range(len(sequence)))
-        seen = (coder.decode(coder.encode(image)) for image in images) if codec == "jpeg" else images
+        seen = (coder.decode(coder.encode(image)) for image in images) if coder else images
         made = path.with_suffix(f".{os.getpid()}.npy")
         np.save(made, np.array([gray_from_image(image) for image in seen]))
         made.replace(path)
@@ -122,7 +122,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [*WORLDS, *REAL]
     parser.add_argument("--sequences", nargs="+", default=names, choices=names)
-    parser.add_argument("--codecs", nargs="+", default=["raw", "jpeg"], choices=["raw", "jpeg"])
+    codecs = ["raw", "jpeg20", "jpeg10", "jpeg5"]
+    parser.add_argument("--codecs", nargs="+", default=["raw", "jpeg10"], choices=codecs)
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument("--severity", type=float, default=0.5)
     parser.add_argument("--quick", action="store_true")

@@ -161,8 +161,9 @@ TRIANGULATION_MAX_COSINE: Final = 0.9998
 """Cosine between two rays above which their point is too uncertain: 1.15 degrees (own)."""
 TRIANGULATION_OCTAVES_APART: Final = 2
 """Levels: most between two features that match (own)."""
-TRIANGULATION_MIN_BASELINE: Final = 0.01
-"""Of the median depth: shorter baselines are not used (own)."""
+TRIANGULATION_MIN_BASELINE: Final = 0.014
+"""Of the median depth: shorter baselines are not used (own; with 0.01 a camera that turns is lost under coarse coding;
+0.02, where a point of median depth passes TRIANGULATION_MAX_COSINE, costs the office half a millimeter)."""
 EPIPOLE_RADIUS_PX: Final = 10.0
 """Pixels at the finest level: no match nearer to the epipole, where depth is undetermined (own)."""
 SCALE_CONSISTENCY: Final = 1.5

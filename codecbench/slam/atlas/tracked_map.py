@@ -58,7 +58,11 @@ class TrackedMap:
 
     def wants_keyframe(self, frame: TrackingFrame, inliers: int) -> bool:
         """Whether `frame`, tracked on `inliers` points, should become a keyframe: the keyframe policy says."""
-        points = self.map.keyframes.points[frame.reference]
+        table, reference = self.map.keyframes, frame.reference
+        points = table.points[reference]
+        center = np.asarray(se3_inverse(frame.camera_from_world))[:3, 3]
+        baseline = float(np.linalg.norm(center - table.centers_world[reference]))
+        depth = max(self._mapper.median_depth(reference), 1e-12)  # points behind the camera: as near as can be
         return keyframe_policy.wants_keyframe(
             keyframe_policy.KeyframeEvidence(
                 inliers=inliers,
@@ -66,6 +70,7 @@ class TrackedMap:
                 reference_observations=self.map.points.observation_counts[points[points >= 0]],
                 map_keyframes=len(self.map.alive_keyframes),
                 since_keyframe_frames=frame.index - self._last_keyframe_frame,
+                parallax=baseline / depth,
             )
         )
 

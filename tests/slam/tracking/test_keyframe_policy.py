@@ -9,11 +9,17 @@ FEATURES = 1000
 
 
 def evidence(
-    inliers: int, reference: int, since: int, features: int = FEATURES, map_keyframes: int = 20, seldom_seen: int = 0
+    inliers: int,
+    reference: int,
+    since: int,
+    features: int = FEATURES,
+    map_keyframes: int = 20,
+    seldom_seen: int = 0,
+    parallax: float = 0.1,
 ) -> KeyframeEvidence:
     """`reference` points that three keyframes see, and `seldom_seen` that two do."""
     observations = np.r_[np.full(reference, 3), np.full(seldom_seen, 2)]
-    return KeyframeEvidence(inliers, features, observations, map_keyframes, since)
+    return KeyframeEvidence(inliers, features, observations, map_keyframes, since, parallax)
 
 
 @pytest.mark.parametrize(
@@ -50,6 +56,13 @@ def test_a_thin_reference_counts_as_a_full_one_for_the_features_there_are(featur
     assert wants_keyframe(evidence(few, few // 2, 100, features))
     assert not wants_keyframe(evidence(few, few // 2, 1, features))
     assert wants_keyframe(evidence(too_few, too_few // 2, 1, features))
+
+
+@pytest.mark.parametrize(("parallax", "expected"), [(0.0, False), (0.0199, False), (0.0201, True), (6.28, True)])
+def test_a_thin_reference_asks_for_keyframes_only_where_they_could_add_points(parallax: float, expected: bool) -> None:
+    """100 inliers are all of the reference's 100 points, and three quarters of a full one; a point at the median depth
+    becomes a new one from 0.02 rad on, whose cosine is 0.9998."""
+    assert wants_keyframe(evidence(100, 100, 1, parallax=parallax)) == expected
 
 
 @pytest.mark.parametrize(("map_keyframes", "expected"), [(2, True), (3, False), (50, False)])
