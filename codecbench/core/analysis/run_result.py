@@ -186,7 +186,7 @@ def judged_column(run: RunResult) -> Column | None:
 def successes(run: RunResult) -> list[list[Column]]:
     """Headlines of role `success` by evaluator: a run counts that succeeds in all.
 
-    Where the baseline's runs are there to compare with, one that every run lacks is among them, and judges nobody.
+    If the baseline was run, a success that no run has a value of is among them: nothing can be judged by it then.
     """
     known = run.headlines("success")
     beside = {
