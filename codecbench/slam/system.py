@@ -66,8 +66,9 @@ class System:
         `image` (height, width) gray or (height, width, 3) RGB, uint8; `timestamp_s` above the last one's.
         With `keyframe_image`, tracking sees `image`, and what becomes a keyframe is replaced by
         `keyframe_image(image)`: its features serve mapping, relocalisation and loop closing. Returns the frame's state;
-        "refused" with the reason for an image or a time that cannot be used. Raises TypeError for images that are not
-        uint8 arrays of two or three dimensions.
+        "refused" with the reason for an image or a time that cannot be used. In the result, a frame whose map was
+        dropped since then has no pose. Raises TypeError for images that are not uint8 arrays of two or three
+        dimensions.
         """
         with _one_thread():
             gray = to_gray(image)
@@ -121,12 +122,15 @@ class System:
         if refusal:
             return FrameState(index, timestamp_s, "refused", reason=refusal)
         self._last_s = timestamp_s
-        frame = TrackingFrame.of(index, timestamp_s, features())
-        frame.decode = decode
+        frame = TrackingFrame.of(index, timestamp_s, features(), decode)
         next(self._mapping, None)
         active = self._atlas.active
         if active is not None and (inliers := active.track(frame)):
-            return self._tracked(frame, inliers, active)
+            objection = active.objection(frame)
+            if not objection:
+                return self._tracked(frame, inliers, active)
+            self._drop(active, objection)
+            return self._initialize(TrackingFrame.of(index, timestamp_s, frame.features, decode))
         self._finish_mapping()
         if inliers := self._atlas.find(frame):
             assert self._atlas.active is not None
@@ -179,6 +183,15 @@ class System:
             self._loops.append(loop)
         else:
             self._atlas.merge(frame)
+
+    def _drop(self, active: TrackedMap, objection: str) -> None:
+        """Forget a map that turned out to be none, and the poses in it."""
+        self._mapping = iter(())
+        self._atlas.drop()
+        state: State = "lost" if self._atlas.maps else "not_initialized"
+        for place, frame in enumerate(self._frames):
+            if frame.state == "tracked" and frame.map_index == active.map.index:
+                self._frames[place] = replace(frame, state=state, inliers=0, reason=objection)
 
     def _finish_mapping(self) -> None:
         with _one_thread():

@@ -91,6 +91,14 @@ INIT_MAX_FRAMES: Final = 90
 """Frames: age at which the reference frame is replaced though it still matches (own). In frames because it only bounds
 the wait of a camera that hardly moves; one that moves loses its matches, and the reference with them, at any rate."""
 
+TRIAL_MISFIT: Final = 0.6
+"""Of the misfit that a rotation leaves: a young map that leaves more is dropped (own; of maps that were wrong by a
+fifth of the way and more, 36 of 77 were, of those wrong by less than a tenth 4 of 165)."""
+TRIAL_FRAMES: Final = 10
+"""Frames that a young map is on trial for (own)."""
+TRIAL_RANSAC_ITERATIONS: Final = 30
+"""Samples of two matches for that rotation (own)."""
+
 # Tracking -----------------------------------------------------------------------------------------------------------
 TRACK_WINDOW_DEG: Final = 1.6
 """Degrees in the middle of the image, at the finest level: search radius round a position that the motion model

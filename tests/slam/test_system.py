@@ -18,6 +18,7 @@ from codecbench.core.contracts.image import gray_from_image
 from codecbench.slam import Camera, Options, Result, System
 from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
+from codecbench.slam.map.frame import TrackingFrame
 
 pytestmark = pytest.mark.thorough
 
@@ -79,6 +80,28 @@ def test_a_camera_that_turns_in_place_gets_a_map_once_it_moves() -> None:
     assert len(result.maps) == 1
     true = np.array([np.linalg.inv((turning + moving)[i])[:3, 3] for i in result.trajectory.frame_indices])
     assert position_error(result.trajectory.world_from_camera[:, :3, 3], true) < 0.03
+
+
+def test_a_map_that_is_dropped_leaves_no_poses_and_another_one_starts(
+    film: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = [frame.state for frame in run(film).frames].index("tracked")
+    dropping = started + 4
+
+    def objection(self: TrackedMap, frame: TrackingFrame) -> str:
+        return "a false start" if frame.index == dropping else ""
+
+    monkeypatch.setattr(TrackedMap, "objection", objection)
+    result = run(film)
+    assert [(frame.state, frame.reason) for frame in result.frames[started:dropping]] == [
+        ("not_initialized", "a false start")
+    ] * 4
+    assert result.frames[dropping].state == "not_initialized"
+    again = [frame.state for frame in result.frames].index("tracked")
+    assert again > dropping
+    assert [built.index for built in result.maps] == [1]
+    assert result.trajectory.frame_indices[0] == again
+    assert error(result) < 0.04
 
 
 def test_runs_are_equal_to_the_last_bit_in_any_process(film: list[NDArray[np.uint8]]) -> None:

@@ -41,6 +41,11 @@ class Atlas:
         """Have no active map from now on; the one that was stays to be found again."""
         self._activate(None)
 
+    def drop(self) -> None:
+        """Forget the active map: nothing is tracked or found in it any more."""
+        self.maps = [kept for kept in self.maps if kept is not self.active]
+        self._activate(None)
+
     def find(self, frame: TrackingFrame) -> int:
         """Look for a lost frame in all maps, and go on in the one that it is found in; returns the inliers, 0 when it
         stays lost.

@@ -14,6 +14,7 @@ from codecbench.slam.mapping.loop_closing import adjust_map, close_loop
 from codecbench.slam.mapping.loop_detection import Loop, LoopDetector
 from codecbench.slam.mapping.map_merging import take_in
 from codecbench.slam.mapping.mapper import Mapper
+from codecbench.slam.mapping.trial import Trial
 from codecbench.slam.places.recognition import PlaceRecognition
 from codecbench.slam.result import ClosedLoop, FrameTrajectory, MapResult
 from codecbench.slam.tracking import keyframe_policy
@@ -31,6 +32,7 @@ class TrackedMap:
         self._camera = camera
         self._mapper = mapper
         self._tracker = Tracker(slam_map, camera)
+        self._trial = Trial(slam_map, camera, rng)
         self._detector = LoopDetector(mapper.places, mapper.places, camera, rng)
         self._last_keyframe_frame = 0
         self._last_loop_keyframe = -thresholds.LOOP_MIN_GAP_KEYFRAMES
@@ -46,6 +48,10 @@ class TrackedMap:
     def track(self, frame: TrackingFrame) -> int:
         """Pose of `frame` from the one before; returns the inliers, 0 when it is lost."""
         return self._tracker.track(frame)
+
+    def objection(self, frame: TrackingFrame) -> str:
+        """Why this map, while it is young, is to be dropped, by `frame`, tracked in it; empty while it may stay."""
+        return self._trial.objection(frame)
 
     @property
     def places(self) -> PlaceRecognition:
@@ -111,6 +117,7 @@ class TrackedMap:
         What was tracked in either stands where this map was before the two were adjusted to each other. `other` is of
         no use afterwards.
         """
+        self._trial.end()
         self.map.index = min(self.map.index, other.map.index)
         joint = take_in(self._mapper, other._mapper, seen)
         new_from_other = sim3_compose(self._uncorrected_from_map, joint.map_from_other)

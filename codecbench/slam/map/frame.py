@@ -31,9 +31,11 @@ class TrackingFrame:
     decode: Callable[[], Features] | None = None
 
     @classmethod
-    def of(cls, index: int, timestamp_s: float, features: Features) -> TrackingFrame:
+    def of(
+        cls, index: int, timestamp_s: float, features: Features, decode: Callable[[], Features] | None = None
+    ) -> TrackingFrame:
         """A frame that shows no map point yet."""
-        return cls(index, timestamp_s, features, np.full(len(features), NONE, np.int64), np.eye(4))
+        return cls(index, timestamp_s, features, np.full(len(features), NONE, np.int64), np.eye(4), decode=decode)
 
     @property
     def matched(self) -> NDArray[np.int64]:
