@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from rendered_scenes import CAMERA, Room, looking, path_pose, position_error
 
 from codecbench.core.contracts.image import gray_from_image
+from codecbench.plugins.codecs.jpeg import Jpeg
+from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.slam import Camera, Options, Result, System
 from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
@@ -102,6 +104,23 @@ def test_a_map_that_is_dropped_leaves_no_poses_and_another_one_starts(
     assert [built.index for built in result.maps] == [1]
     assert result.trajectory.frame_indices[0] == again
     assert error(result) < 0.04
+
+
+def test_a_false_start_before_a_flat_wall_under_coarse_coding_is_dropped() -> None:
+    """Kept, its map follows a fifth of the frames with a scale that shrinks to a tenth."""
+    wall = Synthetic.create(world="slow_start", severity=0.5).open()
+    seen, true, coder = wall.camera, wall.ground_truth, Jpeg.create(quality=10)
+    assert seen is not None
+    assert true is not None
+    system = System(Camera(seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy))
+    for frame in wall:
+        assert frame.timestamp_s is not None
+        system.process(gray_from_image(coder.decode(coder.encode(frame.image))), frame.timestamp_s)
+    result = system.finish()
+    assert sum("of what a rotation leaves" in frame.reason for frame in result.frames) >= 2
+    nearest = np.abs(true.timestamps_s - result.trajectory.timestamps_s[:, None]).argmin(axis=1)
+    path = true.world_from_camera[nearest, :3, 3]
+    assert position_error(result.trajectory.world_from_camera[:, :3, 3], path) < 0.05  # meters
 
 
 def test_runs_are_equal_to_the_last_bit_in_any_process(film: list[NDArray[np.uint8]]) -> None:

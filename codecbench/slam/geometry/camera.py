@@ -120,6 +120,10 @@ class Camera:
         scaled = points_camera[:, :2] / points_camera[:, 2:]
         return np.asarray(scaled * self.intrinsics[:2] + self.intrinsics[2:])
 
+    def rays(self, pixels: Floats) -> Floats:
+        """Directions (N, 3), of depth 1, in which undistorted `pixels` (N, 2) lie."""
+        return np.asarray(np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.matrix).T)
+
 
 @compiled
 def _distort_normalized(x: float, y: float, k: Any) -> Any:

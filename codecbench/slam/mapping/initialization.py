@@ -138,7 +138,7 @@ def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, varian
     Without translation there is no depth; a plane or a fundamental matrix then fits only the noise.
     """
     to_rays = np.linalg.inv(camera.matrix)
-    rays_a, rays_b = (np.column_stack([pixels, np.ones(len(pixels))]) @ to_rays.T for pixels in (pixels_a, pixels_b))
+    rays_a, rays_b = camera.rays(pixels_a), camera.rays(pixels_b)
     u, _, vt = np.linalg.svd(to_rays @ homography @ camera.matrix)
     rotation = u @ vt * np.sign(np.linalg.det(u @ vt))
     inliers, most = np.zeros(len(pixels_a), np.bool_), 0

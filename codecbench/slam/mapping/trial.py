@@ -78,9 +78,9 @@ def _misfit_of_rotation(
     pixels_a: Floats, pixels_b: Floats, variances: Floats, camera: Camera, rng: np.random.Generator
 ) -> float:
     """The least misfit of matches (N, 2) that a rotation of the camera leaves, by RANSAC on pairs of them."""
-    to_rays = np.linalg.inv(camera.matrix)
-    rays_a, rays_b = (np.column_stack([pixels, np.ones(len(pixels))]) @ to_rays.T for pixels in (pixels_a, pixels_b))
-    rays_a, rays_b = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (rays_a, rays_b))
+    rays_a, rays_b = (
+        rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (camera.rays(pixels_a), camera.rays(pixels_b))
+    )
     least = np.inf
     for chosen in rng.integers(0, len(pixels_a), (thresholds.TRIAL_RANSAC_ITERATIONS, 2)):
         while len(chosen) > 1:
