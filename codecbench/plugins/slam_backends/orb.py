@@ -52,7 +52,7 @@ class Orb(SlamBackend[OrbParams]):
     """Equal frames and an equal seed give the same trajectory to the last bit."""
 
     name = "orb"
-    version = "10"
+    version = "11"
     params_type = OrbParams
     architectures = frozenset({"cta", "atc", "features"})
     kernels = ("codecbench.slam",)

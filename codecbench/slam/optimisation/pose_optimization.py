@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.linear_systems import copy_numbers, solve_symmetric
 from codecbench.slam.geometry.rotations import Array, orthonormalize, so3_exp_into
-from codecbench.slam.thresholds import CHI2_95_2DOF
+from codecbench.slam.thresholds import CHI2_95_2DOF, POSE_GATE_MEDIANS
 
 _ROUNDS = 4
 _ROBUST_ROUNDS = 2  # then the outliers are out, and Huber's kernel would only slow the convergence
@@ -30,10 +30,11 @@ def optimize_pose(
 
     `camera_from_world` (4, 4) starts the search; `points_world` (N, 3); `pixels` (N, 2) undistorted; `inverse_sigma2`
     (N,) in 1/px^2; `intrinsics` (4,): fx, fy, cx, cy in pixels. Returns `camera_from_world` (4, 4) and `inliers` (N,):
-    in front of the camera with a chi-square of at most 5.991. Four rounds of Levenberg-Marquardt, each over the inliers
-    of the last one (a point may come back), with Huber's kernel in the first two. When fewer than three points remain,
-    the pose of the last good round is returned with its inliers. Raises ValueError for arrays that do not fit together.
-    Source: ORB-SLAM, T-RO 31(5), 2015, section V; each round starts from the last one's pose, not from the first.
+    in front of the camera with a chi-square of at most 5.991. Four rounds of Levenberg-Marquardt, each over the points
+    whose error in the last one was at most POSE_GATE_MEDIANS times the median (a point may come back), with Huber's
+    kernel in the first two. When fewer than three points remain, the pose of the last good round is returned with its
+    inliers. Raises ValueError for arrays that do not fit together. Source: ORB-SLAM, T-RO 31(5), 2015, section V; each
+    round starts from the last one's pose, not from the first, and the gate by the median is own.
     """
     pose = np.array(camera_from_world, dtype=np.float64)
     points_world = np.ascontiguousarray(points_world, dtype=np.float64)
@@ -58,21 +59,28 @@ def optimize_pose(
 def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
     """optimize_pose for compiled code: moves `pose` and marks the `inliers`; the rotation is off by rounding."""
     active = np.ones(len(points), dtype=np.bool_)
-    trial_active = np.empty_like(active)
+    chi2 = np.empty(len(points))
     for round_index in range(_ROUNDS):
         if np.count_nonzero(active) < _MIN_POINTS:
             break
         trial = pose.copy()
         _minimize(trial, points, pixels, weights, intrinsics, active, round_index < _ROBUST_ROUNDS)
-        _classify(trial, points, pixels, weights, intrinsics, trial_active)
+        _measure(trial, points, pixels, weights, intrinsics, chi2)
+        trial_active = chi2 <= _limit(chi2)
         unchanged = round_index >= _ROBUST_ROUNDS and np.array_equal(trial_active, active)
-        copy_numbers(trial_active, active)
+        active = trial_active
         if np.count_nonzero(active) < _MIN_POINTS and round_index > 0:
             break
         copy_numbers(trial, pose)
-        copy_numbers(active, inliers)
+        copy_numbers(chi2 <= CHI2_95_2DOF, inliers)
         if unchanged:
             break
+
+
+@compiled
+def _limit(chi2):  # type: ignore[no-untyped-def]
+    """The chi-square up to which a point has a say: by what the rest leave, one deviation at least."""
+    return min(CHI2_95_2DOF, max(POSE_GATE_MEDIANS**2 * np.median(chi2), 1.0))
 
 
 @compiled
@@ -186,14 +194,15 @@ def _linearize(pose, points, pixels, weights, intrinsics, active, robust, hessia
 
 
 @compiled
-def _classify(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
+def _measure(pose, points, pixels, weights, intrinsics, chi2):  # type: ignore[no-untyped-def]
+    """Fill in the chi-square of each point, infinite behind the camera."""
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
-        inliers[i] = False
+        chi2[i] = np.inf
         if z > 0.0:
             x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
             y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
             e0, e1 = pixels[i, 0] - (fx * x + cx), pixels[i, 1] - (fy * y + cy)
-            inliers[i] = weights[i] * (e0 * e0 + e1 * e1) <= CHI2_95_2DOF
+            chi2[i] = weights[i] * (e0 * e0 + e1 * e1)

@@ -47,7 +47,7 @@ def wants_keyframe(evidence: KeyframeEvidence) -> bool:
 
 def _share(evidence: KeyframeEvidence) -> float:
     """The frame's inliers as a share of what its reference, or a full one, would give it."""
-    enough = min(thresholds.KEYFRAME_REFERENCE_OBSERVATIONS, evidence.map_keyframes)
+    enough = min(thresholds.POINT_MIN_OBSERVATIONS, evidence.map_keyframes)
     reference_points = int((evidence.reference_observations >= enough).sum())
     adds_points = evidence.parallax >= np.arccos(thresholds.TRIANGULATION_MAX_COSINE)
     full = thresholds.KEYFRAME_FULL_SHARE * evidence.features if adds_points else 0.0
