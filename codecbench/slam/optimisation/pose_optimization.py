@@ -31,10 +31,11 @@ def optimize_pose(
     `camera_from_world` (4, 4) starts the search; `points_world` (N, 3); `pixels` (N, 2) undistorted; `inverse_sigma2`
     (N,) in 1/px^2; `intrinsics` (4,): fx, fy, cx, cy in pixels. Returns `camera_from_world` (4, 4) and `inliers` (N,):
     in front of the camera with a chi-square of at most 5.991. Four rounds of Levenberg-Marquardt, each over the points
-    whose error in the last one was at most POSE_GATE_MEDIANS times the median (a point may come back), with Huber's
-    kernel in the first two. When fewer than three points remain, the pose of the last good round is returned with its
-    inliers. Raises ValueError for arrays that do not fit together. Source: ORB-SLAM, T-RO 31(5), 2015, section V; each
-    round starts from the last one's pose, not from the first, and the gate by the median is own.
+    whose error in the last one was at most POSE_GATE_MEDIANS times the median, but one deviation at least and the gate
+    of inliers at most (a point may come back), with Huber's kernel in the first two. When fewer than three points
+    remain, the pose of the last good round is returned with its inliers. Raises ValueError for arrays that do not fit
+    together. Source: ORB-SLAM, T-RO 31(5), 2015, section V; each round starts from the last one's pose, not from the
+    first, and the gate by the median is own.
     """
     pose = np.array(camera_from_world, dtype=np.float64)
     points_world = np.ascontiguousarray(points_world, dtype=np.float64)
