@@ -19,6 +19,7 @@ import numpy as np
 from run_tables import CODING, SETTING, Column, machine, rows_of
 from slam_runs import error_m, path_of, system_of
 
+from codecbench import slam
 from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.codec import AnyCodec, decoder_of, encoder_of
@@ -189,7 +190,7 @@ def features(codec: OrbFeatures, name: str, frames: list[Image]) -> Sent:
 
 def path(sequence: FrameSequence, sent: Sent, start: int) -> Trajectory:
     """The path that SLAM finds from a frame on."""
-    system = system_of(sequence, sent.features)
+    system = system_of(sequence, slam.Options(features=sent.features))
     for frame, stamp_s in zip(sent.received[start:], sequence.timestamps_s[start:].tolist(), strict=False):
         if isinstance(frame, Features):
             system.process_keypoints(keypoints_of(frame), stamp_s)

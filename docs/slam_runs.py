@@ -1,9 +1,12 @@
-"""SLAM over frames without the engine: what tables are made of, and a table by which a change of the SLAM is judged.
+"""SLAM over frames without the engine: what tables are made of, and two by which a change of the SLAM is judged.
 
-python docs/slam_runs.py [--sequences NAME ...] [--codecs raw jpeg10] [--starts 5] [--severity 0.5] [--quick]
+python docs/slam_runs.py [--drift] [--sequences NAME ...] [--codecs raw jpeg10] [--starts 5] [--severity 0.5] [--quick]
 
 A row is a sequence, raw or as JPEG at a quality, from so many starts. The real sequences are in the folder that
 CODECBENCH_DATA names. Decoded frames are kept in the cache folder. `--quick` takes two starts, and no long sequence.
+
+`--drift` shows how scale drifts without loops, forward and backward, with the camera's calibration as it is and with
+each error that `--calibration-errors` names (k1 too large by it, the focal length by half of it).
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import argparse
 import hashlib
 import math
 import os
-from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -23,23 +26,26 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.plugins.codecs.jpeg import Jpeg
+from codecbench.plugins.datasets.calibration import miscalibrated
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 from codecbench.plugins.datasets.tum import Tum
 from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
-from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms, scale_slip
+from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms, scale_slip, scales_along
 
 REAL: Final = ("fr3_office_715", "sevenscenes_400", "kitti00_half")
+DRIFT_HEADS: Final = ("sequence", "codec", "starts", "calibration error", "forward %", "reversed %", "symmetric %",
+                      "by order %", "scatter", "median mm", "with a pose %")  # fmt: skip
 HEADS: Final = ("sequence", "codec", "starts", "wait", "tracked %", "median mm", "worst", "worst / median", "slip %",
                 "worst slip", "maps", "loops")  # fmt: skip
 
 
-def system_of(sequence: FrameSequence, features: int = 1000) -> slam.System:
-    """A SLAM for the camera of a sequence."""
-    camera = sequence.camera
-    assert camera is not None
+def system_of(sequence: FrameSequence, options: slam.Options | None = None, error: float = 0.0) -> slam.System:
+    """A SLAM for the camera of a sequence, or for one that is miscalibrated by `error`."""
+    assert sequence.camera is not None
+    camera = miscalibrated(sequence.camera, error)
     numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    return slam.System(slam.Camera(*numbers, camera.distortion, camera.model), slam.Options(features=features))
+    return slam.System(slam.Camera(*numbers, camera.distortion, camera.model), options)
 
 
 def path_of(result: slam.Result) -> Trajectory:
@@ -80,9 +86,9 @@ def frames_of(sequence: FrameSequence, codec: str) -> Image:
     return np.asarray(np.load(path, mmap_mode="r"))
 
 
-def outcome(sequence: FrameSequence, frames: Image, start: int) -> list[float]:
+def outcome(sequence: FrameSequence, frames: Image, start: int, error: float = 0.0) -> list[float]:
     """Frames before the first map, share tracked from there on, error in metres, slip of scale, maps, loops closed."""
-    system = system_of(sequence)
+    system = system_of(sequence, error=error)
     for index in range(start, len(frames)):
         system.process(np.ascontiguousarray(frames[index]), float(sequence.timestamps_s[index]))
     result = system.finish()
@@ -97,11 +103,11 @@ def outcome(sequence: FrameSequence, frames: Image, start: int) -> list[float]:
     return [wait, share, error_m(path, sequence.ground_truth), slip, len(result.maps), len(result.loops)]
 
 
-def row(name: str, codec: str, starts: int, severity: float) -> list[str]:
+def row(name: str, codec: str, starts: int, severity: float, error: float) -> list[str]:
     """Medians over the starts and the worst of them."""
     sequence = opened(name, severity)
     frames = frames_of(sequence, codec)
-    outcomes = np.array([outcome(sequence, frames, start) for start in range(starts)])
+    outcomes = np.array([outcome(sequence, frames, start, error) for start in range(starts)])
     wait, share, error, slip, maps, loops = outcomes.T
     middle, slips = 1e3 * float(np.median(error)), 100 * slip
     return [
@@ -111,10 +117,42 @@ def row(name: str, codec: str, starts: int, severity: float) -> list[str]:
     ]  # fmt: skip
 
 
-def rows(names: list[str], codecs: list[str], starts: int, severity: float) -> Iterator[list[str]]:
-    for name in names:
-        for codec in codecs:
-            yield row(name, codec, starts, severity)
+def played(sequence: FrameSequence, frames: Image, start: int, reverse: bool, error: float) -> tuple[float, ...]:
+    """Without loops, forward or backward: growth of the estimated scale from the first fifth of the way to the last (in
+    the order of the recording), error in metres, share of frames with a pose."""
+    options = slam.Options(loop_closing=False)
+    system = system_of(sequence, options, error)
+    stamps_s = sequence.timestamps_s
+    turned_s = stamps_s[0] + stamps_s[-1] - stamps_s  # of frames played backward; turned again, it is the recording's
+    order = range(len(frames) - 1 - start, -1, -1) if reverse else range(start, len(frames))
+    for index in order:
+        stamp_s = turned_s[index] if reverse else stamps_s[index]
+        system.process(np.ascontiguousarray(frames[index]), float(stamp_s))
+    path = path_of(system.finish())
+    if reverse:
+        path = Trajectory(stamps_s[0] + stamps_s[-1] - path.timestamps_s[::-1], path.world_from_camera[::-1])
+    share = len(path) / len(order)
+    try:
+        scales = scales_along(associate(path, sequence.ground_truth, 0.02))
+    except Undefined:
+        return math.nan, error_m(path, sequence.ground_truth), share
+    return scales[0] - scales[-1], error_m(path, sequence.ground_truth), share
+
+
+def drift_row(name: str, codec: str, starts: int, severity: float, error: float) -> list[str]:
+    """Medians over the starts. The symmetric part, half the sum of both directions, does not depend on the order of the
+    frames; the part by order, half the difference, is made by processing; its scatter is half of its range."""
+    sequence = opened(name, severity)
+    frames = frames_of(sequence, codec)
+    both = [[played(sequence, frames, start, way, error) for start in range(starts)] for way in (False, True)]
+    drifts, errors, shares = np.moveaxis(np.array(both), 2, 0)
+    forward, backward = 100 * drifts
+    symmetric, by_order = (forward + backward) / 2, (forward - backward) / 2
+    columns = (forward, backward, symmetric, by_order)
+    return [
+        name, codec, str(starts), f"{error:g}", *(f"{np.median(column):.2f}" for column in columns),
+        f"{np.ptp(by_order) / 2:.2f}", f"{1e3 * np.median(errors[0]):.4g}", f"{100 * shares.min():.1f}",
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -127,11 +165,17 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument("--severity", type=float, default=0.5)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--drift", action="store_true")
+    parser.add_argument("--calibration-errors", nargs="+", type=float, default=[0.0])
     args = parser.parse_args()
     chosen = [name for name in args.sequences if not (args.quick and name == "kitti00_half")]
-    print(f"| {' | '.join(HEADS)} |\n|{'---|' * len(HEADS)}")
-    for cells in rows(chosen, args.codecs, 2 if args.quick else args.starts, args.severity):
-        print(f"| {' | '.join(cells)} |", flush=True)
+    heads = DRIFT_HEADS if args.drift else HEADS
+    starts = 2 if args.quick else args.starts
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+    for name, codec in product(chosen, args.codecs):
+        for error in args.calibration_errors:
+            cells = (drift_row if args.drift else row)(name, codec, starts, args.severity, error)
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

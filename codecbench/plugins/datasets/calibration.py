@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,13 @@ def camera_from_view(width: int, height: int, fov_deg: float) -> Camera:
     """An ideal pinhole camera of a horizontal field of view, looking through the middle of its pictures."""
     focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def miscalibrated(camera: Camera, error: float) -> Camera:
+    """A camera as a calibration that is slightly wrong gives it: k1 too large by `error`, the focal length by half."""
+    k1, *others = camera.distortion
+    focal = 1.0 + error / 2
+    return replace(camera, fx=focal * camera.fx, fy=focal * camera.fy, distortion=(k1 + error, *others))
 
 
 def camera_from_file(file: Path) -> tuple[Camera, float | None]:

@@ -107,7 +107,16 @@ def scale_drift(pairs: Pairs) -> float:
 
 
 def scale_slip(pairs: Pairs) -> float:
-    """ln(s_most / s_least): by how much the map's scale changes along the way, over SLIP_PARTS parts of it.
+    """ln(s_most / s_least): by how much the map's scale changes along the way.
+
+    Raises Undefined as `scales_along` does.
+    """
+    scales = scales_along(pairs)
+    return max(scales) - min(scales)
+
+
+def scales_along(pairs: Pairs) -> list[float]:
+    """ln of true over estimated scale in each of the SLIP_PARTS parts of the way.
 
     Parts are equally long, as lengths of the true path, so that a camera that stands or hurries changes nothing.
     Raises Undefined for fewer than three poses a part, or where one does not move.
@@ -116,8 +125,7 @@ def scale_slip(pairs: Pairs) -> float:
     gone_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     ends = np.searchsorted(gone_m, gone_m[-1] * np.arange(SLIP_PARTS + 1) / SLIP_PARTS)
     ends[-1] = len(pairs)
-    scales = _scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
-    return max(scales) - min(scales)
+    return _scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
 
 
 def _scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
