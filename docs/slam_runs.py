@@ -108,11 +108,11 @@ def row(name: str, codec: str, starts: int, severity: float, error: float) -> li
     sequence = opened(name, severity)
     frames = frames_of(sequence, codec)
     outcomes = np.array([outcome(sequence, frames, start, error) for start in range(starts)])
-    wait, share, error, slip, maps, loops = outcomes.T
-    middle, slips = 1e3 * float(np.median(error)), 100 * slip
+    wait, share, errors, slip, maps, loops = outcomes.T
+    middle, slips = 1e3 * float(np.median(errors)), 100 * slip
     return [
         name, codec, str(starts), f"{np.median(wait):.0f}, {wait.max():.0f}", f"{100 * share.min():.1f}",
-        f"{middle:.4g}", f"{1e3 * error.max():.4g}", f"{1e3 * error.max() / middle:.2g}", f"{np.median(slips):.2f}",
+        f"{middle:.4g}", f"{1e3 * errors.max():.4g}", f"{1e3 * errors.max() / middle:.2g}", f"{np.median(slips):.2f}",
         f"{slips.max():.2f}", f"{maps.max():.0f}", f"{loops.min():.0f}",
     ]  # fmt: skip
 

@@ -42,7 +42,6 @@ class SyntheticParams(Selection):
     speed: Annotated[float, Field(gt=0.0, le=4.0, description="1 walks round in 11.3 s at 0.7 m/s")] = 1.0
     noise: Annotated[float, Field(ge=0.0, le=20.0, description="factor on the sensor's noise")] = 1.0
     motion_blur: Annotated[float, Field(ge=0.0, le=1.0, description="exposure as a share of the frame interval")] = 0.25
-
     calibration_error: Annotated[
         float, Field(ge=-0.1, le=0.1, description="the camera's k1 is too large by it, its focal length by half of it")
     ] = 0.0
