@@ -101,9 +101,9 @@ def show_everything(result: RunResult) -> None:
 
 def show_found(result: RunResult, found: list[Verdict], format_: str, *, everything: bool = True) -> None:
     """The verdicts on a run in one of the formats, with what is noted of its settings; for people the answer last."""
-    from codecbench.core.report.tables import setting_notes
+    from codecbench.core.report.tables import calibration_notes, setting_notes
 
-    notes = setting_notes(result)
+    notes = [*calibration_notes(result), *setting_notes(result)]
     if format_ == "json":
         about = [None if verdict.about is None else verdict.about.name for verdict in found]
         rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]

@@ -161,6 +161,7 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
     Raises NotMeasured where none was, where frames in time are not asked and nothing reads them, and where times of
     encoding are asked that the run does not have.
     """
+    run = run.as_calibrated
     over_link = [result for result in run.results if demand.link in _links(result.cell.evaluator)]
     if demand.device_factor is not None and any(result.cell.evaluator.params.get("encode_ms") for result in over_link):
         raise NotMeasured(

@@ -99,6 +99,7 @@ def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Lim
     """The limit of each curve on each sequence, see `tests_of`. With several sequences there is a limit over all of
     them too, under POOLED, where a setting fails that fails on one.
     """
+    run = run.as_calibrated
     found = limits_of(_complete(tests_of(run, columns)), run.curves)
     if run.rate is None:
         return dict.fromkeys(found, Limit(reason="no rate was measured; add an evaluator with a headline of role rate"))
@@ -177,7 +178,7 @@ def is_empty(test: Standing | Level) -> bool:
 
 def pooled_rates(run: RunResult) -> dict[Key, float]:
     """The mean rate over sequences of each setting, by its row of the sequence POOLED; NaN where one is not known."""
-    return _pooled(run.rates, lambda rates: float(np.mean(rates)))
+    return _pooled(run.as_calibrated.rates, lambda rates: float(np.mean(rates)))
 
 
 def _pooled(rows: Mapping[Key, T], merged: Callable[[list[T]], U]) -> dict[Key, U]:

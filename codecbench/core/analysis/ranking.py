@@ -148,6 +148,7 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
     column. at: the rate, in its metric's unit, at which codecs are compared, between the logarithms of their settings'
     rates; all rates that two codecs share, without it.
     """
+    run = run.as_calibrated
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
     sequences = [entry.name for entry in run.plan.sequences]
     groups = [sequences] if len(sequences) > 1 else []

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -49,6 +49,20 @@ class RunResult:
     results: tuple[CellResult, ...]
     environments: dict[str, dict[str, Any]]
     schema: RunSchema
+
+    @cached_property
+    def as_calibrated(self) -> Self:
+        """The run without the sequences that are others of it under a wrong calibration, by which nothing is judged."""
+        known = {entry.fingerprint for entry in self.plan.sequences}
+        sequences = tuple(entry for entry in self.plan.sequences if entry.as_calibrated not in known)
+        names = {entry.name for entry in sequences}
+        if len(names) == len(self.plan.sequences):
+            return self
+        cells = tuple(cell for cell in self.plan.cells if cell.sequence.name in names)
+        results = tuple(result for result in self.results if result.cell.sequence.name in names)
+        found = replace(self, plan=replace(self.plan, sequences=sequences, cells=cells), results=results)
+        vars(found)["curves"] = self.curves  # called by the settings of the whole run
+        return found
 
     @cached_property
     def tidy(self) -> pd.DataFrame:

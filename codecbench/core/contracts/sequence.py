@@ -110,6 +110,8 @@ class FrameSequence(ABC):
     `fingerprint`, a hex digest of everything that determines the frames, the camera and the ground truth:
     two sequences with equal fingerprints are interchangeable. `notes`: sentences on what was done to the frames or is
     wrong with the files, which a run says before it begins and beside its results. `origin`: what it was opened from.
+    `as_calibrated`: of one whose camera is wrong on purpose, the fingerprint of the same with the right one, beside
+    which a run judges nothing by it.
     """
 
     name: str
@@ -121,6 +123,7 @@ class FrameSequence(ABC):
     fingerprint: str
     notes: tuple[str, ...] = ()
     origin: Origin = Origin()
+    as_calibrated: str = ""
 
     def __len__(self) -> int:
         return len(self.timestamps_s)

@@ -83,6 +83,7 @@ def answers(run: RunResult) -> Answers:
 
 def answers_of_settings(run: RunResult) -> list[Answers]:
     """The answers of a run, and after them those of the same by every other setting of its evaluators."""
+    run = run.as_calibrated
     if run.rate is None:
         return [Answers(_NO_RATE, sentence=f"Nothing can be named: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
     judged = [found for columns in criteria(run) if (found := _judged(run, columns)) is not None]

@@ -112,6 +112,7 @@ def coarser_settings(run: RunResult, curve: str) -> str:
 
 def _rows(run: RunResult, sequence: str, curve: str, test: Test) -> pd.DataFrame:
     """The rows of the wide table of a setting, on a sequence or on all."""
+    run = run.as_calibrated
     names = [key for key, point in run.curves.items() if (point.curve, point.point) == (curve, test.point)]
     keys = zip(run.wide["codec"], run.wide["setting"], run.wide["sequence"], strict=True)
     return run.wide[[(codec, label) in names and sequence in (POOLED, on) for codec, label, on in keys]]

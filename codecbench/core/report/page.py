@@ -27,7 +27,7 @@ from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.pasting import answer_tables, pasted
 from codecbench.core.report.pictures import frame_pictures
 from codecbench.core.report.strips import link_strips, strips
-from codecbench.core.report.tables import caveats, sequence_notes, setting_notes
+from codecbench.core.report.tables import calibration_notes, caveats, sequence_notes, setting_notes
 from codecbench.core.report.views import STROKES, first_view
 
 SIZE_LIMIT_BYTES: Final = 6_000_000
@@ -92,7 +92,10 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
         verdicts=verdict_tables(run),
         sequence_notes=sequence_notes(run),
         notes=[*caveats(run), *setting_notes(run)],
-        answer_caveats=_caveats(run, [judged, *(column for columns in succeeded[:1] for column in columns)]),
+        answer_caveats=[
+            *calibration_notes(run),
+            *_caveats(run, [judged, *(column for columns in succeeded[:1] for column in columns)]),
+        ],
         verdict_caveats=_caveats(
             run, [*(verdict.about for verdict in others), *(column for columns in succeeded for column in columns)]
         ),

@@ -10,7 +10,7 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import answers
 from codecbench.core.report.formatting import Verdict, searched
 from codecbench.core.report.picks import picks
-from codecbench.core.report.tables import escaped, exported, foreign_table, setting_notes
+from codecbench.core.report.tables import calibration_notes, escaped, exported, foreign_table, setting_notes
 
 
 def answer_tables(run: RunResult) -> list[Verdict]:
@@ -22,8 +22,8 @@ def answer_tables(run: RunResult) -> list[Verdict]:
 
 def pasted(run: RunResult, found: Sequence[Verdict], format_: str) -> str:
     """Verdicts on a run as `markdown` or `latex`, in which what stands around a table is a comment; first what is noted
-    of settings, as numbers are not to be read without it."""
-    notes = setting_notes(run)
+    of calibrations and settings, as numbers are not to be read without it."""
+    notes = [*calibration_notes(run), *setting_notes(run)]
     every = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *found]
     return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in every)
 

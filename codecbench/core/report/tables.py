@@ -9,14 +9,16 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from codecbench.core.analysis.calibrations import Calibrations, calibrations
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import NOTES, json_value
 from codecbench.core.contracts.errors import ParamsError
+from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.columns import Column
@@ -26,6 +28,8 @@ _KEYS = ("sequence", "codec", "setting")
 _COUNTABLE = 1e15
 """From here on numbers have exponents: floats are whole there whether they count or not."""
 _FORMULA = ("=", "+", "-", "@")
+_TURNING = 3
+"""Settings whose order turns that are named before the rest is counted."""
 _LATEX = str.maketrans(
     {**{special: f"\\{special}" for special in "&%$#_{}"}, "\\": "\\textbackslash{}", "~": "\\textasciitilde{}",
      "^": "\\textasciicircum{}", "\n": " "}
@@ -212,8 +216,51 @@ def aligned(value: float) -> str:
 
 
 def notes(run: RunResult) -> list[str]:
-    """A sentence for each note on a sequence, for each caveat of a headline, and for those on codec settings."""
-    return [*sequence_notes(run), *caveats(run), *setting_notes(run)]
+    """What calibrations decide, and a sentence for each note on a sequence, for each caveat of a headline, and for
+    those on codec settings."""
+    return [*calibration_notes(run), *sequence_notes(run), *caveats(run), *setting_notes(run)]
+
+
+def calibration_notes(run: RunResult) -> list[str]:
+    """Of each sequence that a run has under several calibrations: which of them do not count in the answer, what they
+    do to the baseline, and settings whose order beside it turns, or that none is seen to."""
+    return [note for each in calibrations(run) for note in _of_calibrations(each)]
+
+
+def _of_calibrations(found: Calibrations) -> Iterator[str]:
+    raw, by = found.baseline, found.column.label
+    beside = f"{', '.join(found.others)}: {found.sequence} under another calibration, which no answer counts"
+    if found.medians:
+        medians = (f"{_shown(found.column, value)} on {name}" for name, value in found.medians.items())
+        beside += f"; {by} of {raw}: {', '.join(medians)}"
+    yield f"{beside}."
+    turning = [orders for orders in found.settings if orders.turns]
+    for orders in turning[:_TURNING]:
+        better, worse = (
+            " and ".join(f"{name} ({_shown(found.column, *both)})" for name, both in medians.items())
+            for medians in (orders.better, orders.worse)
+        )
+        yield (
+            f"{found.sequence}: {orders.setting} is better than {raw} by {by} on {better}, and worse on {worse}: "
+            "their order is within what this calibration can tell."
+        )
+    if len(turning) > _TURNING:
+        yield f"{found.sequence}: so it is of {counted(len(turning) - _TURNING, 'more setting')}."
+    told = sum(orders.told for orders in found.settings)
+    if told and not turning:
+        several = f"{told} of {counted(len(found.settings), 'setting')}"
+        yield f"{found.sequence}: no order of {raw} and a setting turns, of {several} that have one under two or more."
+    elif found.settings and not turning:
+        yield (
+            f"{found.sequence}: no setting has an order beside {raw} under two calibrations, beyond the scatter over "
+            "starts, so that nothing tells whether one turns."
+        )
+
+
+def _shown(column: Column, *values: float) -> str:
+    """`8.9 against 13 m`."""
+    numbers = " against ".join(three_digits(column.factor * value) for value in values)
+    return numbers if column.unit in ("", "1") else f"{numbers} {column.unit}"
 
 
 def sequence_notes(run: RunResult) -> list[str]:

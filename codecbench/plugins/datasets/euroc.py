@@ -84,7 +84,7 @@ class Euroc(Dataset[EurocParams]):
             notes=(*params.notes_of_part(len(rows)), *notes),
             origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
         )
-        return params.scaled(FileSequence(content))
+        return params.as_asked(FileSequence(content))
 
 
 def _sensor(params: EurocParams, file: Path) -> YamlFile | None:

@@ -53,7 +53,7 @@ class Folder(Dataset[FolderParams]):
             notes=(*params.notes_of_part(len(files)), *found.notes),
             origin=Origin("folder of pictures", found.source),
         )
-        return params.scaled(FileSequence(content))
+        return params.as_asked(FileSequence(content))
 
 
 def image_files(folder: Path) -> list[Path]:

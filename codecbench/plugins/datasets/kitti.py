@@ -88,7 +88,7 @@ class Kitti(Dataset[KittiParams]):
             notes=(*params.notes_of_part(len(rows)), *found.notes, *unmoved),
             origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
         )
-        return params.scaled(FileSequence(content))
+        return params.as_asked(FileSequence(content))
 
 
 def read_projection(file: Path, name: str) -> Floats:

@@ -16,8 +16,8 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
 from codecbench.core.contracts.sequence import Camera, FrameSequence
+from codecbench.plugins.datasets.adapted import MiscalibratedSequence, ScaledSequence
 from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
-from codecbench.plugins.datasets.scaling import ScaledSequence
 
 Color = Literal["as_is", "rgb", "gray"]
 
@@ -26,7 +26,7 @@ class Selection(Params):
     """Frames start, start + stride, ... before stop, counted from 0, but for those to skip; without stop, to the last.
 
     color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert. scale: of the frames' width
-    and height; the camera's lengths in pixels are scaled with them.
+    and height; the camera's lengths in pixels are scaled with them. calibration_error: see `MiscalibratedSequence`.
     """
 
     start: Annotated[int, Field(ge=0, description="first frame, counted from 0")] = 0
@@ -40,6 +40,9 @@ class Selection(Params):
     scale: Annotated[
         float, Field(gt=0.0, le=16.0, description="factor on the frames' width and height, and on the camera's lengths")
     ] = 1.0
+    calibration_error: Annotated[
+        float, Field(ge=-0.1, le=0.1, description="the camera's k1 is too large by it, its focal length by half of it")
+    ] = 0.0
 
     def indices(self, count: int, where: str) -> Sequence[int]:
         """The selected frames of `count`. Raises DatasetError, naming `where`, for a selection that is not there."""
@@ -69,9 +72,13 @@ class Selection(Params):
         span = f"from {chosen[0]:,} to {chosen[-1]:,}{steps}{skipped}"
         return (f"{len(chosen):,} of {count:,} frames are used, {span}",)
 
-    def scaled(self, sequence: FrameSequence) -> FrameSequence:
-        """The sequence with frames of the size that `scale` asks for. Raises DatasetError for one out of bounds."""
-        return sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
+    def as_asked(self, sequence: FrameSequence) -> FrameSequence:
+        """The sequence with frames of the size that `scale` asks for and a camera wrong by `calibration_error`.
+
+        Raises DatasetError for a size out of bounds, and for a calibration error without a camera.
+        """
+        sized = sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
+        return MiscalibratedSequence(sized, self.calibration_error) if self.calibration_error else sized
 
 
 @contextmanager

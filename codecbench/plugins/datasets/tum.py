@@ -82,7 +82,7 @@ class Tum(Dataset[TumParams]):
             notes=(*params.notes_of_part(len(rows)), *found.notes),
             origin=Origin("TUM RGB-D folder", found.source),
         )
-        return params.scaled(FileSequence(content))
+        return params.as_asked(FileSequence(content))
 
 
 def read_tum_trajectory(file: Path) -> Trajectory:

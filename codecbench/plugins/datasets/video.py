@@ -60,7 +60,7 @@ class Video(Dataset[VideoParams]):
         return {"path": str(path)} if known else None
 
     def open(self) -> FrameSequence:
-        return self.params.scaled(VideoSequence(self.params))
+        return self.params.as_asked(VideoSequence(self.params))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from codecbench.plugins.datasets.euroc import Euroc
 from codecbench.plugins.datasets.files import read_image_file
 from codecbench.plugins.datasets.folder import Folder, natural_key
 from codecbench.plugins.datasets.kitti import Kitti
+from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.tum import Tum
 
 CALIBRATION = (
@@ -279,6 +281,44 @@ def test_a_calibration_and_a_true_path_cost_themselves(tum, kitti, euroc, tmp_pa
     assert cost(Euroc, path=euroc) == {"ground_truth": False}  # T_BS, which only moves the poses
     rewrite(euroc / "mav0/cam0/sensor.yaml", "30.5", "-30.5")
     assert cost(Euroc, path=euroc) == {"calibration": "none"}
+
+
+@pytest.mark.parametrize("layout", ["tum", "kitti", "fisheye", "synthetic"])
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_a_miscalibrated_camera_sees_the_same_and_says_another_lens(layout, scale, request, tmp_path):
+    if layout == "synthetic":
+        dataset, given = Synthetic, {"world": "room", "width": 32, "height": 24, "frames": 3}
+    else:
+        path = request.getfixturevalue("kitti" if layout == "kitti" else "tum")
+        dataset, given = (Kitti, {"sequence": "07"}) if layout == "kitti" else (Tum, {})
+        given["path"] = path
+        if layout == "fisheye":
+            given["calibration"] = tmp_path / "lens.yaml"
+            given["calibration"].write_text(CALIBRATION.replace("pinhole", "equidistant").replace("p2", "k2"))
+    true, same, told, less = (
+        dataset.create(**given, scale=scale, **error).open()
+        for error in ({}, {"calibration_error": 0.0}, {"calibration_error": 0.02}, {"calibration_error": -0.02})
+    )
+    assert (same.fingerprint, same.name, same.as_calibrated) == (true.fingerprint, true.name, "")
+    assert len({true.fingerprint, told.fingerprint, less.fingerprint}) == 3
+    assert (told.name, less.name) == (f"{true.name}-k1+0.02", f"{true.name}-k1-0.02")
+    assert told.as_calibrated == less.as_calibrated == true.fingerprint
+    camera = true.camera
+    distortion = (camera.distortion[0] + 0.02, *camera.distortion[1:])
+    assert told.camera == replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy, distortion=distortion)
+    assert told.notes[:-1] == true.notes
+    assert told.notes[-1] == "its calibration is wrong on purpose: k1 by +0.02, the focal length by +1 %"
+    assert [frame.timestamp_s for frame in told] == [frame.timestamp_s for frame in true]
+    for frame, wanted in zip(told, true, strict=True):
+        np.testing.assert_array_equal(frame.image, wanted.image)
+
+
+def test_no_calibration_is_wrong_without_a_camera(tum):
+    assert message(Folder, path=tum / "rgb", calibration_error=0.01) == (
+        "rgb: no camera is known that could be wrong; set `calibration_error: 0.0` to go without it"
+    )
+    with pytest.raises(ValidationError, match="less than or equal"):
+        Tum.create(path=tum, calibration_error=0.2)
 
 
 def test_a_calibration_of_another_size_costs_itself(tum):

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera
+from codecbench.plugins.datasets.adapted import scaled_camera
 from codecbench.plugins.datasets.folder import Folder
-from codecbench.plugins.datasets.scaling import scaled_camera
 from codecbench.plugins.datasets.synthetic import dataset, rendered
 from codecbench.plugins.datasets.synthetic.atlas import make_atlas
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, room_camera

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import replace
 from itertools import pairwise
 from math import pi
 
@@ -198,17 +197,6 @@ def test_every_setting_has_a_fingerprint_of_its_own():
     prints = {small("room", **values).fingerprint for values in settings}
     prints |= {small("dim_room").fingerprint, Synthetic.create(width=96, height=72).open().fingerprint}
     assert len(prints) == len(settings) + 2
-
-
-@pytest.mark.parametrize("given", [{"world": "room"}, {}])
-def test_a_miscalibrated_camera_sees_the_same_and_says_another_lens(given):
-    true = Synthetic.create(width=96, height=72, frames=1, **given).open()
-    told = Synthetic.create(width=96, height=72, frames=1, calibration_error=-0.02, **given).open()
-    assert told.name == f"{true.name}-k1-0.02"
-    assert np.array_equal(told.read(0).image, true.read(0).image)
-    assert (true.camera.fx, true.camera.distortion) == (true.lens.fx, (0.0,) * 5)
-    assert told.camera == replace(true.camera, fx=0.99 * true.lens.fx, fy=0.99 * true.lens.fy,
-                                  distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))  # fmt: skip
 
 
 # Places

@@ -201,6 +201,7 @@ def sequence_described(registry: Registry, name: str, params: dict[str, Any]) ->
         "has_camera": sequence.camera is not None,
         "has_ground_truth": sequence.ground_truth is not None,
         "notes": _notes(sequence),
+        "as_calibrated": clean_line(str(sequence.as_calibrated)),
     }
 
 

@@ -53,7 +53,7 @@ class SequenceEntry:
     """A sequence of the matrix, opened once while planning.
 
     missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
-    notes: what its dataset says of it, in sentences.
+    notes: what its dataset says of it, in sentences. as_calibrated: as its dataset declares, see `FrameSequence`.
     """
 
     name: str
@@ -65,6 +65,7 @@ class SequenceEntry:
     has_ground_truth: bool
     missing: str | None = None
     notes: tuple[str, ...] = ()
+    as_calibrated: str = ""
 
 
 @dataclass(frozen=True)

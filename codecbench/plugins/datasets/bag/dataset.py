@@ -88,7 +88,7 @@ class Bag(Dataset[BagParams]):
         return {"path": str(path)} if is_called_a_bag(path) else None
 
     def open(self) -> FrameSequence:
-        return self.params.scaled(BagSequence(self.params))
+        return self.params.as_asked(BagSequence(self.params))
 
 
 class BagSequence(FrameSequence):

@@ -42,9 +42,6 @@ class SyntheticParams(Selection):
     speed: Annotated[float, Field(gt=0.0, le=4.0, description="1 walks round in 11.3 s at 0.7 m/s")] = 1.0
     noise: Annotated[float, Field(ge=0.0, le=20.0, description="factor on the sensor's noise")] = 1.0
     motion_blur: Annotated[float, Field(ge=0.0, le=1.0, description="exposure as a share of the frame interval")] = 0.25
-    calibration_error: Annotated[
-        float, Field(ge=-0.1, le=0.1, description="the camera's k1 is too large by it, its focal length by half of it")
-    ] = 0.0
 
     @model_validator(mode="before")
     @classmethod
@@ -87,9 +84,8 @@ class Synthetic(Dataset[SyntheticParams]):
     def open(self) -> FrameSequence:
         p = self.params
         if p.world is None or p.severity is None:
-            return p.scaled(SyntheticSequence(p))
-        size = (p.width, p.height)
-        return p.scaled(WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, size, p.seed, p.calibration_error))
+            return p.as_asked(SyntheticSequence(p))
+        return p.as_asked(WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed))
 
 
 class SyntheticSequence(RenderedSequence):
@@ -99,9 +95,8 @@ class SyntheticSequence(RenderedSequence):
         self._params = params
         picture = [Synthetic.version, params.picture(), photographs_digest()]
         path = HandheldPath(params.seed, params.speed)
-        lens = room_camera(params.width, params.height)
-        error = params.calibration_error
-        super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, lens, path, picture, error)
+        camera = room_camera(params.width, params.height)
+        super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, picture)
 
     def render(self, source: int) -> Image:
         from codecbench.plugins.datasets.synthetic.sensor import sensed

@@ -14,7 +14,6 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
-from codecbench.plugins.datasets.calibration import miscalibrated
 from codecbench.plugins.datasets.selection import Selection, converted
 from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
 
@@ -31,27 +30,17 @@ class Path(Protocol):
 class RenderedSequence(FrameSequence):
     """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
 
-    frames, rate_hz: how long the whole is and how often it is seen, before a selection. lens: what the frames are seen
-    through; `camera` is what a calibration with `calibration_error` says of it. picture: what determines the pixels of
-    frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
+    frames, rate_hz: how long the whole is and how often it is seen, before a selection. picture: what determines the
+    pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
     """
 
     def __init__(
-        self,
-        name: str,
-        selection: Selection,
-        frames: int,
-        rate_hz: float,
-        lens: Camera,
-        path: Path,
-        picture: Any,
-        calibration_error: float,
+        self, name: str, selection: Selection, frames: int, rate_hz: float, camera: Camera, path: Path, picture: Any
     ) -> None:
-        self.name = f"{name}-k1{calibration_error:+g}" if calibration_error else name
+        self.name = name
         self.frame_rate_hz = rate_hz / selection.stride
         self.channels = 1 if selection.color == "gray" else 3
-        self.lens = lens
-        self.camera = miscalibrated(lens, calibration_error)
+        self.camera = camera
         self.path = path
         self._color = selection.color
         self._rate_hz = rate_hz
@@ -61,10 +50,9 @@ class RenderedSequence(FrameSequence):
         self.ground_truth = Trajectory(self.timestamps_s, poses)
         self.has_loop = bool(self.timestamps_s[-1] - self.timestamps_s[0] >= path.loop_s)
         digest = _digest(picture)
-        calibration = [calibration_error] if calibration_error else []
-        self.fingerprint = _digest([digest, list(self._indices), self.channels, *calibration])
+        self.fingerprint = _digest([digest, list(self._indices), self.channels])
         folder = cache_folder() / "synthetic" / digest[:16]
-        self._store = FrameStore(folder, (lens.height, lens.width, 3))
+        self._store = FrameStore(folder, (camera.height, camera.width, 3))
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):

@@ -38,27 +38,27 @@ class WorldSequence(RenderedSequence):
         rate_hz: float,
         size: tuple[int, int],
         seed: int,
-        calibration_error: float,
     ) -> None:
         self._world = WORLDS[world]
         self._seed = seed
         self.conditions = self._world.at(severity)
         width, height = size
         focal_px = self._world.focal * width
-        lens = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+        camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
         picture = ["worlds", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
         path = self._world.path(self.conditions, seed)
-        super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, lens, path, picture, calibration_error)
+        super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, camera, path, picture)
 
     def render(self, source: int) -> Image:
         from codecbench.plugins.datasets.synthetic.worlds.exposure import samples_for
         from codecbench.plugins.datasets.synthetic.worlds.sensor import Sensor
 
-        conditions, lens = self.conditions, self.lens
+        conditions, camera = self.conditions, self.camera
+        assert camera is not None
         time_s, open_s = source / self._rate_hz, conditions.exposure / self._rate_hz
         pose = self.path.world_from_camera
-        samples = samples_for(pose, time_s, open_s, lens.fx, self._world.view_m)
-        exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, lens)
+        samples = samples_for(pose, time_s, open_s, camera.fx, self._world.view_m)
+        exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, camera)
         carrier = self.path.van_m if isinstance(self.path, Drive) else None
         total = exposure.total(pose, time_s, open_s, conditions.readout / self._rate_hz, samples, carrier)
         sensor = Sensor(conditions.electrons, conditions.brightness, conditions.lens_blur_px)
@@ -70,8 +70,8 @@ class WorldSequence(RenderedSequence):
 
 
 @lru_cache(maxsize=2)
-def _exposure(place: Place, contrast: float, distinctness: float, lens: Camera) -> Exposure:
+def _exposure(place: Place, contrast: float, distinctness: float, camera: Camera) -> Exposure:
     from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
     from codecbench.plugins.datasets.synthetic.worlds.places import atlas_of
 
-    return Exposure(atlas_of(place, contrast, distinctness), lens)
+    return Exposure(atlas_of(place, contrast, distinctness), camera)

@@ -1,4 +1,4 @@
-"""Frames made smaller or larger, with their camera."""
+"""Sequences made of others: frames made smaller or larger, or with a camera that is slightly wrong."""
 
 from __future__ import annotations
 
@@ -12,12 +12,51 @@ import numpy as np
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin
+from codecbench.plugins.datasets.calibration import miscalibrated
 
 MIN_SIDE_PX = 16
 """Pixels: smaller frames show nothing, and no synthetic one is smaller."""
 
 
-class ScaledSequence(FrameSequence):
+class AdaptedSequence(FrameSequence):
+    """The frames of another sequence, its camera, times and ground truth, as far as a subclass does not change them."""
+
+    def __init__(self, source: FrameSequence) -> None:
+        self.name = source.name
+        self.timestamps_s = source.timestamps_s
+        self.frame_rate_hz = source.frame_rate_hz
+        self.channels = source.channels
+        self.camera = source.camera
+        self.ground_truth = source.ground_truth
+        self.notes = source.notes
+        self._source = source
+
+    @cached_property
+    def origin(self) -> Origin:  # type: ignore[override]
+        return self._source.origin
+
+    def read(self, index: int) -> Frame:
+        return self._source.read(index)
+
+
+class MiscalibratedSequence(AdaptedSequence):
+    """A sequence as a slightly wrong calibration gives it: k1 is too large by `error`, the focal length by half of it.
+
+    Raises DatasetError where there is no camera.
+    """
+
+    def __init__(self, source: FrameSequence, error: float) -> None:
+        super().__init__(source)
+        if source.camera is None:
+            raise DatasetError(f"{source.name}: no camera is known that could be wrong", {"calibration_error": 0.0})
+        self.camera = miscalibrated(source.camera, error)
+        self.name += f"-k1{error:+g}"
+        self.as_calibrated = source.fingerprint
+        self.fingerprint = hashlib.sha256(f"{source.fingerprint} miscalibrated by {error!r}".encode()).hexdigest()
+        self.notes += (f"its calibration is wrong on purpose: k1 by {error:+g}, the focal length by {50 * error:+g} %",)
+
+
+class ScaledSequence(AdaptedSequence):
     """The frames of another sequence at `scale` times their width and height; times and ground truth are its own.
 
     A pixel of a smaller frame is the mean of the area that it covers; larger frames are interpolated, bicubic. Raises
@@ -25,20 +64,14 @@ class ScaledSequence(FrameSequence):
     """
 
     def __init__(self, source: FrameSequence, scale: float) -> None:
-        self.name = source.name
-        self.timestamps_s = source.timestamps_s
-        self.frame_rate_hz = source.frame_rate_hz
-        self.channels = source.channels
-        self.ground_truth = source.ground_truth
-        self._source = source
+        super().__init__(source)
         self._scale = scale
         camera = source.camera
         before = (camera.width, camera.height) if camera is not None else source.read(0).image.shape[1::-1]
         size = self._size(before)
         self.camera = None if camera is None else scaled_camera(camera, size)
         how = "as means over areas" if scale < 1.0 else "bicubic"
-        self.notes = (
-            *source.notes,
+        self.notes += (
             f"frames of {before[0]}x{before[1]} are scaled to {size[0]}x{size[1]} ({how}), the camera with them",
         )
 
