@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.slam import thresholds
 from codecbench.slam.atlas.atlas import Atlas
 from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor, Features, Keypoints
@@ -56,7 +55,6 @@ class System:
         self._atlas = Atlas(camera, self._rng)
         self._frames: list[FrameState] = []
         self._loops: list[ClosedLoop] = []
-        self._lost_since_s = math.inf
         self._last_s = -math.inf
         self._mapping: Iterator[None] = iter(())  # steps that the newest keyframe has left to do
 
@@ -130,13 +128,12 @@ class System:
             if not objection:
                 return self._tracked(frame, inliers, active)
             self._drop(active, objection)
-            return self._initialize(TrackingFrame.of(index, timestamp_s, frame.features, decode))
+            return self._initialize(frame)
         self._finish_mapping()
         if inliers := self._atlas.find(frame):
             assert self._atlas.active is not None
-            self._initializer.restart()
             return self._tracked(frame, inliers, self._atlas.active)
-        return self._lose(frame, active) if active is not None else self._initialize(frame)
+        return self._initialize(frame)
 
     def _refusal(self, size: tuple[int, int], timestamp_s: float) -> str:
         """Why a frame of this width and height cannot be used; empty when it can."""
@@ -146,7 +143,9 @@ class System:
             return f"timestamp {timestamp_s} s is not after the last one, {self._last_s} s"
         return ""
 
-    def _initialize(self, frame: TrackingFrame) -> FrameState:
+    def _initialize(self, tracked: TrackingFrame) -> FrameState:
+        """Try to start a map from a frame that no map is tracked in; what `tracked` seemed to show is left out."""
+        frame = TrackingFrame.of(tracked.index, tracked.timestamp_s, tracked.features, tracked.decode)
         started = self._initializer.add(frame, self._atlas.started)
         if isinstance(started, str):
             state: State = "lost" if self._atlas.maps else "not_initialized"
@@ -157,7 +156,7 @@ class System:
         return FrameState(frame.index, frame.timestamp_s, "tracked", inliers, True, slam_map.index)
 
     def _tracked(self, frame: TrackingFrame, inliers: int, active: TrackedMap) -> FrameState:
-        self._lost_since_s = math.inf
+        self._initializer.restart()
         keyframe = active.wants_keyframe(frame, inliers)
         if keyframe:
             self._finish_mapping()
@@ -197,19 +196,6 @@ class System:
         with _one_thread():
             for _ in self._mapping:
                 pass
-
-    def _lose(self, frame: TrackingFrame, tracked_map: TrackedMap) -> FrameState:
-        """Note that the frame is lost, and give the map up when it is too small or has been lost too long."""
-        self._lost_since_s = min(self._lost_since_s, frame.timestamp_s)
-        lost_s = frame.timestamp_s - self._lost_since_s
-        reason = f"lost for {lost_s:.2f} s: {len(frame.features)} features, too few of them match the map"
-        small = len(tracked_map.map.alive_keyframes) <= thresholds.SMALL_MAP_KEYFRAMES
-        if small or lost_s >= thresholds.LOST_FOR_GOOD_S:
-            self._atlas.give_up()
-            self._lost_since_s = math.inf
-            self._initializer.restart()
-            reason += "; a new map will be started"
-        return FrameState(frame.index, frame.timestamp_s, "lost", 0, False, tracked_map.map.index, reason)
 
     def _extract_decoded(self, image: ImageArray) -> Features:
         gray = to_gray(image)

@@ -143,11 +143,8 @@ RELOCALIZED_MIN_INLIERS: Final = 50
 """Points: the same for the frame that relocalises (ORB-SLAM V-C)."""
 MAX_VELOCITY_GAP: Final = 5.0
 """Times the last frame interval: beyond this gap the motion model is not trusted (own)."""
-LOST_FOR_GOOD_S: Final = 3.0
-"""Seconds: lost this long, a new map is started (own). In seconds because it bounds how long whoever steers by the
-poses goes without one, which no frame rate changes."""
 SMALL_MAP_KEYFRAMES: Final = 5
-"""Keyframes: a map with no more is abandoned the moment it is lost (own)."""
+"""Keyframes: a map with no more is taken into no other (own)."""
 
 # Keyframe decision --------------------------------------------------------------------------------------------------
 KEYFRAME_NEXT_SHARE: Final = 0.7

@@ -21,6 +21,7 @@ from codecbench.slam import Camera, Options, Result, System
 from codecbench.slam.atlas.tracked_map import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.map.frame import TrackingFrame
+from codecbench.slam.mapping.initialization import Initializer
 
 pytestmark = pytest.mark.thorough
 
@@ -252,19 +253,45 @@ def test_after_a_blackout_the_camera_is_found_again(film: list[NDArray[np.uint8]
     result = run([*longer, *[black] * 5, *longer[-8:]])
     states = [frame.state for frame in result.frames]
     assert states[60:65] == ["lost"] * 5
-    assert "lost" in result.frames[61].reason
+    assert result.frames[61].reason == "0 features"
     assert states[-5:] == ["tracked"] * 5
     assert len(result.maps) == 1
 
 
-def test_lost_for_good_starts_a_new_map_and_keeps_the_old(film: list[NDArray[np.uint8]]) -> None:
-    black = np.zeros_like(film[0])
-    other = [np.ascontiguousarray(image[:, ::-1]) for image in film]
-    result = run([*film, *[black] * 50, *other])
-    assert len(result.maps) == 2
-    assert any("new map" in frame.reason for frame in result.frames)
+def test_a_lost_camera_starts_a_new_map_at_once_and_keeps_the_old(film: list[NDArray[np.uint8]]) -> None:
+    other = [np.ascontiguousarray(image[:, ::-1]) for image in film]  # another place, from one frame to the next
+    started = [frame.state for frame in run(other).frames].index("tracked")
+    result = run([*film, *other])
+    states = [frame.state for frame in result.frames]
+    assert states[STEPS : STEPS + started] == ["lost"] * started
+    assert states[STEPS + started :] == ["tracked"] * (STEPS - started)
+    assert sorted(found.index for found in result.maps) == [0, 1]
     assert {frame.map_index for frame in result.frames if frame.state == "tracked"} == {0, 1}
-    assert len(result.maps[0].trajectory) >= len(result.maps[1].trajectory) > 10
+    assert min(len(found.trajectory) for found in result.maps) > 10
+
+
+def test_what_may_start_a_map_shows_no_points_of_the_last_one(
+    film: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown, add = [], Initializer.add
+
+    def noting(self: Initializer, frame: TrackingFrame, map_index: int) -> Any:
+        shown.append(len(frame.matched))
+        return add(self, frame, map_index)
+
+    monkeypatch.setattr(Initializer, "add", noting)
+    monkeypatch.setattr(TrackedMap, "objection", lambda self, frame: "a false start" if frame.index == 30 else "")
+    result = run([*film, film[0][:, ::-1]])
+    assert [result.frames[index].state for index in (29, 30, STEPS)] == ["not_initialized", "not_initialized", "lost"]
+    assert set(shown) == {0}
+
+
+def test_a_camera_found_again_forgets_the_start_that_it_tried(film: list[NDArray[np.uint8]]) -> None:
+    """The strange frame waits for a second view; once the camera was found again, the next strange one waits anew."""
+    strange = np.ascontiguousarray(film[0][:, ::-1])
+    result = run([*film[:40], strange, *film[40:43], strange])
+    assert [frame.state for frame in result.frames[40:]] == ["lost", "tracked", "tracked", "tracked", "lost"]
+    assert [result.frames[index].reason for index in (40, 44)] == ["waiting for a second view"] * 2
 
 
 @pytest.mark.parametrize("filler", [0, 255])

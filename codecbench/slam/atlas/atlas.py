@@ -37,10 +37,6 @@ class Atlas:
         self._activate(self.maps[-1])
         self.maps[-1].start(frame)
 
-    def give_up(self) -> None:
-        """Have no active map from now on; the one that was stays to be found again."""
-        self._activate(None)
-
     def drop(self) -> None:
         """Forget the active map: nothing is tracked or found in it any more."""
         self.maps = [kept for kept in self.maps if kept is not self.active]
