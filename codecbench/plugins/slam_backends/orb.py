@@ -52,7 +52,7 @@ class Orb(SlamBackend[OrbParams]):
     """Equal frames and an equal seed give the same trajectory to the last bit."""
 
     name = "orb"
-    version = "11"
+    version = "12"
     params_type = OrbParams
     architectures = frozenset({"cta", "atc", "features"})
     kernels = ("codecbench.slam",)

@@ -23,11 +23,11 @@ def ride(step: float) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("pose", "steps", "expected"),
     [
-        pytest.param(path_pose, range(30), ("11", [0.19543512, 0.00964288, 0.05302278]), id="walk"),
+        pytest.param(path_pose, range(30), ("12", [0.19543512, 0.00964288, 0.05302278]), id="walk"),
         pytest.param(
             ride,
             [*range(20), *range(22, 40)],
-            ("11", [0.41094231, -0.04809509, -0.15088688]),
+            ("12", [0.41094231, -0.04809509, -0.15088688]),
             id="swing with a gap",
             marks=pytest.mark.thorough,
         ),
