@@ -9,9 +9,7 @@ import click
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("docs/reproduction.md"), show_default=True
-)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("paper.md"), show_default=True)
 def reproduce(runs: tuple[Path, ...], out: Path) -> None:
     """Write the page that puts the paper beside a run of examples/paper.yaml, table by table.
 

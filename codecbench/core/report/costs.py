@@ -77,8 +77,9 @@ def coding_ms(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[fl
 
 
 def times_decide(run: RunResult) -> bool:
-    """Whether times were measured, and neither a task nor a success."""
-    return bool(run.headlines("time")) and not run.headlines("task", "success")
+    """Whether times of encoding and decoding were measured, and neither a task nor a success."""
+    measured = {column.metric.need for column in run.columns.values()}
+    return {"encoding", "decoding"} <= measured and not run.headlines("task", "success")
 
 
 def coarser_settings(run: RunResult, curve: str) -> str:

@@ -180,6 +180,13 @@ def test_where_times_and_no_task_were_measured_milliseconds_decide() -> None:
     )
 
 
+def test_a_delay_without_the_time_of_coding_decides_nothing() -> None:
+    cells = []
+    for codec, rate in (("raw", 24.0), ("plain", 0.5), ("good", 0.25)):
+        cells += [*scored(codec, {rate: 40.0}), cell_result(codec, rate, "clock", own={("speed", ""): [1.0]})]
+    assert str(answers(run_of(*cells))).startswith("Use good q=0.25 or coarser: 0.25 bpp, 50 % less than")
+
+
 def test_without_a_rate_or_anything_to_judge_by_nothing_is_claimed() -> None:
     assert answers(run_of(cell_result("plain", 1.0, "look", own={("score", ""): [30.0]}))).answers == ()
     spent = answers(run_of(cell_result("plain", 1.0, "look", own={("bits", ""): [1.0]})))
