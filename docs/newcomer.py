@@ -1,7 +1,6 @@
 """What the commands of README.md print and how long they take, for somebody who follows it in a new clone.
 
 python docs/newcomer.py --recording FOLDER > newcomer.json
-python docs/tables.py --printed newcomer=newcomer.json
 
 runs them in their order, with this Python as `python3` and no compiled kernel, and shows on standard error what they
 print. It stops with exit status 1 when one fails. Without a recording, the block of commands about PATH is left out.
@@ -12,16 +11,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import re
 import subprocess
 import sys
 import tempfile
-import textwrap
 import time
-from collections.abc import Callable, Iterator
-from datetime import date
-from itertools import chain
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -61,33 +56,7 @@ def followed(folder: Path, recording: Path | None) -> Iterator[dict[str, object]
         print(f"$ {command}\n{done.stdout}{done.stderr}{seconds:.0f} s", file=sys.stderr)
         if done.returncode:
             raise SystemExit(1)
-        yield {"command": command, "seconds": seconds, "output": done.stdout, "on": machine()}
-
-
-def machine() -> str:
-    """`2 cores (AMD EPYC), Python 3.13.0, 2026-11-27`."""
-    cpu = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    model = cpu[1] if cpu else platform.machine()
-    return f"{os.cpu_count()} cores ({model}), Python {platform.python_version()}, {date.today()}"
-
-
-def ended(command: str, shown: str) -> Callable[[str, tuple[str, ...]], Iterator[str]]:
-    """The part of a command's output that a pattern finds, after how long it took and where."""
-
-    def content(text: str, heads: tuple[str, ...]) -> Iterator[str]:
-        (found,) = [entry for entry in json.loads(text) if command in entry["command"]]
-        minutes, seconds = divmod(round(found["seconds"]), 60)
-        (part,) = re.findall(shown, found["output"], re.DOTALL)
-        yield f"It took {minutes} min {seconds} s on {found['on']}, and printed:\n"
-        yield from transcript(part, heads)
-
-    return content
-
-
-def transcript(text: str, _: tuple[str, ...]) -> Iterator[str]:
-    """What a command printed, with long lines broken as a terminal breaks them, so that no page cuts them."""
-    lines = [textwrap.wrap(line, 90, subsequent_indent="  ") or [""] for line in text.strip().splitlines()]
-    yield "\n".join(["```text", *chain(*lines), "```"])
+        yield {"command": command, "seconds": seconds, "output": done.stdout}
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from project import DOCS
 
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
+from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.evaluators import codecbench_evaluators
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
 from codecbench.plugins.evaluators.features import Features
@@ -46,10 +47,14 @@ class Row:
 def rows(evaluator: type[Evaluator]) -> list[Row]:
     found = []
     for line in SECTIONS[evaluator.name].splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 6 and cells[0].startswith("`"):
             found.append(Row(tuple(re.findall(r"`(\w+)`", cells[0])), *cells[1:]))
     return found
+
+
+def family_of(metric: Metric) -> str:
+    return metric.name.partition("_")[0]
 
 
 def role_of(metric: Metric) -> str:
@@ -65,25 +70,36 @@ def test_every_metric_is_defined_and_no_other(evaluator: type[Evaluator]) -> Non
 
 @each
 def test_every_row_says_what_its_metrics_declare(evaluator: type[Evaluator]) -> None:
-    """Metrics of several families share a row: their labels begin alike, and it names the family that is a headline."""
+    """Metrics that share a row differ in the ends of labels and summaries, and it names those that are headlines."""
     declared = {metric.name: metric for metric in evaluator.metrics}
     for row in rows(evaluator):
         metrics = [declared[name] for name in row.names]
         assert {(metric.unit, metric.better) for metric in metrics} == {(row.unit, row.better)}, row.names
-        if len(metrics) == 1 and evaluator is not Operations:
-            assert (row.label, row.role) == (metrics[0].label, role_of(metrics[0])), row.names
+        if len(metrics) == 1:
+            found = (row.label, row.role, row.definition)
+            assert found == (metrics[0].label, role_of(metrics[0]), metrics[0].summary), row.names
             continue
-        families = [name.partition("_")[0] for name in row.names]
-        assert [metric.label for metric in metrics] == [f"{row.label}, {family}" for family in families]
+        head, _, ends = row.label.rpartition(", ")
+        assert [metric.label for metric in metrics] == [f"{head}, {end}" for end in ends.split("; ")]
         assert {metric.role for metric in metrics} == {row.role.partition(",")[0]}
-        headlines = [family for family, metric in zip(families, metrics, strict=True) if metric.headline]
-        assert re.findall(r"`(\w+)`", row.role) == headlines
+        assert re.findall(r"`(\w+)`", row.role) == [metric.name for metric in metrics if metric.headline]
+        for metric in metrics:
+            ending = metric.summary.removeprefix(row.definition)
+            assert ending in ("", f", {metric.label.removeprefix(f'{head}, ')}", f", {family_of(metric)} counts")
 
 
 @pytest.mark.parametrize("evaluator", EVALUATORS[1:], ids=lambda evaluator: evaluator.name)
 def test_every_parameter_is_named(evaluator: type[Evaluator]) -> None:
-    for name in evaluator.params_type.model_fields:
-        assert f"`{name}`" in SECTIONS[evaluator.name]
+    """Those of a link stand in a table of the page of links, which the section leads to."""
+    own, section = set(evaluator.params_type.model_fields), SECTIONS[evaluator.name]
+    if issubclass(evaluator.params_type, LinkSettings):
+        assert "(link.md#the-parameters)" in section
+        table = "".join(re.findall(r"^\| `.*", (DOCS / "link.md").read_text(), re.MULTILINE))
+        shared = own & ReaderSettings.model_fields.keys()
+        assert shared
+        assert [name for name in shared if f"`{name}`" not in table] == []
+        own -= shared
+    assert [name for name in own if f"`{name}`" not in section] == []
 
 
 def test_every_file_is_named() -> None:

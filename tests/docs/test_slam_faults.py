@@ -1,4 +1,4 @@
-"""The courses of docs/slam_faults.py are what its tables say, and one of them runs."""
+"""The courses of tests/benchmarks/slam_faults.py are what its tables say, and one of them runs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from project import DOCS
+from project import TESTS
 
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 
-sys.path.insert(0, str(DOCS))
+sys.path.insert(0, str(TESTS / "benchmarks"))
 import slam_faults
 from slam_faults import Film, blackened, course, faults, in_two_parts
 

@@ -28,10 +28,10 @@ from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
 
 _UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
-    "late": ("share of the pictures that came too late, or after a newer one", "too late"),
-    "lost": ("share of the pictures of which packets were lost or found no room", "lost on the way"),
-    "broken": ("share of the pictures that came, and depend on one that did not", "broken by an earlier loss"),
-    "skipped": ("share of the pictures that were never sent, for want of time or of rate", "never sent"),
+    "late": ("share of frames that came older than deadline_ms, or after a newer one", "too late"),
+    "lost": ("share of frames that were sent and never became whole", "lost on the way"),
+    "broken": ("share of frames that came whole and depend on one that did not", "broken by an earlier loss"),
+    "skipped": ("share of frames never sent, for want of time or rate", "never sent"),
 }
 
 
@@ -67,46 +67,61 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     views = (View("map", "What comes, and how old it is", note=_NOTE),)
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "on_time", "1", "higher", "1 where the picture was there in time, else 0",
+            "on_time", "1", "higher", "1 if the frame was handed on, else 0",
             role="task", headline=True, label="pictures on time", brief="on time",
         ),
         Metric(
-            "age_ms", "ms", "lower", "age of the newest picture at the moment of each", ("p95", "median", "max"),
+            "age_ms", "ms", "lower",
+            "at each capture, age of the newest frame handed on, or time since the first capture",
+            ("p95", "median", "max"),
             role="task", headline=True, label="age of the newest picture", brief="age ms", scale="log",
         ),
         Metric(
-            "delay_ms", "ms", "lower", "from taking the picture until it is there", ("median", "p95", "max"),
+            "delay_ms", "ms", "lower",
+            "from capture until the frame is decoded; missing if it is not on time",
+            ("median", "p95", "max"),
             label="delay of pictures", scale="log", need="delay",
         ),
-        Metric("delivered_share", "1", "higher", "share of the pictures that came, however late", label="delivered"),
-        Metric("concealed_share", "1", "lower", "share of those on time that were made up in part", label="concealed"),
+        Metric("delivered_share", "1", "higher", "share of frames that came whole, however late", label="delivered"),
         Metric(
-            "partial_share", "1", "lower", "share of those on time of which packets are missing; with `partial`",
+            "concealed_share", "1", "lower", "share of frames on time that depend on a lost one, with concealed",
+            label="concealed",
+        ),
+        Metric(
+            "partial_share", "1", "lower", "share of frames on time of which packets are missing, with partial",
             label="in part",
         ),
         Metric(
-            "partial_whole_share", "1", "higher", "share of the pixels of those that are as they were sent",
+            "partial_whole_share", "1", "higher",
+            "share of their pixels that are as the whole bitstream gives them",
             label="as sent of those in part",
         ),
         *(
             Metric(f"{outcome}_share", "1", "lower", summary, label=label, need="cause")
             for outcome, (summary, label) in _UNTIMELY.items()
         ),
-        _count("stalls_half_s", "times without a new picture of more than half a second", "stalls over 0.5 s"),
-        _count("stalls_1_s", "times without a new picture of more than a second", "stalls over 1 s"),
-        Metric("longest_stall_s", "s", "lower", "longest time without a new picture", ("median", "max"), scale="log"),
-        _count("queue_packets", "packets in the link's queue when a picture comes", "packets waiting", ("p95", "max")),
-        Metric("goodput_kbps", "kbit/s", "higher", "bytes of pictures on time over the sequence", label="goodput"),
+        _count("stalls_half_s", "times without a new frame that exceed 0.5 s", "stalls over 0.5 s"),
+        _count("stalls_1_s", "times without a new frame that exceed 1 s", "stalls over 1 s"),
+        Metric("longest_stall_s", "s", "lower", "longest time without a new frame", ("median", "max"), scale="log"),
+        _count(
+            "queue_packets", "packets in the link's queue when a frame comes to the encoder",
+            "packets waiting", ("p95", "max"),
+        ),
         Metric(
-            "sent_kbps", "kbit/s", "lower", "all that was sent: headers, redundancy and what went again",
+            "goodput_kbps", "kbit/s", "higher", "coded bytes of frames on time over the sequence's nominal length",
+            label="goodput",
+        ),
+        Metric(
+            "sent_kbps", "kbit/s", "lower",
+            "bytes handed to the link, with headers, redundancy and retransmissions",
             role="rate", label="sent over the link", scale="log",
         ),
-        Metric("wasted_share", "1", "lower", "share of that for pictures that were not on time", label="sent in vain"),
+        Metric("wasted_share", "1", "lower", "share of sent bytes for frames not on time", label="sent in vain"),
         Metric("packets_sent", "1", "neither", "packets handed to the link"),
-        Metric("packets_arrived", "1", "neither", "of these, packets that arrived"),
-        Metric("packets_late", "1", "lower", "of those that arrived, packets of a picture that was too old by then"),
-        Metric("packets_lost", "1", "lower", "packets lost on the link"),
-        Metric("packets_dropped", "1", "lower", "packets dropped by the link's queue"),
+        Metric("packets_arrived", "1", "neither", "packets that arrived"),
+        Metric("packets_late", "1", "lower", "packets that arrived when their frame was older than deadline_ms"),
+        Metric("packets_lost", "1", "lower", "packets that the link lost"),
+        Metric("packets_dropped", "1", "lower", "packets that the link's queue dropped"),
     )  # fmt: skip
 
     @property

@@ -32,16 +32,16 @@ Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 
 _SUMMARIES = {
-    "mults": "multiplications, divisions included",
-    "adds": "additions, subtractions, negations",
-    "bit_ops": "bitwise operations",
-    "comparisons": "comparisons",
-    "shifts": "shifts",
-    "reads": "memory reads",
-    "writes": "memory writes",
-    "total": "operations of the seven classes",
-    "divisions": "those of the multiplications that are divisions",
-    "index_ops": "index and loop arithmetic, not in the total",
+    "mults": "multiplications, divisions, remainders, square roots, elementary functions",
+    "adds": "additions, subtractions, negations, absolute values, roundings",
+    "bit_ops": "and, or, exclusive or and inversion of integers",
+    "comparisons": "comparisons, also in min, max and conditions",
+    "shifts": "shifts by any amount",
+    "reads": "loads of an array element (machine: memory operands read, stack included)",
+    "writes": "stores of an array element (machine: memory operands written)",
+    "total": "the seven classes together",
+    "divisions": "divisions among the multiplications",
+    "index_ops": "arithmetic in brackets, range bounds and array sizes, two per turn of a for loop; in no total",
 }
 _LABELS = {
     "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",

@@ -33,7 +33,7 @@ class Quality(SequenceEvaluator[NoParams]):
     typical_ms_per_frame = 30.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "size_bytes", "bytes", "lower", "size of the frame's bitstream, headers and tables included",
+            "size_bytes", "bytes", "lower", "length of the frame's bitstream, with headers, tables and checksums",
             role="rate", label="size", scale="log",
         ),
         Metric(
@@ -41,28 +41,32 @@ class Quality(SequenceEvaluator[NoParams]):
             role="rate", headline=True, label="rate", brief="bpp", scale="log",
         ),
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "rate of the frame at the sequence's nominal frame rate",
+            "bitrate_kbps", "kbit/s", "lower", "bits of the frame times the sequence's nominal frame rate",
             role="rate", label="bit rate", scale="log",
         ),
-        Metric("compression_ratio", "1", "higher", "bytes of raw samples over bytes of bitstream", role="rate"),
         Metric(
-            "cr_percent", "%", "higher", "share saved against the PNG of the same frame; negative if larger",
+            "compression_ratio", "1", "higher", "bytes of raw samples of all channels over bytes of bitstream",
+            role="rate",
+        ),
+        Metric(
+            "cr_percent", "%", "higher", "100 (1 - size_bytes / bytes of the same frame's PNG); negative if larger",
             role="rate", headline=True, label="size against PNG", brief="vs\nPNG %", display_factor=-1.0,
         ),
         Metric(
-            "psnr_gray_db", "dB", "higher", "PSNR of BT.601 gray; infinite for equal images",
+            "psnr_gray_db", "dB", "higher", "10 log10(255^2 / MSE) of BT.601 gray; infinite for equal images",
             role="quality", headline=True, label="PSNR", brief="PSNR dB", enough=40.0,
         ),
         Metric(
-            "psnr_rgb_db", "dB", "higher", "PSNR over all three channels; colour frames only",
+            "psnr_rgb_db", "dB", "higher", "PSNR over pixels and three channels; color frames only",
             role="quality", label="PSNR of colour",
         ),
         Metric(
-            "ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated",
+            "ssim_matlab", "1", "higher", "mean SSIM of gray over all pixels, border replicated, as in MATLAB's ssim",
             role="quality", headline=True, label="SSIM", enough=0.95,
         ),
         Metric(
-            "ssim_wang", "1", "higher", "mean SSIM of gray where the window lies inside the image",
+            "ssim_wang", "1", "higher",
+            "mean SSIM of gray where the window lies inside, as in Wang's code and scikit-image",
             role="quality", label="SSIM inside",
         ),
         Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray", role="quality", label="MS-SSIM"),

@@ -67,8 +67,11 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     kernels = ("codecbench.plugins.evaluators.relative_pose",)
     typical_ms_per_frame = 25.0
     metrics: ClassVar[tuple[Metric, ...]] = (
-        _task("pose_error_deg", "deg", "lower", "larger of rotation and translation-direction error", "pose error",
-              "median", "p95"),
+        _task(
+            "pose_error_deg", "deg", "lower",
+            "larger of rotation error and error of the translation's direction up to sign; 180 without a motion",
+            "pose error", "median", "p95",
+        ),
         _task("pose_auc_5deg", "1", "higher", "area under the curve of solved pairs up to 5 degrees", "pose AUC to 5°"),
         Metric(
             "pose_auc_10deg", "1", "higher", "area under the curve of solved pairs up to 10 degrees",
@@ -76,12 +79,20 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         ),
         _task("pose_auc_20deg", "1", "higher", "area under the curve of solved pairs up to 20 degrees",
               "pose AUC to 20°"),
-        _task("pose_inliers", "1", "higher", "matches that obey the motion that was found", "matches behind the pose"),
+        _task(
+            "pose_inliers", "1", "higher", "matches that obey the motion that was found; 0 if none is",
+            "matches behind the pose",
+        ),
         Metric(
-            "correct_matches", "1", "higher", "matches that obey the true motion",
+            "correct_matches", "1", "higher",
+            "matches within inlier_px of their epipolar lines in both frames under the true motion",
             role="task", headline=True, label="correct matches", brief="matches",
         ),
-        _task("matches_lost", "1", "lower", "share of the raw pair's correct matches that is missing", "matches lost"),
+        _task(
+            "matches_lost", "1", "lower",
+            "1 - correct matches / those of the raw pair; negative if more",
+            "matches lost",
+        ),
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:

@@ -34,38 +34,44 @@ class Stream(SequenceEvaluator[StreamParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "rate at the sequence's nominal frame rate; its mean is the bit rate",
+            "bitrate_kbps", "kbit/s", "lower", "bits of a frame times the sequence's nominal frame rate",
             role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
         ),
         Metric("mean_frame_bytes", "bytes", "lower", "mean size of a frame", role="rate", scale="log"),
         Metric("largest_frame_bytes", "bytes", "lower", "size of the largest frame", role="rate", scale="log"),
         Metric(
-            "peak_kbps", "kbit/s", "lower", "greatest rate over any 1 s, in the order of sending",
+            "peak_kbps", "kbit/s", "lower",
+            "greatest rate over any 1 s, in the order of sending",
             role="rate", label="peak rate", scale="log",
         ),
         Metric(
             "intra_to_predicted", "1", "neither", "mean size of frames at which decoding can start over that of others",
             label="intra to predicted", scale="log",
         ),
-        Metric("delay_frames", "frames", "lower", "most frames that the encoder held back", label="frames held back"),
         Metric(
-            "delay_ms", "ms", "lower", "how long these take to come, at the sequence's frame rate",
+            "delay_frames", "frames", "lower",
+            "most frames that the encoder takes after one before it gives that one's packet",
+            label="frames held back",
+        ),
+        Metric(
+            "delay_ms", "ms", "lower", "delay_frames at the sequence's frame rate",
             role="time", headline=True, label="coding delay", brief="delay ms",
         ),
         Metric(
-            "first_packet_frames", "frames", "lower", "frames after the first one that the first packet waits for",
+            "first_packet_frames", "frames", "lower", "frames that the encoder takes after the first before any packet",
             label="frames before the first packet",
         ),
         Metric(
-            "first_packet_ms", "ms", "lower", "how long these take to come, at the sequence's frame rate",
+            "first_packet_ms", "ms", "lower", "first_packet_frames at the sequence's frame rate",
             label="wait for the first packet",
         ),
         Metric(
-            "joining_frames", "frames", "lower", "frames until pictures are whole after joining, median over joins",
+            "joining_frames", "frames", "lower",
+            "frames from joining to the first from which on all are whole, median over joins",
             headline=True, label="joining", brief="join",
         ),
         Metric(
-            "joining_worst_frames", "frames", "lower", "the same, of the worst join", label="joining, worst",
+            "joining_worst_frames", "frames", "lower", "joining_frames of the worst join", label="joining, worst",
         ),
     )  # fmt: skip
 

@@ -1,9 +1,9 @@
 """The tables of docs/slam.md about cameras that see nothing for a while, and about frames that a link spoils.
 
-python docs/slam_faults.py OFFICE > faults.txt
+python tests/benchmarks/slam_faults.py OFFICE
 
 OFFICE is TUM's freiburg3_long_office_household in the layout of TUM. A row of the first table and a cell of the second
-is one SLAM that is shown frames, in gray. `docs/tables.py --printed faults=faults.txt` puts both tables into the page.
+is one SLAM that is shown frames, in gray.
 """
 
 from __future__ import annotations

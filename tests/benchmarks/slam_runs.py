@@ -1,6 +1,6 @@
 """SLAM over frames without the engine: what tables are made of, and two by which a change of the SLAM is judged.
 
-python docs/slam_runs.py [--drift] [--sequences NAME ...] [--codecs raw jpeg10] [--starts 5] [--severity 0.5] [--quick]
+python tests/benchmarks/slam_runs.py [--drift] [--sequences NAME ...] [--codecs raw jpeg10] [--starts 5] [--quick]
 
 A row is a sequence, raw or as JPEG at a quality, from so many starts. The real sequences are in the folder that
 CODECBENCH_DATA names. Decoded frames are kept in the cache folder. `--quick` takes two starts, and no long sequence.

@@ -1,0 +1,229 @@
+"""Results in README.md and docs/ are of today's plugins, and docs/refresh makes them from runs and scripts."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from project import DOCS, ROOT
+
+import codecbench
+
+sys.path.insert(0, str(DOCS))
+sys.path.insert(0, str(DOCS / "refresh"))
+import blocks
+import jobs
+import newcomer
+import tables
+
+SMALL = """
+version: 1
+name: small
+sequences: [{use: synthetic, params: {stop: 2, width: 96, height: 72}}]
+codecs: [raw, {use: jpeg, params: {quality: {grid: [5, 40, 95]}}}]
+evaluators: [quality, features]
+run: {workers: 1}
+"""
+
+
+def command(*words: str | Path, status: int = 0) -> str:
+    """What a program of this Python prints, after checking its exit status."""
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, timeout=300)
+    assert done.returncode == status, done.stdout + done.stderr
+    return done.stdout
+
+
+def table_rows(text: str) -> list[list[str]]:
+    """Cells of the rows of a Markdown table, heads first."""
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A copy of the pages, which a test may rewrite."""
+    shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    shutil.copy(ROOT / "README.md", tmp_path)
+    return tmp_path
+
+
+def test_every_block_is_of_todays_plugins() -> None:
+    assert "blocks are of today's plugins" in command(DOCS / "refresh", "--check")
+
+
+def test_a_block_lags_when_a_plugin_has_another_version(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    today = blocks.version_today
+    monkeypatch.setattr(blocks, "version_today", lambda kind, name: "99" if name == "png" else today(kind, name))
+    page = root / "docs" / "performance.md"
+    version = today("codec", "png")
+    assert f"png@{version}" in page.read_text()
+    assert [line for line in jobs.check(root) if "performance.md: codecs" in line] == [
+        f"docs/performance.md: codecs: made by codec png {version}, which is 99 today; "
+        "make it again: python docs/refresh benchmarks"
+    ]
+
+
+def test_a_new_release_of_a_library_makes_no_block_lag(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    today = blocks.version_today
+    monkeypatch.setattr(blocks, "version_today", lambda kind, name: f"{today(kind, name)}+libnew 9.1")
+    assert not any("which is" in line for line in jobs.check(root))
+
+
+def test_a_block_that_was_edited_or_whose_figure_was_is_named(root: Path) -> None:
+    page = root / "docs" / "first-run.md"
+    page.write_text(page.read_text().replace("| raw |", "| row |"))
+    (root / "docs" / "images" / "localization.svg").write_text("<svg/>")
+    assert [line.partition(";")[0] for line in jobs.check(root)] == [
+        "README.md: answer: edited after it was made",
+        "docs/first-run.md: first: edited after it was made",
+    ]
+
+
+def test_a_block_that_nothing_makes_or_no_run_made_or_no_page_has_is_named(root: Path) -> None:
+    page = root / "docs" / "worlds.md"
+    text = page.read_text().replace("worlds: begin", "others: begin").replace("worlds: end", "others: end")
+    page.write_text(text.replace("<sub>", "<b>").replace("`room` | a furnished room", "`room` | a house"))
+    found = list(jobs.check(root))
+    assert "docs/worlds.md: others: nothing makes it" in found
+    assert "docs/worlds.md: worlds: the page has no such block" in found
+    assert any(line.startswith("docs/worlds.md: sheet: no stamp") for line in found)
+    assert any(line.startswith("docs/worlds.md: conditions: differs") for line in found)
+
+
+def test_a_script_runs_again_when_a_plugin_has_another_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = "import pathlib as p; f = p.Path(r'%s'); f.write_text(f.read_text() + 'x' if f.exists() else 'x')"
+    script = jobs.Script(("-c", f"{count % (tmp_path / 'count')}; print('rows')"), (("codec", "jpeg"),))
+    monkeypatch.setitem(jobs.SCRIPTS, "processes", script)
+    for expected in ("x", "x"):
+        jobs.run("processes", tmp_path)
+        assert (tmp_path / "count").read_text() == expected
+    monkeypatch.setattr(blocks, "version_today", lambda kind, name: "99")
+    jobs.run("processes", tmp_path)
+    assert (tmp_path / "count").read_text() == "xx"
+    text, stamp = jobs.made("processes", tmp_path)
+    assert text == "rows\n"
+    assert stamp.plugins == {("codec", "jpeg", "99")}
+
+
+@pytest.mark.thorough
+def test_a_run_becomes_a_block_with_the_stamp_of_its_plugins(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "matrix.yaml").write_text(SMALL)
+    command("-m", "codecbench", "run", tmp_path / "matrix.yaml", "--out", tmp_path / "first", "--quiet")
+    declared = [name for name, block in jobs.BLOCKS.items() if not block.jobs]
+    assert jobs.blocks_of("first", tmp_path, ()) == ["first", *declared]
+    assert jobs.write("first", tmp_path, root)
+    assert not jobs.write("first", tmp_path, root)
+    block = blocks.blocks_of(root / "docs" / "first-run.md")["first"]
+    heads, *rows = table_rows(block)
+    wide = codecbench.open_run(tmp_path / "first").wide.reset_index()
+    assert [row[:2] for row in rows] == wide[["codec", "setting"]].to_numpy().tolist()
+    columns = {
+        "bit/px": wide["quality.rate_bpp.mean"],
+        "PSNR dB": wide["quality.psnr_gray_db.mean"],
+        "features kept": wide["features.keypoint_repeatability.mean"],
+    }
+    for head, expected in columns.items():
+        shown = pd.Series([float(row[heads.index(head)].replace("∞", "inf")) for row in rows])
+        pd.testing.assert_series_equal(shown, expected, rtol=5e-4, atol=5e-4, check_names=False)
+    assert {row[heads.index("encode ms")] for row in rows} == {"–"}, "what was not measured is a dash"
+    (stamp,) = re.findall(r"<sub>.*</sub>", block)
+    assert f"codec jpeg@{blocks.version_today('codec', 'jpeg')}, raw" in stamp
+    assert f"evaluator features@{blocks.version_today('evaluator', 'features')}, quality" in stamp
+    assert "first-run" not in "\n".join(jobs.check(root))
+
+
+def test_rows_that_a_script_printed_become_a_table() -> None:
+    printed = "begun\n| what | measured |\n|---|---:|\nINFO | `python -c pass` | 11 ms |\nended\n"
+    (content,) = tables.printed("what", "measured")(printed)
+    assert table_rows(content) == [["what", "measured"], ["`python -c pass`", "11 ms"]]
+
+
+def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed() -> None:
+    """The README's own commands, in order, with outputs as they are, cut down."""
+    outputs = [
+        "cells: 89 ok\nThe pick of each codec, room\nrows\n",
+        "page\n",
+        "..\n7 passed, 1 skipped in 9.00s\n",
+        "",
+        "found\nThe pick of each codec, mine\nrows\n\nUse jpeg.\n",
+    ]
+    said = newcomer.commands((ROOT / "README.md").read_text(), Path("/recordings/mine"))
+    assert said[-1] == ".venv/bin/codecbench try mine"
+    assert said[:3] == newcomer.commands((ROOT / "README.md").read_text(), None)
+    entries = [
+        {"command": command, "seconds": 62.4, "output": output} for command, output in zip(said, outputs, strict=True)
+    ]
+    shown = {name: "\n".join(jobs.BLOCKS[f"newcomer-{name}"].content(json.dumps(entries))) for name in ("run", "try")}
+    assert shown["run"] == "It took 1 min 2 s and printed:\n\n```text\nThe pick of each codec, room\nrows\n```"
+    assert "```text\nUse jpeg.\n```" in shown["try"]
+
+
+def test_benchmarks_become_tables() -> None:
+    """From a file as pytest-benchmark writes it, cut down to what is read."""
+
+    def entry(file: str, name: str, median_s: float, extra: dict[str, object], **params: object) -> dict[str, object]:
+        part = name.partition("[")[2].rstrip("]") or None
+        return {
+            "name": name, "fullname": f"tests/benchmarks/{file}.py::{name}", "param": part, "params": params or None,
+            "stats": {"median": median_s}, "extra_info": extra,
+        }  # fmt: skip
+
+    found = [
+        entry("test_evaluators", "test_ms_ssim", 0.002, {}),
+        entry("test_evaluators", "test_one_frame_or_pair[localization]", 0.36, {"units": 40}),
+    ]
+    for number, (way, picture) in enumerate([(w, p) for w in ("encode", "decode") for p in ("gray", "rgb")]):
+        extra: dict[str, object] = {"setting": "q=7"} if way == "encode" else {}
+        found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), extra, picture=picture, codec="x"))
+    text = json.dumps({"benchmarks": found})
+    (evaluators,), (codecs,) = tables.evaluator_times(text), tables.coding_times(text)
+    assert table_rows(evaluators)[1:] == [["ms ssim", "2 ms"], ["one frame or pair, localization", "9 ms"]]
+    assert table_rows(codecs) == [
+        ["codec", "gray encode ms", "gray decode ms", "rgb encode ms", "rgb decode ms"],
+        ["`x`, q=7", "1", "3", "2", "4"],
+    ]
+
+
+def test_cheaper_metrics_are_correlated_with_tasks_over_lossy_settings() -> None:
+    """Two metrics in the order of the settings, and one against it; the lossless setting takes no part."""
+    rows = pd.DataFrame({"codec": ["a", "a", "b", "raw"], "quality.psnr_gray_db.mean": [30.0, 35.0, 40.0, np.inf]})
+    rising, falling = [1.0, 2.0, 3.0, 0.0], [3.0, 2.0, 1.0, 0.0]
+    for name in ("quality.ssim_matlab", "features.keypoint_repeatability", "features.matches_kept"):
+        rows[f"{name}.mean"] = rising
+    for name in ("features.opencv_keypoint_repeatability", "features.opencv_matches_kept"):
+        rows[f"{name}.mean"] = falling
+    for name in ("localization.located_auc", "localization.tracked_inliers"):
+        rows[f"{name}.mean"] = rising
+    for name in ("relative_pose.pose_auc_10deg", "relative_pose.correct_matches"):
+        rows[f"{name}.mean"] = rising
+
+    run = SimpleNamespace(wide=rows, plan=SimpleNamespace(sequences=[SimpleNamespace(frames=7)]))
+    content, last = tables.followers(run)  # type: ignore[arg-type]
+    assert [row[1:] for row in table_rows(content)[1:]] == [["1.000"] * 4] * 4 + [["-1.000"] * 4] * 2
+    assert last == "3 lossy settings of 2 codecs on 7 frames."
+
+
+def test_paths_by_two_slams_have_a_row_each() -> None:
+    row: dict[str, object] = {"sequence": "s", "codec": "raw", "setting": ""}
+    for name, tracked, error_m in (("trajectory(backend=a)", 1.0, 0.01), ("trajectory(backend=b)", 0.5, np.nan)):
+        row[f"{name}.tracked_fraction.median"] = tracked
+        row[f"{name}.ate_rmse_m.median"] = error_m
+        row[f"{name}.ate_rmse_m.ci95_low"], row[f"{name}.ate_rmse_m.ci95_high"] = 0.5 * error_m, 2 * error_m
+        row[f"{name}.success.mean"] = tracked
+    titles = ("trajectory(backend=a)", "trajectory(backend=b)")
+    cells = [SimpleNamespace(evaluator=SimpleNamespace(title=title)) for title in titles]
+    run = SimpleNamespace(wide=pd.DataFrame([row]), plan=SimpleNamespace(cells=cells))
+    (content,) = tables.paths(run)  # type: ignore[arg-type]
+    assert table_rows(content) == [
+        ["sequence", "codec", "setting", "SLAM", "tracked", "ATE mm", "95 % from", "to", "runs that succeed"],
+        ["s", "raw", "", "a", "1", "10", "5", "20", "1"],
+        ["s", "raw", "", "b", "0.5", "–", "–", "–", "0.5"],
+    ]
