@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ CODECS: Final = tuple(
 SLAM: Final = (("slam_backend", "orb"),)
 FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "jpeg2000", "multilevel")),
                 *(("evaluator", name) for name in ("quality", "features", "operations", "timing")))  # fmt: skip
-TRIED: Final = (*SLAM, ("codec", "h264"), ("evaluator", "localization"), ("evaluator", "trajectory"))
+TRIED: Final = (*SLAM, ("codec", "h264"), ("codec", "jpeg"), ("evaluator", "localization"), ("evaluator", "trajectory"))
 
 MATRICES: Final = ("first", "features", "joining", "context", "tasks", "link_room", "worlds")
 """Of examples/."""
@@ -65,7 +65,7 @@ SCRIPTS: Final = {
         tuple((k, n) for k, n in CODECS if n in ("png", "jpeg", "jpeg_qf", "jpeg2000", "multilevel")),
     ),
     "calibration": Script(("tests/support/simulated_tables.py",)),
-    "newcomer": Script(("docs/newcomer.py", "--recording", OFFICE), (*FIRST, *TRIED)),
+    "newcomer": Script(("docs/newcomer.py", "--recording", OFFICE), tuple(dict.fromkeys((*FIRST, *TRIED)))),
 }  # fmt: skip
 
 NAMES: Final = (*MATRICES, *SCRIPTS)
@@ -73,11 +73,13 @@ NAMES: Final = (*MATRICES, *SCRIPTS)
 
 @dataclass(frozen=True)
 class Block:
-    """A marked part of a page. jobs: what its content is made of; without any, of what the code declares."""
+    """A marked part of a page. jobs: what its content is made of; without any, of what the code declares. shows: the
+    plugins of these jobs, kind and name, whose results it shows; all by default."""
 
     page: str
     jobs: tuple[str, ...]
     content: Callable[..., Iterator[str]]
+    shows: tuple[tuple[str, str], ...] = ()
 
 
 TIMES: Final = "docs/performance.md"
@@ -85,10 +87,10 @@ METRICS: Final = "docs/metrics.md"
 BLOCKS: Final = {
     "answer": Block("README.md", ("features",), tables.answer),
     "newcomer-run": Block(
-        "README.md", ("newcomer",), tables.ended("examples/first.yaml", "(The pick of each codec.*)")
+        "README.md", ("newcomer",), tables.ended("examples/first.yaml", "(The pick of each codec.*)"), FIRST
     ),
     "newcomer-try": Block(
-        "README.md", ("newcomer",), tables.ended("codecbench try", r"\n((?:Use|Nothing) [^\n]*)\n?$")
+        "README.md", ("newcomer",), tables.ended("codecbench try", r"\n((?:Use|Nothing) [^\n]*)\n?$"), TRIED
     ),
     "first": Block("docs/first-run.md", ("first",), tables.settings(tables.CODING)),
     "features-by-task": Block("docs/pictures-or-features.md", ("features",), tables.settings(tables.TASKS, "office")),
@@ -193,7 +195,10 @@ def write(name: str, work: Path, root: Path = ROOT) -> bool:
     block = BLOCKS[name]
     given = [made(job, work) for job in block.jobs]
     content = "\n".join(block.content(*(result for result, _ in given))).rstrip("\n")
-    return blocks.write(root / block.page, name, content, Stamp.of_all(s for _, s in given) if given else None)
+    stamp = Stamp.of_all(each for _, each in given) if given else None
+    if stamp and block.shows:
+        stamp = replace(stamp, plugins=frozenset(p for p in stamp.plugins if p[:2] in block.shows))
+    return blocks.write(root / block.page, name, content, stamp)
 
 
 def check(root: Path = ROOT) -> Iterator[str]:
