@@ -1,10 +1,11 @@
-"""Make the results in README.md and docs/ again: every matrix and script whose numbers stand there, then their blocks.
+"""Make the blocks of results in README.md and docs/ again, by the matrices and scripts that their numbers come from.
 
 python docs/refresh [JOB...]      these, or all; what is there already is not computed again
 python docs/refresh --check       exit status 1 if a block was made by other versions of plugins than today's
 
-CODECBENCH_DATA names the folder of fr3_office_715, fr3_png16, kitti00_half and kodak. Cut, it goes on with the same
-command. A script runs again if its plugins have other versions, or if its file in the folder of --work is gone.
+CODECBENCH_DATA names the folder of fr3_office_715, fr3_png16, kitti00_half, sevenscenes_400 and kodak. Cut, it goes on
+with the same command. A script runs again if its plugins have other versions, or if its file in the folder of --work is
+gone. docs/reproduction.md is not among them: `codecbench reproduce` writes it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def main() -> int:
             continue
         print(f"{name}: {time.monotonic() - begun:.0f} s", file=sys.stderr)
         del todo[name]
-        for block in jobs.blocks_of(name, work, todo):
+        for block in jobs.writable(name, work, todo):
             print(f"{jobs.BLOCKS[block].page}: {block}: {'written' if jobs.write(block, work) else 'same'}", flush=True)
     return status
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.environment import describe_environment
 from codecbench.core.engine.registry import installed
 
@@ -22,7 +22,7 @@ Plugins = frozenset[tuple[str, str, str]]
 """Kind, name and version."""
 _BLOCK: Final = re.compile(r"<!-- ([\w-]+): begin -->\n(.*?)\n<!-- \1: end -->", re.DOTALL)
 _STAMP: Final = re.compile(r"\n\n<sub>(.*); block ([0-9a-f]{8})</sub>$")
-_PLUGINS: Final = re.compile(r"; (codec|dataset|evaluator|executor|link|slam_backend) ([^;]*)")
+_PLUGINS: Final = re.compile(rf"; ({'|'.join(KINDS)}) ([^;]*)")
 _IMAGE: Final = re.compile(r"!\[[^\]]*\]\(([^):]+)\)")
 
 
@@ -63,11 +63,10 @@ class Stamp:
         return cls(max(days), *(frozenset().union(*each) for each in sets))
 
     def __str__(self) -> str:
+        place = f"{self.day}, commit {', '.join(sorted(self.commits))}, {', '.join(sorted(self.processors))}"
         by_kind = groupby(sorted(self.plugins), key=lambda plugin: plugin[0])
-        plugins = [f"; {kind} {', '.join(f'{name}@{version}' for _, name, version in each)}" for kind, each in by_kind]
-        return f"{self.day}, commit {', '.join(sorted(self.commits))}, {', '.join(sorted(self.processors))}" + "".join(
-            plugins
-        )
+        plugins = [f"{kind} {', '.join(f'{name}@{version}' for _, name, version in each)}" for kind, each in by_kind]
+        return "; ".join([place, *plugins])
 
 
 def _commit(place: dict[str, Any]) -> str:

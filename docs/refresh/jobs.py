@@ -81,6 +81,10 @@ class Block:
     content: Callable[..., Iterator[str]]
     shows: tuple[tuple[str, str], ...] = ()
 
+    def text(self, *results: Any) -> str:
+        """What stands there, of what the jobs gave."""
+        return "\n".join(self.content(*results)).rstrip("\n")
+
 
 TIMES: Final = "docs/performance.md"
 METRICS: Final = "docs/metrics.md"
@@ -149,36 +153,25 @@ def run(name: str, work: Path) -> None:
         return
     script, file = SCRIPTS[name], result_of(name, work)
     stamp = Stamp.of_today(script.plugins)
-    if file.exists() and read_stamp(file).plugins == stamp.plugins:
+    if file.exists() and made(name, work)[1].plugins == stamp.plugins:
         return
-    made = file.with_suffix(".part")
-    words = [str(made) if word == "OUT" else word for word in script.words]
-    with (work / f"{name}.out" if "OUT" in script.words else made).open("w") as out:
+    part = file.with_suffix(".part")
+    words = [str(part) if word == "OUT" else word for word in script.words]
+    with (work / f"{name}.out" if "OUT" in script.words else part).open("w") as out:
         subprocess.run([sys.executable, *words], cwd=ROOT, check=True, stdout=out)
-    stamp_file(file).write_text(json.dumps(asdict(stamp), default=sorted))
-    made.replace(file)
+    part.write_text(json.dumps({"output": part.read_text(), **asdict(stamp)}, default=sorted))
+    part.replace(file)
 
 
-def blocks_of(job: str, work: Path, todo: Collection[str]) -> list[str]:
+def writable(job: str, work: Path, todo: Collection[str]) -> list[str]:
     """The blocks that can be written now that a job is done, and those that need none."""
     there = {name for name in NAMES if result_of(name, work).exists()} - set(todo)
     return [name for name, block in BLOCKS.items() if not block.jobs or (job in block.jobs and there >= {*block.jobs})]
 
 
 def result_of(job: str, work: Path) -> Path:
-    """The folder of a run, or the file of what a script printed."""
-    return work / job if job in MATRICES else work / f"{job}.txt"
-
-
-def stamp_file(file: Path) -> Path:
-    return file.with_suffix(".json")
-
-
-def read_stamp(file: Path) -> Stamp:
-    """When and by what a script's output was made."""
-    entry = json.loads(stamp_file(file).read_text())
-    plugins = frozenset((kind, name, version) for kind, name, version in entry["plugins"])
-    return Stamp(entry["day"], frozenset(entry["commits"]), frozenset(entry["processors"]), plugins)
+    """The folder of a run, or the file of what a script printed, with its stamp."""
+    return work / job if job in MATRICES else work / f"{job}.json"
 
 
 def made(name: str, work: Path) -> tuple[Any, Stamp]:
@@ -187,22 +180,23 @@ def made(name: str, work: Path) -> tuple[Any, Stamp]:
     if name in MATRICES:
         result = open_run(place)
         return result, Stamp.of_run(result)
-    return place.read_text(), read_stamp(place)
+    entry = json.loads(place.read_text())
+    plugins = frozenset((kind, name, version) for kind, name, version in entry["plugins"])
+    return entry["output"], Stamp(entry["day"], frozenset(entry["commits"]), frozenset(entry["processors"]), plugins)
 
 
 def write(name: str, work: Path, root: Path = ROOT) -> bool:
     """Write a block from what its jobs gave; False if it was so before."""
     block = BLOCKS[name]
     given = [made(job, work) for job in block.jobs]
-    content = "\n".join(block.content(*(result for result, _ in given))).rstrip("\n")
     stamp = Stamp.of_all(each for _, each in given) if given else None
     if stamp and block.shows:
         stamp = replace(stamp, plugins=frozenset(p for p in stamp.plugins if p[:2] in block.shows))
-    return blocks.write(root / block.page, name, content, stamp)
+    return blocks.write(root / block.page, name, block.text(*(result for result, _ in given)), stamp)
 
 
 def check(root: Path = ROOT) -> Iterator[str]:
-    """What is wrong with blocks: none made it, or other plugins than today's; and figures that stand in none."""
+    """Blocks that nothing makes, no run made, other plugins than today's made, or somebody edited, and missing ones."""
     known = {(block.page, name) for name, block in BLOCKS.items()}
     for page in (root / "README.md", *sorted(root.glob("docs/**/*.md"))):
         place = str(page.relative_to(root))
@@ -214,6 +208,6 @@ def check(root: Path = ROOT) -> Iterator[str]:
             if jobs := BLOCKS[name].jobs:
                 again = f"; make it again: python docs/refresh {' '.join(jobs)}"
                 yield from (f"{place}: {name}: {fault}{again}" for fault in blocks.faults(page, content))
-            elif content != "\n".join(BLOCKS[name].content()).rstrip("\n"):
+            elif content != BLOCKS[name].text():
                 yield f"{place}: {name}: differs from what the code declares; write it again: python docs/refresh sheet"
     yield from (f"{place}: {name}: the page has no such block" for place, name in sorted(known))

@@ -76,11 +76,11 @@ JOINING: Final = {
     "worst, frames": Column("stream.joining_worst_frames.mean"),
 }
 PATHS: Final = {
-    "tracked": Column("tracked_fraction.median"),
-    "ATE mm": Column("ate_rmse_m.median", 1e3),
-    "95 % from": Column("ate_rmse_m.ci95_low", 1e3),
-    "to": Column("ate_rmse_m.ci95_high", 1e3),
-    "runs that succeed": Column("success.mean"),
+    "tracked": Column("trajectory.tracked_fraction.median"),
+    "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
+    "95 % from": Column("trajectory.ate_rmse_m.ci95_low", 1e3),
+    "to": Column("trajectory.ate_rmse_m.ci95_high", 1e3),
+    "runs that succeed": Column("trajectory.success.mean"),
 }
 
 
@@ -102,18 +102,11 @@ def settings(columns: dict[str, Column], sequence: str = "") -> RunTable:
 
 
 def paths(run: RunResult) -> Iterator[str]:
-    """One row for each sequence, setting and way to evaluate `trajectory`."""
-    evaluators = dict.fromkeys(cell.evaluator.title for cell in run.plan.cells)
-    rows = []
-    for row in run.wide.to_dict("records"):
-        for evaluator in evaluators:
-            label = evaluator.partition("=")[2].rstrip(")") if len(evaluators) > 1 else None
-            shown = (
-                Column(f"{evaluator}.{c.name}", c.factor).shown({str(k): v for k, v in row.items()})
-                for c in PATHS.values()
-            )
-            rows.append([*(row[key] for key in ("sequence", "codec", "setting")), *([label] if label else []), *shown])
-    yield table(["sequence", "codec", "setting", *(["SLAM"] if len(evaluators) > 1 else []), *PATHS], rows)
+    """One row for each sequence and setting, of `trajectory`."""
+    heads = ("sequence", "codec", "setting")
+    rows = [{str(k): v for k, v in row.items()} for row in run.wide.to_dict("records")]
+    cells = [[*(row[head] for head in heads), *(column.shown(row) for column in PATHS.values())] for row in rows]
+    yield table([*heads, *PATHS], cells)
 
 
 def order(*anchors: str) -> RunTable:
