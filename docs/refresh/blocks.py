@@ -23,7 +23,7 @@ Plugins = frozenset[tuple[str, str, str]]
 _BLOCK: Final = re.compile(r"<!-- ([\w-]+): begin -->\n(.*?)\n<!-- \1: end -->", re.DOTALL)
 _STAMP: Final = re.compile(r"\n\n<sub>(.*); block ([0-9a-f]{8})</sub>$")
 _PLUGINS: Final = re.compile(rf"; ({'|'.join(KINDS)}) ([^;]*)")
-_IMAGE: Final = re.compile(r"!\[[^\]]*\]\(([^):]+)\)")
+_FILE: Final = re.compile(r"\]\(([^):]+\.(?:svg|png|jpg|csv))\)")
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def faults(page: Path, content: str) -> Iterator[str]:
 
 
 def _digest(page: Path, content: str) -> str:
-    """Of a block with the figures that it shows."""
+    """Of a block with the figures and tables that it links."""
     digest = hashlib.sha256(content.encode())
-    for image in _IMAGE.findall(content):
-        digest.update((page.parent / image).read_bytes())
+    for file in _FILE.findall(content):
+        digest.update((page.parent / file).read_bytes())
     return digest.hexdigest()[:8]

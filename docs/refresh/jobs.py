@@ -29,7 +29,7 @@ FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "
                 *(("evaluator", name) for name in ("quality", "features", "operations", "timing")))  # fmt: skip
 TRIED: Final = (*SLAM, ("codec", "h264"), ("codec", "jpeg"), ("evaluator", "localization"), ("evaluator", "trajectory"))
 
-MATRICES: Final = ("first", "features", "joining", "context", "tasks", "link_room", "worlds")
+MATRICES: Final = ("first", "reference", "effort", "joining", "context", "tasks", "link", "link_room", "worlds")
 """Of examples/."""
 
 
@@ -88,8 +88,10 @@ class Block:
 
 TIMES: Final = "docs/performance.md"
 METRICS: Final = "docs/metrics.md"
+QUESTIONS: Final = "docs/questions.md"
 BLOCKS: Final = {
-    "answer": Block("README.md", ("features",), tables.answer),
+    "reference": Block("docs/reference-table.md", ("reference",), tables.reference),  # draws the figure of `answer`
+    "answer": Block("README.md", ("reference",), tables.uses),
     "newcomer-run": Block(
         "README.md", ("newcomer",), tables.ended("examples/first.yaml", "(The pick of each codec.*)"), FIRST
     ),
@@ -97,12 +99,25 @@ BLOCKS: Final = {
         "README.md", ("newcomer",), tables.ended("codecbench try", r"\n((?:Use|Nothing) [^\n]*)\n?$"), TRIED
     ),
     "first": Block("docs/first-run.md", ("first",), tables.settings(tables.CODING)),
-    "features-by-task": Block("docs/pictures-or-features.md", ("features",), tables.settings(tables.TASKS, "office")),
-    "features-order": Block("docs/pictures-or-features.md", ("features",), tables.order("jpeg", "h264")),
+    "on-wifi": Block(QUESTIONS, ("link",), tables.chosen_over_link("--link", "wifi_edge", "--error", "20cm")),
+    "jpeg-quality": Block(QUESTIONS, ("reference",), tables.judged("jpeg")),
+    "video-or-jpeg": Block(QUESTIONS, ("reference",), tables.picked("jpeg", "h264")),
+    "intra": Block(QUESTIONS, ("reference",), tables.judged("h264 gop=1")),
+    "crf": Block(QUESTIONS, ("reference",), tables.judged("h264")),
+    "features": Block(QUESTIONS, ("reference",), tables.picked("h264", "hevc", "orb_features", "jpeg")),
+    "effort": Block(QUESTIONS, ("effort",), tables.efforts),
+    "paper-setting": Block(QUESTIONS, ("reference",), tables.picked("multilevel", "jpeg")),
+    "features-order": Block(
+        "docs/pictures-or-features.md", ("reference",),
+        tables.order("jpeg", "h264", of=("jpeg", "h264", "orb_features")),
+    ),
     "streams-joining": Block("docs/video.md", ("joining",), tables.settings(tables.JOINING)),
     "context-order": Block("docs/multilevel.md", ("context",), tables.order("jpeg")),
     "follow": Block("docs/task-metrics.md", ("tasks",), tables.followers),
-    "link-room": Block("docs/link.md", ("link_room",), tables.chosen_over_link),
+    "link-room": Block(
+        "docs/link.md", ("link_room",),
+        tables.chosen_over_link("--link", "telemetry_900mhz", "--error", "35cm", "--all"),
+    ),
     "conditions": Block("docs/worlds.md", (), tables.conditions),
     "sheet": Block("docs/worlds.md", ("sheet",), lambda text: iter([text.strip()])),
     "worlds": Block("docs/worlds.md", ("worlds",), tables.paths),
@@ -137,6 +152,7 @@ BLOCKS: Final = {
         f"metrics-trajectory-{part}": Block(METRICS, (), tables.metrics("trajectory", part.upper()))
         for part in ("accuracy", "live", "behaviour", "compared")
     },
+    "commands": Block("docs/commands.md", (), tables.commands),
     "calibration": Block(
         "docs/verdict.md", ("calibration",),
         tables.printed("noise of a codec's values", "frames", "ordered", "covers", "width", "ordered, alike",

@@ -13,23 +13,32 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from click import Context
+from click.testing import CliRunner
+from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from codecbench.core.analysis.ranking import rankings
+from codecbench.cli import COMMANDS, cli
+from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.registry import installed
+from codecbench.core.report.answers import Answer, Answers, answers
+from codecbench.core.report.costs import coding_ms, rate_cell
 from codecbench.core.report.formatting import signed_percent
+from codecbench.core.report.picks import measured
 from codecbench.core.report.tables import cell, table
 from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 
 IMAGES: Final = Path(__file__).parents[1] / "images"
+CSV: Final = Path(__file__).parents[1] / "tables" / "reference.csv"
 Row = dict[str, Any]
 RunTable = Callable[..., Iterator[str]]
 
@@ -84,17 +93,13 @@ PATHS: Final = {
 }
 
 
-def settings(columns: dict[str, Column], sequence: str = "") -> RunTable:
-    """One row for each setting on a sequence, by default a run's only one."""
+def settings(columns: dict[str, Column]) -> RunTable:
+    """One row for each setting on a run's only sequence."""
 
     def content(run: RunResult) -> Iterator[str]:
-        (entry,) = [entry for entry in run.plan.sequences if sequence in ("", entry.name)]
+        (entry,) = run.plan.sequences
         rows = [{str(k): v for k, v in row.items()} for row in run.wide.to_dict("records")]
-        cells = [
-            [row["codec"], row["setting"], *(column.shown(row) for column in columns.values())]
-            for row in rows
-            if row["sequence"] == entry.name
-        ]
+        cells = [[row["codec"], row["setting"], *(column.shown(row) for column in columns.values())] for row in rows]
         yield f"{entry.frames} frames of {entry.name}:\n"
         yield table(["codec", "setting", *columns], cells)
 
@@ -109,13 +114,13 @@ def paths(run: RunResult) -> Iterator[str]:
     yield table([*heads, *PATHS], cells)
 
 
-def order(*anchors: str) -> RunTable:
-    """Codecs in order of each task over all sequences, with their rates vs. anchors."""
+def order(*anchors: str, of: tuple[str, ...] = ()) -> RunTable:
+    """Codecs, by default all, in order of each task over all sequences, with their rates vs. anchors."""
 
     def content(run: RunResult) -> Iterator[str]:
         rows = []
         for ranking in rankings(run, brief=True):
-            for ranked in ranking.ranked:
+            for ranked in (each for each in ranking.ranked if _named(each.curve, of)):
                 beside = [ranking.evidence(ranked.curve, anchor) for anchor in anchors]
                 saved = ["–" if evidence is None else signed_percent(evidence) for evidence in beside]
                 rows.append([ranking.column.label, ranked.curve, *saved, ", ".join(ranked.ahead_of) or "–"])
@@ -124,22 +129,127 @@ def order(*anchors: str) -> RunTable:
     return content
 
 
-def answer(run: RunResult) -> Iterator[str]:
-    """The figure of localization in the office, and the rates of codecs vs. JPEG over all sequences."""
+def picked(*prefixes: str) -> RunTable:
+    """The pick of each codec, by default of all, over all sequences, with its times and its rate vs. JPEG for equal
+    localization."""
+
+    def content(run: RunResult) -> Iterator[str]:
+        found, ranking = answers(run), located(run)
+        chosen = [each for each in found.answers if _named(each.curve, prefixes)]
+        rows = [_pick(run, found, ranking, each) for each in chosen]
+        yield table(list(rows[0]), [list(row.values()) for row in rows])
+
+    return content
+
+
+def _pick(run: RunResult, found: Answers, ranking: Ranking, each: Answer) -> dict[str, str]:
+    """A row of `picked`; without a pick, of the codec's rate vs. JPEG alone."""
+    evidence, pick = ranking.evidence(each.curve, "jpeg"), each.limit.lowest
+    row = dict.fromkeys(("codec", "setting", "Mbit/s", "localization AUC", "tracked", "encode ms", "decode ms"), "–")
+    row |= {"codec": f"`{each.curve}`", "rate vs. JPEG": "–" if evidence is None else signed_percent(evidence)}
+    if pick is None:
+        return row | {"setting": "none passes" if each.passes is False else "none is known to pass"}
+    seen = measured(pick)
+    encode_ms, decode_ms = (cell(float(f"{ms:.2g}")) for ms in coding_ms(run, found.on, each.curve, pick))
+    return row | {
+        "setting": f"`{pick.point}`" if pick.point else "–", "Mbit/s": rate_cell(run, found.on, each.curve, pick)[1],
+        "localization AUC": seen["located"], "tracked": seen["runs"], "encode ms": encode_ms, "decode ms": decode_ms,
+    }  # fmt: skip
+
+
+def judged(curve: str) -> RunTable:
+    """Every setting of a codec, means over all sequences, from the most rate to the least, and whether it passes."""
+
+    def content(run: RunResult) -> Iterator[str]:
+        found = answers(run)
+        (limit,) = [each.limit for each in found.answers if each.curve == curve]
+        rows = []
+        for test in limit.settings:
+            auc, success = (
+                _of(run, f"{curve} {test.point}", name) for name in ("localization.located_auc", "trajectory.success")
+            )
+            tracked = f"{100 * success.mean():.0f} %"
+            rate = rate_cell(run, found.on, curve, test)[1]
+            rows.append([f"`{test.point}`", rate, f"{auc.mean():.3f}", f"{auc.min():.3f}", tracked, test.verdict])
+        yield table(["setting", "Mbit/s", "localization AUC", "of the worst scene", "tracked", "verdict"], rows)
+
+    return content
+
+
+def _named(curve: str, prefixes: tuple[str, ...]) -> bool:
+    """Whether a curve is of one of these codecs, or of all if there are none."""
+    return not prefixes or any(f"{curve} ".startswith(f"{prefix} ") for prefix in prefixes)
+
+
+def _of(run: RunResult, words: str, metric: str) -> NDArray[np.float64]:
+    """The first statistic of a metric on all sequences, for a codec with exactly these parameters."""
+    codec, *parameters = words.split()
+    rows = [
+        one == codec and {*parameters} == {*setting.split()}
+        for one, setting in zip(run.wide["codec"], run.wide["setting"], strict=True)
+    ]
+    (name, *_) = (str(name) for name in run.wide if str(name).startswith(f"{metric}."))
+    return run.wide[rows][name].to_numpy(float)
+
+
+def located(run: RunResult) -> Ranking:
+    """Codecs by localization over all sequences."""
+    return next(each for each in rankings(run, brief=True) if each.column.name == "localization.located_auc.mean")
+
+
+def reference(run: RunResult) -> Iterator[str]:
+    """The figure of localization in the office, all settings on all sequences as a CSV file, and the picks."""
     with tempfile.TemporaryDirectory() as folder:
         command("plot", str(run.folder), "--out", folder)
         shutil.copy(Path(folder) / "office-rate-located_auc.svg", IMAGES / "localization.svg")
-    ranking = next(each for each in rankings(run, brief=True) if each.column.name == "localization.located_auc.mean")
-    rows = []
-    for ranked in ranking.ranked:
-        evidence = ranking.evidence(ranked.curve, "jpeg")
-        if evidence and all(len(each) > 1 for each in ranked.settings.values()):
-            better = "yes" if "jpeg" in ranked.ahead_of else "not shown"
-            rows.append([f"`{ranked.curve.partition(' ')[0]}`", signed_percent(evidence), better])
+    keys = ["sequence", "codec", "setting"]
+    columns = [column.name for column in (CODING | TASKS | PATHS).values() if column.name in run.wide]
+    run.wide[[*keys, *dict.fromkeys(columns)]].to_csv(CSV, index=False, float_format="%.5g")
+    yield "![Localization over the rate, one line a codec](images/localization.svg)\n"
+    yield from picked()(run)
+    yield f"All settings on all sequences: [{CSV.name}](tables/{CSV.name}), {len(run.wide)} rows."
+
+
+def uses(run: RunResult) -> Iterator[str]:
+    """Of the picks the one of least rate, of least rate whose frames stand alone, of least time, and of features."""
+    found, ranking = answers(run), located(run)
+    rows = {each.curve: _pick(run, found, ranking, each) for each in found.answers if each.limit.lowest}
+    chosen = {
+        "Least rate": next(iter(rows)),
+        "Each frame stands alone": next(
+            curve for curve in rows if issubclass(installed().load("codec", curve.split()[0]), Codec)
+        ),
+        "Least encoding time": min(rows, key=lambda curve: float(rows[curve]["encode ms"])),
+        "Features, no picture": next(curve for curve in rows if curve.startswith("orb_features")),
+    }
+    shown = ("use", "codec", "setting", "Mbit/s", "localization AUC", "encode ms")
     yield "![Localization over the rate, one line a codec](docs/images/localization.svg)\n"
-    names = ", ".join(entry.name for entry in run.plan.sequences)
-    yield f"Rate vs. JPEG for equal localization, over {len(run.plan.sequences)} sequences ({names}):\n"
-    yield table(["codec", "rate vs. JPEG", "significantly better"], rows)
+    yield table(shown, [[use, *(rows[curve][head] for head in shown[1:])] for use, curve in chosen.items()])
+
+
+def efforts(run: RunResult) -> Iterator[str]:
+    """Of codecs with two curves what the slower one saves for equal features kept, and the encoding times of both."""
+    (ranking,) = [each for each in rankings(run, brief=True) if len(each.sequences) > 1]
+    ms = {ranked.curve: _encode_ms(run, ranked) for ranked in ranking.ranked}
+    rows = []
+    for fast, slow in combinations(sorted(ms, key=ms.__getitem__), 2):
+        (codec, *of_fast), (other, *of_slow) = fast.split(), slow.split()
+        if codec == other and (evidence := ranking.evidence(slow, fast)):
+            better = (
+                "yes" if any(fast in each.ahead_of for each in ranking.ranked if each.curve == slow) else "not shown"
+            )
+            efforts = [
+                f"`{' '.join(words)}`, {float(f'{ms[name]:.2g}'):g} ms"
+                for words, name in ((of_fast, fast), (of_slow, slow))
+            ]
+            rows.append([f"`{codec}`", *efforts, signed_percent(evidence), better])
+    yield table(["codec", "fast", "slow", "rate of slow vs. fast", "significantly better"], sorted(rows))
+
+
+def _encode_ms(run: RunResult, ranked: Ranked) -> float:
+    """The mean over sequences and settings of a curve."""
+    points = {point for names in ranked.settings.values() for point in names}
+    return float(np.mean([_of(run, f"{ranked.curve} {point}", "timing.encode_cpu_ms").mean() for point in points]))
 
 
 def followers(run: RunResult) -> Iterator[str]:
@@ -164,10 +274,14 @@ def followers(run: RunResult) -> Iterator[str]:
     yield f"{len(lossy)} lossy settings of {lossy['codec'].nunique()} codecs on {run.plan.sequences[0].frames} frames."
 
 
-def chosen_over_link(run: RunResult) -> Iterator[str]:
-    """What `codecbench choose` says over a telemetry radio, without its headings."""
-    words = ("--link", "telemetry_900mhz", "--error", "35cm", "--all", "--format", "markdown")
-    yield re.sub(r"^### .*\n\n", "", command("choose", str(run.folder), *words), flags=re.MULTILINE).strip()
+def chosen_over_link(*words: str) -> RunTable:
+    """What `codecbench choose` says with these options, without its headings."""
+
+    def content(run: RunResult) -> Iterator[str]:
+        printed = command("choose", str(run.folder), *words, "--format", "markdown")
+        yield re.sub(r"^### .*\n\n", "", printed, flags=re.MULTILINE).strip()
+
+    return content
 
 
 def command(*words: str) -> str:
@@ -241,6 +355,16 @@ def conditions() -> Iterator[str]:
         size = f"{world.width} x {world.height}, {world.rate_hz:g} Hz"
         rows.append([f"`{name}`", world.about, size, world.frames(0.5, world.rate_hz), ", ".join(scaled)])
     yield table(["world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"], rows)
+
+
+def commands() -> Iterator[str]:
+    """The help of every command, with that of its own commands."""
+    for name in COMMANDS:
+        group = cli.get_command(Context(cli), name)
+        yield f"## {name}\n"
+        for words in [[name], *([name, each] for each in getattr(group, "commands", ()))]:
+            done = CliRunner().invoke(cli, [*words, "--help"], prog_name="codecbench", terminal_width=108)
+            yield f"```\n{done.output}```\n"
 
 
 def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:

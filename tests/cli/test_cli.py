@@ -270,7 +270,7 @@ def test_every_command_is_documented_and_has_help(place: Path) -> None:
         assert f"## {name}" in page, name
         assert name in overview
         for option in set(re.findall(r"^  (--[a-z][a-z-]+)", text, re.MULTILINE)) - {"--help"}:
-            assert option in page.split(f"## {name}")[1].split("\n## ")[0], f"{name} {option}"
+            assert option in page.split(f"\n## {name}\n")[1].split("\n## ")[0], f"{name} {option}"
 
 
 @pytest.mark.thorough

@@ -121,7 +121,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.SUCCESS, "init --from recording --out -", "use: folder"),
     (ExitStatus.WRONG_USE, "init --out tiny.yaml", "is there already"),
     (ExitStatus.NOT_POSSIBLE, "init --out file/m.yaml", "a file is where a folder is expected"),
-    (ExitStatus.SUCCESS, "examples", "decide"),
+    (ExitStatus.SUCCESS, "examples", "reference"),
     (ExitStatus.SUCCESS, "examples first", "jpeg2000"),
     (ExitStatus.WRONG_USE, "examples frist", "did you mean 'first'"),
     (ExitStatus.SUCCESS, "plan tiny.yaml", "cells: 1: 1 done"),

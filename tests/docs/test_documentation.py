@@ -25,7 +25,7 @@ def test_the_tutorial_shows_the_package_that_is_tested(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["pyproject.toml", "codecbench_edges/__init__.py", "codecbench_edges/evaluator.py", "tests/test_edges.py"]
+    "name", ["codecbench_edges/__init__.py", "codecbench_edges/evaluator.py", "tests/test_edges.py"]
 )
 def test_the_guide_shows_the_evaluator_that_is_tested(name: str) -> None:
     assert (THIRD_PARTY / "edges" / name).read_text() in (DOCS / "writing-an-evaluator.md").read_text()

@@ -45,7 +45,7 @@ def test_every_command_is_one_that_the_command_line_takes() -> None:
     assert {"try PATH", "run examples/first.yaml", "report runs/first"} <= commands
     for words in commands:
         name, *rest = shlex.split(words)
-        context = click.Context(cli)
+        context = click.Context(cli, **cli.context_settings)
         command = cli.get_command(context, name)
         assert command is not None, words
         if rest:

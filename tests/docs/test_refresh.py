@@ -41,6 +41,23 @@ def command(*words: str | Path, status: int = 0) -> str:
     return done.stdout
 
 
+LOCATED = """
+version: 1
+name: located
+sequences: [{use: synthetic, params: {world: room, frames: 60, width: 320, height: 240, color: gray}}]
+codecs:
+  - raw
+  - {use: jpeg, params: {quality: {grid: [2, 20, 50, 90]}}}
+  - {use: orb_features, params: {mode: inter}}
+evaluators:
+  - quality
+  - localization
+  - {use: trajectory, params: {start_offsets: [0, 1, 2, 3]}}
+  - {use: timing, params: {frames: 3, repeats: 1}}
+run: {workers: 1}
+"""
+
+
 def table_rows(text: str) -> list[list[str]]:
     """Cells of the rows of a Markdown table, heads first."""
     lines = [line for line in text.splitlines() if line.startswith("| ")]
@@ -84,6 +101,7 @@ def test_a_block_that_was_edited_or_whose_figure_was_is_named(root: Path) -> Non
     assert [line.partition(";")[0] for line in jobs.check(root)] == [
         "README.md: answer: edited after it was made",
         "docs/first-run.md: first: edited after it was made",
+        "docs/reference-table.md: reference: edited after it was made",
     ]
 
 
@@ -138,6 +156,35 @@ def test_a_run_becomes_a_block_with_the_stamp_of_its_plugins(root: Path, tmp_pat
     assert f"codec jpeg@{blocks.version_today('codec', 'jpeg')}, raw" in stamp
     assert f"evaluator features@{blocks.version_today('evaluator', 'features')}, quality" in stamp
     assert "first-run" not in "\n".join(jobs.check(root))
+
+
+@pytest.mark.thorough
+def test_picks_and_verdicts_are_those_that_codecbench_rank_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "matrix.yaml").write_text(LOCATED)
+    folder = tmp_path / "located"
+    command("-m", "codecbench", "run", tmp_path / "matrix.yaml", "--out", folder, "--quiet")
+    monkeypatch.setenv("COLUMNS", "200")
+    printed = command("-m", "codecbench", "rank", folder)
+    run = codecbench.open_run(folder)
+
+    heads, *picks = table_rows("\n".join(tables.picked()(run)))
+    assert heads[:5] == ["codec", "setting", "Mbit/s", "localization AUC", "tracked"]
+    expected = [re.split(r"  +", line.strip()) for line in printed.splitlines() if re.match(r"(jpeg|orb)\S* ", line)]
+    assert [[row[0], row[1], row[2], row[3]] for row in picks] == [
+        [f"`{codec}`", f"`{setting}`", rate, auc] for codec, setting, rate, _, auc, _ in expected
+    ]
+    assert {row[4] for row in picks} == {"4/4"}
+    assert "In all rows: runs 4/4." in printed
+    times = run.wide.set_index("setting")["timing.encode_wall_ms.median"]
+    assert [float(row[5]) for row in picks] == pytest.approx([times[row[1].strip("`")] for row in picks], rel=0.06)
+    assert table_rows("\n".join(tables.picked("orb_features")(run)))[1:] == picks[1:]
+
+    settings = table_rows("\n".join(tables.judged("jpeg")(run)))[1:]
+    assert [row[0] for row in settings] == [f"`quality={quality}`" for quality in (90, 50, 20, 2)]
+    assert picks[0][1] == [row[0] for row in settings if row[-1] == "passes"][-1]
+    assert f"next coarser {settings[-1][0].strip('`')} fails".split()[-2:] == expected[0][-1].split()
 
 
 def test_rows_that_a_script_printed_become_a_table() -> None:

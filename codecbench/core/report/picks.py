@@ -59,7 +59,7 @@ def _of_answers(run: RunResult, found: Answers) -> Verdict:
                 beside = spent(run, found.on, anchor.curve, anchor.shown)
                 more = 100.0 * (spent(run, found.on, each.curve, setting) / beside - 1.0)
                 row[f"vs. {anchor.curve}"] = "" if each is anchor else f"{rounded(more)} %"
-            row |= _measured(setting)
+            row |= measured(setting)
             row |= {"next coarser": _next(after)} if picked else {"verdict": setting.verdict}
         rows.append(row)
     table = compact(f"The pick of each codec, {found.over}", rows)
@@ -80,7 +80,7 @@ def _costs(run: RunResult, on: str, curve: str, test: Test) -> dict[str, str]:
     return times | dict([rate_cell(run, on, curve, test)])
 
 
-def _measured(test: Test) -> dict[str, str]:
+def measured(test: Test) -> dict[str, str]:
     """What a setting reached by each test that it had to pass; of several tests of one name, the least sure."""
     named = groupby(sorted(parts(test), key=lambda part: part.label), key=lambda part: part.label)
     return dict(_reached(min(alike, key=_sureness)) for _, alike in named)
