@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +25,7 @@ GUIDES = {
     "drift": "writing-a-slam-backend.md",
     "inline": "writing-an-executor.md",
     "turns": "writing-a-link.md",
+    "edges": "writing-an-evaluator.md",
 }
 Call = Callable[..., str]
 
@@ -63,9 +65,24 @@ def _samples(text: str, metric: str) -> list[float]:
 
 @pytest.mark.parametrize("name", GUIDES)
 def test_the_guide_shows_the_package_that_is_tested(name: str) -> None:
-    package = THIRD_PARTY / name
-    for file in [package / "pyproject.toml", *sorted(package.glob("codecbench_*/*.py"))]:
+    for file in sorted((THIRD_PARTY / name).glob("codecbench_*/*.py")):
         assert file.read_text() in _page(name), file
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_the_guide_shows_the_project_that_is_tested_or_how_it_differs_from_the_codecs(name: str) -> None:
+    text = (THIRD_PARTY / name / "pyproject.toml").read_text()
+    if text in _page(name):
+        return
+    assert f"(writing-a-codec.md#the-package), with `{name}` in place of `posterize`" in _page(name)
+    (shown,) = re.findall(r"```toml\n(.*?)```", (DOCS / "writing-a-codec.md").read_text(), re.DOTALL)
+    project, expected = tomllib.loads(text), tomllib.loads(shown.replace("posterize", name))
+    further = [word for word in project["project"]["dependencies"] if word not in expected["project"]["dependencies"]]
+    for word in further:
+        assert f"`{word}` as a second dependency" in " ".join(_page(name).split())
+    expected["project"]["dependencies"] += further
+    expected["project"]["version"] = project["project"]["version"]
+    assert project == expected
 
 
 @pytest.mark.thorough

@@ -70,17 +70,17 @@ def _metrics(prefix: str, finder: str, brief: str) -> tuple[Metric, ...]:
         ),
         Metric(
             f"{prefix}descriptor_distance_bits", "bits", "lower",
-            "mean Hamming distance of descriptors at keypoints found again, 0 to 256",
+            "mean Hamming distance at keypoints found again",
             role="task", label=f"descriptor distance, {finder}",
         ),
         Metric(
             f"{prefix}matches_kept", "1", "higher",
-            "share of the original's matches with the previous frame whose keypoints are found again and match",
+            "share of the original's matches whose keypoints are found again and match",
             role="task", label=f"matches kept, {finder}",
         ),
         Metric(
             f"{prefix}inlier_ratio", "1", "higher",
-            "share of decoded matches with the previous frame near their epipolar lines; 0 for fewer than 8",
+            "share of decoded matches near their epipolar lines; 0 for fewer than 8",
             role="task", label=f"inlier ratio, {finder}",
         ),
     )  # fmt: skip

@@ -17,11 +17,11 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
 
     return (
         Metric(
-            f"{way}_located", "1", "higher", f"1 if the frame is located {how}, else 0",
+            f"{way}_located", "1", "higher", f"1 if located {how}, else 0",
             role="task", label=f"located {how}",
         ),
         Metric(
-            f"{way}_inliers", "1", "higher", f"map points that support the pose if it is right, else 0, {how}",
+            f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
         ),
         task("position_error_mm", "mm", "distance from the true position", "position error"),
@@ -34,7 +34,7 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
 METRICS: Final = (
     Metric(
         "located_auc", "1", "higher",
-        "max(0, 1 - d / L), d the distance from the raw frame's position; its mean is the area under the curve up to L",
+        "max(0, 1 - d / L), d the distance from the raw frame's position",
         role="task", headline=True, label="localisation AUC", brief="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),

@@ -34,14 +34,14 @@ _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 _SUMMARIES = {
     "mults": "multiplications, divisions, remainders, square roots, elementary functions",
     "adds": "additions, subtractions, negations, absolute values, roundings",
-    "bit_ops": "and, or, exclusive or and inversion of integers",
+    "bit_ops": "integer and, or, exclusive or, inversion",
     "comparisons": "comparisons, also in min, max and conditions",
     "shifts": "shifts by any amount",
-    "reads": "loads of an array element (machine: memory operands read, stack included)",
-    "writes": "stores of an array element (machine: memory operands written)",
+    "reads": "array loads (machine: memory operands read, stack included)",
+    "writes": "array stores (machine: memory operands written)",
     "total": "the seven classes together",
     "divisions": "divisions among the multiplications",
-    "index_ops": "arithmetic in brackets, range bounds and array sizes, two per turn of a for loop; in no total",
+    "index_ops": "arithmetic in brackets, range bounds and array sizes, two per for-loop turn; in no total",
 }
 _LABELS = {
     "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",

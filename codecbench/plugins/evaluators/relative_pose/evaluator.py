@@ -69,28 +69,28 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         _task(
             "pose_error_deg", "deg", "lower",
-            "larger of rotation error and error of the translation's direction up to sign; 180 without a motion",
+            "larger of rotation error and translation direction error (up to sign); 180 without a motion",
             "pose error", "median", "p95",
         ),
-        _task("pose_auc_5deg", "1", "higher", "area under the curve of solved pairs up to 5 degrees", "pose AUC to 5°"),
+        _task("pose_auc_5deg", "1", "higher", "max(0, 1 - pose_error_deg / 5)", "pose AUC to 5°"),
         Metric(
-            "pose_auc_10deg", "1", "higher", "area under the curve of solved pairs up to 10 degrees",
+            "pose_auc_10deg", "1", "higher", "max(0, 1 - pose_error_deg / 10)",
             role="task", headline=True, label="pose AUC to 10°", brief="pose AUC",
         ),
-        _task("pose_auc_20deg", "1", "higher", "area under the curve of solved pairs up to 20 degrees",
+        _task("pose_auc_20deg", "1", "higher", "max(0, 1 - pose_error_deg / 20)",
               "pose AUC to 20°"),
         _task(
-            "pose_inliers", "1", "higher", "matches that obey the motion that was found; 0 if none is",
+            "pose_inliers", "1", "higher", "matches that obey the motion found, else 0",
             "matches behind the pose",
         ),
         Metric(
             "correct_matches", "1", "higher",
-            "matches within inlier_px of their epipolar lines in both frames under the true motion",
+            "matches within inlier_px of their true epipolar lines in both frames",
             role="task", headline=True, label="correct matches", brief="matches",
         ),
         _task(
             "matches_lost", "1", "lower",
-            "1 - correct matches / those of the raw pair; negative if more",
+            "1 - correct_matches / the raw pair's",
             "matches lost",
         ),
     )  # fmt: skip

@@ -34,40 +34,40 @@ class Stream(SequenceEvaluator[StreamParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "bits of a frame times the sequence's nominal frame rate",
+            "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
             role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
         ),
-        Metric("mean_frame_bytes", "bytes", "lower", "mean size of a frame", role="rate", scale="log"),
-        Metric("largest_frame_bytes", "bytes", "lower", "size of the largest frame", role="rate", scale="log"),
+        Metric("mean_frame_bytes", "bytes", "lower", "mean frame size", role="rate", scale="log"),
+        Metric("largest_frame_bytes", "bytes", "lower", "largest frame size", role="rate", scale="log"),
         Metric(
             "peak_kbps", "kbit/s", "lower",
-            "greatest rate over any 1 s, in the order of sending",
+            "greatest rate over 1 s, in sending order",
             role="rate", label="peak rate", scale="log",
         ),
         Metric(
-            "intra_to_predicted", "1", "neither", "mean size of frames at which decoding can start over that of others",
+            "intra_to_predicted", "1", "neither", "mean size of keyframes over that of others",
             label="intra to predicted", scale="log",
         ),
         Metric(
             "delay_frames", "frames", "lower",
-            "most frames that the encoder takes after one before it gives that one's packet",
+            "most later frames taken before a frame's packet comes",
             label="frames held back",
         ),
         Metric(
-            "delay_ms", "ms", "lower", "delay_frames at the sequence's frame rate",
+            "delay_ms", "ms", "lower", "delay_frames at the frame rate",
             role="time", headline=True, label="coding delay", brief="delay ms",
         ),
         Metric(
-            "first_packet_frames", "frames", "lower", "frames that the encoder takes after the first before any packet",
+            "first_packet_frames", "frames", "lower", "frames taken after the first before any packet",
             label="frames before the first packet",
         ),
         Metric(
-            "first_packet_ms", "ms", "lower", "first_packet_frames at the sequence's frame rate",
+            "first_packet_ms", "ms", "lower", "first_packet_frames at the frame rate",
             label="wait for the first packet",
         ),
         Metric(
             "joining_frames", "frames", "lower",
-            "frames from joining to the first from which on all are whole, median over joins",
+            "median frames from joining until all later ones are whole",
             headline=True, label="joining", brief="join",
         ),
         Metric(

@@ -84,24 +84,24 @@ class Timing(CodecEvaluator[TimingParams]):
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
         _time(
-            "encode_cpu_ms", "processor time from image to bitstream, all threads",
+            "encode_cpu_ms", "processor time, image to bitstream, all threads",
             "encoding processor time", "enc CPU ms",
         ),
         _time(
-            "decode_cpu_ms", "processor time from bitstream to image, all threads",
+            "decode_cpu_ms", "processor time, bitstream to image, all threads",
             "decoding processor time", "dec CPU ms",
         ),
-        _time("encode_wall_ms", "elapsed time from image to bitstream", "encoding time", "", "encode_cpu_ms"),
-        _time("decode_wall_ms", "elapsed time from bitstream to image", "decoding time", "", "decode_cpu_ms"),
-        _pace("encode_mpix_per_s", "pixels (not samples) over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
-        _pace("decode_mpix_per_s", "pixels (not samples) over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
+        _time("encode_wall_ms", "elapsed time, image to bitstream", "encoding time", "", "encode_cpu_ms"),
+        _time("decode_wall_ms", "elapsed time, bitstream to image", "decoding time", "", "decode_cpu_ms"),
+        _pace("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
+        _pace("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
         _time(
-            "prepare_wall_ms", "elapsed time of the search before an encoding",
+            "prepare_wall_ms", "elapsed time of the search before encoding",
             "preparation time", "", "prepare_cpu_ms",
         ),
-        _time("prepare_cpu_ms", "processor time of the search before an encoding", "preparation processor time"),
+        _time("prepare_cpu_ms", "processor time of the search before encoding", "preparation processor time"),
         Metric(
-            _YARDSTICK_MS, "ms", "neither", "a fixed piece of work, timed beside each frame, to compare machines",
+            _YARDSTICK_MS, "ms", "neither", "fixed work timed beside each frame, to compare machines",
             ("median",), False, label="yardstick",
         ),
     )  # fmt: skip

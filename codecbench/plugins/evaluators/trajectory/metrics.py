@@ -26,7 +26,7 @@ SPREAD: Final = "path_spread_m"
 ACCURACY: Final = (
     Metric(
         "held_ate_m", "m", "lower",
-        "RMS position error over all frames, untracked ones at the last known position",
+        "RMS position error of all frames, untracked ones at the last known position",
         _SPREAD, role="task", headline=True, label="error with positions held", brief="held m", scale="log",
     ),
     Metric(
@@ -38,27 +38,27 @@ ACCURACY: Final = (
     _part("held_tracked_m", "of tracked frames"),
     _part("held_lost_m", "of frames without a pose"),
     Metric(
-        SPREAD, "m", "neither", "RMS distance of the true positions from their mean",
+        SPREAD, "m", "neither", "RMS distance of true positions from their mean",
         _MIDDLE, label="spread of the true path", scale="log",
     ),
-    _error("ate_median_m", "median position error of tracked frames after Sim(3) alignment", "median trajectory error"),
+    _error("ate_median_m", "median of the errors in ate_rmse_m", "median trajectory error"),
     _error(
         "ate_rmse_first_frame_m",
-        "RMS position error in coordinates of the first poses, scaled by the median ratio of norms",
+        "RMS position error relative to the first poses, scaled by the median norm ratio",
         "error from the first frame",
     ),
     _error(
-        "ate_before_loops_m", "ate_rmse_m of the poses before loop closing moved them, with their own alignment",
+        "ate_before_loops_m", "ate_rmse_m of poses before loop closing, aligned anew",
         "error before loops",
     ),
     _error(
-        "rpe_trans_m", "RMS translation error of motions over rpe_interval_s, at the alignment's scale",
+        "rpe_trans_m", "RMS translation error over rpe_interval_s, at the alignment's scale",
         "drift of position",
     ),
-    _error("rpe_rot_deg", "RMS rotation error of motions over rpe_interval_s", "drift of orientation", unit="deg"),
+    _error("rpe_rot_deg", "RMS rotation error over rpe_interval_s", "drift of orientation", unit="deg"),
     _error(
         "scale_drift",
-        "absolute logarithm of the ratio of scales in the last and first third of tracked frames",
+        "absolute log ratio of scales, last to first third of tracked frames",
         "drift of scale", unit="1",
     ),
 )  # fmt: skip
@@ -66,19 +66,19 @@ ACCURACY: Final = (
 LIVE: Final = (
     Metric(
         "live_position_error_m", "m", "lower",
-        "RMS distance, at each capture, between the true camera position and the newest known one",
+        "RMS distance between true and newest known position at each capture",
         _SPREAD, role="task", headline=True, label="live position error", brief="live m", scale="log", need="error",
     ),
     Metric(
-        "idle_error_m", "m", "neither", "live_position_error_m of a reader that always gives the mean true position",
+        "idle_error_m", "m", "neither", "live_position_error_m of the constant mean true position",
         label="error of a reader that gets nothing", scale="log", need="idle",
     ),
     Metric(
-        "fresh_pose_fraction", "1", "higher", "share of captures at which a pose at most 0.5 s old is known",
+        "fresh_pose_fraction", "1", "higher", "share of captures with a known pose at most 0.5 s old",
         label="moments with a fresh pose", need="fresh",
     ),
     Metric(
-        "first_pose_s", "s", "lower", "from the first capture until a pose is known",
+        "first_pose_s", "s", "lower", "from first capture to first known pose",
         label="time to the first pose",
     ),
     Metric(
@@ -86,14 +86,14 @@ LIVE: Final = (
         label="worst live error", scale="log",
     ),
     Metric(
-        "delivered_fraction", "1", "higher", "share of captured frames that SLAM was given",
+        "delivered_fraction", "1", "higher", "share of captured frames given to SLAM",
         label="delivered share",
     ),
 )  # fmt: skip
 
 BEHAVIOUR: Final = (
     Metric(
-        "tracked_fraction", "1", "higher", "share of all frames with a pose in the final trajectory",
+        "tracked_fraction", "1", "higher", "share of frames with a final pose",
         ("median", "min"),
         headline=True, label="tracked share", brief="tracked",
     ),
@@ -103,27 +103,27 @@ BEHAVIOUR: Final = (
         label="frames before the first map",
     ),
     Metric(
-        "tracked_since_map_fraction", "1", "higher", "share of frames from the first tracked one on with a final pose",
+        "tracked_since_map_fraction", "1", "higher", "share of frames from the first tracked one with a final pose",
         ("median", "min"), label="tracked share since the first map",
     ),
     Metric("first_tracked_frame", "frames", "lower", "index of the first frame with a final pose", _MIDDLE),
-    Metric("times_lost", "1", "lower", "how often a tracked frame is followed by an untracked one", ("median", "max")),
-    Metric("maps", "1", "lower", "maps kept, without those merged into another one", ("median", "max")),
-    Metric("maps_merged", "1", "neither", "maps that became part of another one", ("median", "min")),
+    Metric("times_lost", "1", "lower", "tracked frames followed by an untracked one", ("median", "max")),
+    Metric("maps", "1", "lower", "maps kept, without merged ones", ("median", "max")),
+    Metric("maps_merged", "1", "neither", "maps merged into another", ("median", "min")),
     Metric("keyframes", "1", "neither", "keyframes in the final map", _MIDDLE),
     Metric("map_points", "1", "neither", "points in the final map", _MIDDLE),
     Metric("loops_closed", "1", "higher", "loops closed, without merged maps", ("median", "min")),
-    Metric("loop_frame", "frames", "lower", "index of the frame that closed the first loop", _MIDDLE),
-    Metric("mean_inliers", "1", "higher", "mean map points that support a tracked frame's pose", _MIDDLE),
+    Metric("loop_frame", "frames", "lower", "index of the first loop-closing frame", _MIDDLE),
+    Metric("mean_inliers", "1", "higher", "mean map points behind a tracked pose", _MIDDLE),
     Metric(
         "slam_ms_per_frame", "ms", "lower",
-        "mean time of the backend for a frame, measured beside other work",
+        "mean backend time per frame, beside other work",
         _MIDDLE, False,
         role="time", label="SLAM time", scale="log", need="reading",
     ),
     Metric(
         "sent_size_bytes", "bytes", "lower",
-        "bytes sent: of all frames, of keyframes under atc, or all handed to the link", _MIDDLE,
+        "bytes sent: all frames, keyframes under atc, or all given to the link", _MIDDLE,
         role="rate", label="sent size", scale="log",
     ),
     Metric(
@@ -140,21 +140,21 @@ COMPARED: Final = (
     ),
     Metric(
         "starts_in_time", "1", "higher",
-        "1 if the first map comes at most delay_frames later than in raw's run from the same start, else 0",
+        "1 if the first map comes at most delay_frames after raw's from the same start, else 0",
         role="success", headline=True, label="map starts in time", brief="starts",
     ),
     Metric(
         "raw_path_error_percent", "%", "lower",
-        "without ground truth: RMS distance from raw's path over its length, median over raw's other starts",
+        "without ground truth: RMS distance from raw's path over its length, median over other starts",
         _SPREAD, role="task", headline=True, label="distance from raw's path", brief="off raw %", scale="log",
         caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
     ),
     Metric(
-        "ate_to_raw_m", "m", "lower", "RMS distance from the raw codec's trajectory of the same repeat", _MIDDLE,
+        "ate_to_raw_m", "m", "lower", "RMS distance from raw's trajectory of the same repeat", _MIDDLE,
         role="task", label="distance from the raw trajectory", scale="log",
     ),
     Metric(
-        "ate_minus_raw_m", "m", "lower", "ate_rmse_m less the raw codec's of the same repeat", _SPREAD,
+        "ate_minus_raw_m", "m", "lower", "ate_rmse_m less raw's of the same repeat", _SPREAD,
         role="task", label="error beyond the raw codec's",
     ),
 )  # fmt: skip

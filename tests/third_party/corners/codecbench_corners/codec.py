@@ -1,4 +1,4 @@
-"""A whole codec of features: OpenCV's ORB, deflated with the set before as the dictionary."""
+"""A feature codec: OpenCV's ORB, deflated with the previous set as dictionary."""
 
 import struct
 import zlib
@@ -23,10 +23,10 @@ from codecbench import (
     gray_from_image,
 )
 
-_HEADER = struct.Struct("<4s?HHHI")  # magic, whether it starts, width, height, features, CRC-32 of the set before
+_HEADER = struct.Struct("<4s?HHHI")  # magic, starts, width, height, features, CRC-32 of the previous set
 _CRC_BYTES = 4
 _MOST = 0xFFFF
-_SMALLEST_SIDE = 64  # pixels: on less OpenCV's pyramid runs out of levels
+_SMALLEST_SIDE = 64  # pixels; OpenCV's pyramid needs them
 _FEATURE = np.dtype(
     [("pixel", "<f4", 2), ("octave", "u1"), ("angle", "<f4"), ("response", "<f4"), ("descriptor", "u1", 32)]
 )
@@ -52,7 +52,7 @@ class Corners(FeatureCodec[CornersParams]):
             found, descriptors = cv2.ORB.create(self.params.features).detectAndCompute(gray, None)
         if not found or descriptors is None:
             return Features.none(size)
-        angles = np.radians([point.angle for point in found]).astype(np.float32)  # what will be sent of them
+        angles = np.radians([point.angle for point in found]).astype(np.float32)  # as sent
         return Features(
             size,
             cv2.KeyPoint.convert(found).astype(np.float64),
@@ -107,7 +107,7 @@ class CornersDecoder(FeatureDecoder):
         if starts:
             last = b""
         elif last is None or zlib.crc32(last) != before:
-            return FeatureSet(frame, None)  # it builds on a set that is not here
+            return FeatureSet(frame, None)  # the previous set is lost
         rows = _inflated(content[_HEADER.size :], last, count * _FEATURE.itemsize)
         features = _features((width, height), np.frombuffer(rows, _FEATURE))
         self.last = rows

@@ -1,4 +1,4 @@
-"""A whole codec with memory: what changed since the last picture, deflated, and a whole picture every `gop`."""
+"""A video codec: deflated differences between frames, and a keyframe every `gop`."""
 
 import struct
 import zlib
@@ -23,7 +23,7 @@ from codecbench import (
     check_image,
 )
 
-_HEADER = struct.Struct("<4s?HHB")  # magic, whether it is a whole picture, height, width, channels
+_HEADER = struct.Struct("<4s?HHB")  # magic, keyframe, height, width, channels
 _CRC_BYTES = 4
 _MAX_SIDE = 0xFFFF
 _MAX_SAMPLES = 1 << 27
@@ -102,7 +102,7 @@ class DeltaDecoder(StreamDecoder):
         return []
 
     def _take(self, data: bytes) -> None:
-        """Go on to the picture of a packet where all that it needs is here; else the last picture stands for it."""
+        """Decode a packet if nothing that it needs is lost; else repeat the last frame."""
         whole, self.is_whole = self.is_whole, False
         starts, change = _read(data)
         if starts:
@@ -112,7 +112,7 @@ class DeltaDecoder(StreamDecoder):
 
 
 def _read(data: bytes) -> tuple[bool, Image]:
-    """Whether a packet is a whole picture, and its samples. Raises BitstreamError."""
+    """Return whether a packet is a keyframe, and its samples."""
     content = data[:-_CRC_BYTES]
     if len(content) < _HEADER.size or content[:4] != b"DLTA" or data[-_CRC_BYTES:] != _crc(content):
         raise BitstreamError("delta: damaged, truncated or foreign")

@@ -1,4 +1,4 @@
-"""A whole evaluator: how many edges of each frame survive coding, and whether enough do."""
+"""An evaluator: how many edges of each frame survive coding."""
 
 from collections.abc import Iterator
 

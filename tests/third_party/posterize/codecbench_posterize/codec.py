@@ -1,4 +1,4 @@
-"""A whole codec: fewer bits a sample, then deflate. Shape, setting and checksum travel in the bitstream."""
+"""A codec: fewer bits per sample, deflated."""
 
 import struct
 import zlib

@@ -106,8 +106,8 @@ class Salvaged:
 def salvaged(bitstream: bytes) -> Salvaged:
     """The image of a damaged bitstream: slices that are not intact are gray.
 
-    Damage in a slice reaches up to four rows beyond it, where blocks overlap. Raises BitstreamError where the header is
-    damaged, or there are no restart points.
+    Damage in a slice reaches up to REACH_ROWS rows beyond it, where blocks overlap. Raises BitstreamError where the
+    header is damaged, or there are no restart points.
     """
     header, payloads = unpack_intact(bitstream)
     indices = _no_indices(header)
