@@ -18,12 +18,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from click import Context
-from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from codecbench.cli import COMMANDS, cli
 from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.codec import Codec
@@ -358,13 +355,9 @@ def conditions() -> Iterator[str]:
 
 
 def commands() -> Iterator[str]:
-    """The help of every command, with that of its own commands."""
-    for name in COMMANDS:
-        group = cli.get_command(Context(cli), name)
-        yield f"## {name}\n"
-        for words in [[name], *([name, each] for each in getattr(group, "commands", ()))]:
-            done = CliRunner().invoke(cli, [*words, "--help"], prog_name="codecbench", terminal_width=108)
-            yield f"```\n{done.output}```\n"
+    """The help of every command, from a process of its own: click remembers how help was first asked for."""
+    script = Path(__file__).with_name("command_help.py")
+    yield subprocess.run([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
 def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:
