@@ -19,17 +19,17 @@ from codecbench.paper.measured import Measured
 from codecbench.paper.tables import operation_tables, quality_tables
 
 _DEVIATIONS = (
-    "Sizes of the multi-level method: ours code the table of tuples and its counts with adaptive contexts; the "
-    "paper does not say how it codes them.",
-    "PSNR and SSIM depend on the frames: the paper scores frames 1132 and 2398, which are not on this page's "
-    "sequences.",
-    "JPEG with a quantization factor: the paper's sizes barely fall with QF (153 to 140 KB), which no entropy "
-    "coder of JPEG produces; ours are what baseline JPEG files of these coefficients weigh.",
-    "JPEG 2000 at equal compression ratio: these frames compress better than the paper's, so PSNR is higher at "
-    "the same ratio.",
-    "Times are those of compiled kernels on one core of the machine named above, the paper's are MATLAB's.",
+    "Sizes of the multi-level method: ours code the table of tuples and its counts with adaptive contexts. The paper "
+    "does not say how it codes them.",
+    "PSNR and SSIM depend on the frames. The paper scores frames 1132 and 2398 of freiburg3_long_office_household, "
+    "which are not among ours.",
+    "JPEG with a quantization factor: the paper's sizes barely fall with QF (153 to 140 KB), which no entropy coder of "
+    "JPEG produces. Ours are those of baseline JPEG files of these coefficients.",
+    "JPEG 2000 at equal compression ratio: our frames compress better than the paper's, so PSNR is higher at the same "
+    "ratio.",
+    "Times are those of compiled kernels on one core, the paper's are MATLAB's.",
     "Trajectories: our ORB-SLAM is deterministic and written from the ORB-SLAM papers; the paper used MATLAB's "
-    "example. Ours reports Sim(3)-aligned errors and, as `ate_rmse_first_frame_m`, the paper's way of "
+    "example. We report errors after a similarity alignment and, as `ate_rmse_first_frame_m`, the paper's way of "
     "measuring.",
 )
 
@@ -42,11 +42,10 @@ def write_page(runs: list[RunResult], path: Path) -> list[Path]:
     measured = [Measured(run) for run in runs]
     folder = path.parent / f"{path.stem}-figures"
     figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
-    parts = [*_introduction(runs), *_contradictions(measured), *_frames(runs)]
-    parts += [*quality_tables(measured[0]), *operation_tables(measured[0]), *_limits_introduction(runs)]
-    for of_run in measured:
-        parts += _trajectories(of_run)
-    parts += [*_figures(figures, path), *_closing()]
+    parts = [*_introduction(runs), *contradicted(measured), *_frames(runs)]
+    parts += [*quality_tables(measured[0]), *operation_tables(measured[0]), *tracking_limits(measured)]
+    parts += [*_trajectories(measured)]
+    parts += [*_figures(figures, path), *deviations()]
     write_file(path, "\n".join(parts).encode())
     return [path, *figures]
 
@@ -101,8 +100,9 @@ def _provenance(run: RunResult) -> str:
     )
 
 
-def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
-    if not any(run.headlines("success") for run in runs):
+def tracking_limits(measured: list[Measured]) -> Iterator[str]:
+    """Down to which setting tracking works, by sequence and curve: a table for each run and trajectory evaluator."""
+    if not any(each.run.headlines("success") for each in measured):
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
@@ -111,27 +111,21 @@ def _limits_introduction(runs: list[RunResult]) -> Iterator[str]:
         "starts). A setting holds if the 95 % Wilson interval of its success rate lies above one half. The limit is "
         "the least rate down to which every setting holds.\n"
     )
-
-
-def _trajectories(measured: Measured) -> Iterator[str]:
-    run = measured.run
-    tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
-    untracked = [str(name) for name, most in tracked.items() if most == 0.0]
-    if untracked:
-        yield f"Too short for a first map, with every codec and with raw frames: {escaped(', '.join(untracked))}.\n"
-    for columns in successes(run):
-        rows = [
-            [sequence, curve, *_limit(limit), _paper(curve)]
-            for (sequence, curve), limit in limits(run, columns).items()
-            if sequence not in (POOLED, *untracked)
-        ]
-        if not rows:
-            continue
-        evaluator = columns[0].evaluator.title
-        yield f"### {run.plan.name}, {escaped(evaluator)}\n"
-        heads = ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "below it", "in the paper down to"]
-        yield foreign_table(heads, rows)
-        yield from _errors(measured, evaluator)
+    for run in (each.run for each in measured):
+        tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
+        untracked = [str(name) for name, most in tracked.items() if most == 0.0]
+        if untracked:
+            yield f"Too short for a first map, with every codec and with raw frames: {escaped(', '.join(untracked))}.\n"
+        for columns in successes(run):
+            rows = [
+                [sequence, curve, *_limit(limit), _paper(curve)]
+                for (sequence, curve), limit in limits(run, columns).items()
+                if sequence not in (POOLED, *untracked)
+            ]
+            if rows:
+                yield f"### {run.plan.name}, {escaped(columns[0].evaluator.title)}\n"
+                heads = ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "below it", "in the paper"]
+                yield foreign_table(heads, rows)
 
 
 def _limit(limit: Limit) -> list[object]:
@@ -148,33 +142,23 @@ def _paper(curve: str) -> str:
     return f"{known[0]}={known[1]:g}" if known else "–"
 
 
-def _errors(measured: Measured, evaluator: str) -> Iterator[str]:
+def _trajectories(measured: list[Measured]) -> Iterator[str]:
     """Errors and coverage of every setting, side by side: one without the other misleads."""
+    heads = ["ATE [m]", "95 %", "ATE, first frame [m]", "tracked", "loops", "keyframes", "lost"]
     names = ("ate_rmse_m", "ate_rmse_first_frame_m", "tracked_fraction", "loops_closed", "keyframes", "times_lost")
-    columns = [f"{evaluator}.{name}.median" for name in names]
-    low, high = (f"{evaluator}.ate_rmse_m.{end}" for end in ("ci95_low", "ci95_high"))
-    rows: list[list[object]] = []
-    for row in measured.run.wide.to_dict("records"):
-        values = [float(row.get(column, np.nan)) for column in columns]
-        if values[2] > 0.0:
-            ends = [float(row.get(end, np.nan)) for end in (low, high)]
-            interval = "–" if np.isnan(ends).any() else f"{ends[0]:.3g} to {ends[1]:.3g}"
-            rate = float(row.get("quality.rate_bpp.mean", np.nan))
-            rows.append([row["sequence"], row["codec"], row["setting"], rate, values[0], interval, *values[1:]])
-    heads = [
-        "sequence",
-        "codec",
-        "setting",
-        "bpp",
-        "ATE [m]",
-        "95 %",
-        "ATE, first frame [m]",
-        "tracked",
-        "loops",
-        "keyframes",
-        "lost",
-    ]
-    yield foreign_table(heads, rows)
+    for run in (each.run for each in measured):
+        for evaluator in (columns[0].evaluator.title for columns in successes(run)):
+            rows: list[list[object]] = []
+            for row in run.wide.to_dict("records"):
+                values = [float(row.get(f"{evaluator}.{name}.median", np.nan)) for name in names]
+                if values[2] > 0.0:
+                    ends = [float(row.get(f"{evaluator}.ate_rmse_m.ci95_{end}", np.nan)) for end in ("low", "high")]
+                    interval = "–" if np.isnan(ends).any() else f"{ends[0]:.3g} to {ends[1]:.3g}"
+                    rate = float(row.get("quality.rate_bpp.mean", np.nan))
+                    rows.append([row["sequence"], row["codec"], row["setting"], rate, values[0], interval, *values[1:]])
+            if rows:
+                yield f"### Trajectories of {run.plan.name}, {escaped(evaluator)}\n"
+                yield foreign_table(["sequence", "codec", "setting", "bpp", *heads], rows)
     yield f"The paper gives {facts.RAW_RMSE} for raw frames, without a unit, over the whole sequence with its loop.\n"
 
 
@@ -186,13 +170,15 @@ def _figures(figures: list[Path], page: Path) -> Iterator[str]:
             yield f"![{path.stem.replace('-', ', ').replace('_', ' ')}]({path.relative_to(page.parent)})\n"
 
 
-def _contradictions(measured: list[Measured]) -> Iterator[str]:
+def contradicted(measured: list[Measured]) -> Iterator[str]:
+    """The paper's contradictions, and what the runs say of each."""
     yield "## Where the paper contradicts itself\n"
     for number, (title, statement, measurements) in enumerate(contradictions(measured), start=1):
         yield f"{number}. **{title}.** {statement} Found:\n"
         yield "\n".join(f"    - {measurement}" for measurement in measurements) + "\n"
 
 
-def _closing() -> Iterator[str]:
+def deviations() -> Iterator[str]:
+    """What differs from the paper, and why."""
     yield "## Deviations and their causes\n"
     yield "\n".join(f"- {line}" for line in _DEVIATIONS) + "\n"

@@ -5,7 +5,7 @@ python docs/refresh --check       exit status 1 if a block was made by other ver
 
 CODECBENCH_DATA names the folder of fr3_office_715, fr3_png16, kitti00_half, sevenscenes_400 and kodak. Cut, it goes on
 with the same command. A script runs again if its plugins have other versions, or if its file in the folder of --work is
-gone. docs/reproduction.md is not among them: `codecbench reproduce` writes it.
+gone.
 """
 
 from __future__ import annotations

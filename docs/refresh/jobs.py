@@ -29,7 +29,8 @@ FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "
                 *(("evaluator", name) for name in ("quality", "features", "operations", "timing")))  # fmt: skip
 TRIED: Final = (*SLAM, ("codec", "h264"), ("codec", "jpeg"), ("evaluator", "localization"), ("evaluator", "trajectory"))
 
-MATRICES: Final = ("first", "reference", "effort", "joining", "context", "tasks", "link", "link_room", "worlds")
+MATRICES: Final = ("first", "reference", "effort", "joining", "context", "tasks", "link", "link_room", "worlds",
+                   "paper", "paper_loops")  # fmt: skip
 """Of examples/."""
 
 
@@ -111,6 +112,7 @@ BLOCKS: Final = {
         "docs/pictures-or-features.md", ("reference",),
         tables.order("jpeg", "h264", of=("jpeg", "h264", "orb_features")),
     ),
+    "paper": Block("docs/reproduction.md", ("paper", "paper_loops"), tables.paper),
     "streams-joining": Block("docs/video.md", ("joining",), tables.settings(tables.JOINING)),
     "context-order": Block("docs/multilevel.md", ("context",), tables.order("jpeg")),
     "follow": Block("docs/task-metrics.md", ("tasks",), tables.followers),

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
@@ -31,11 +32,13 @@ from codecbench.core.report.costs import coding_ms, rate_cell
 from codecbench.core.report.formatting import signed_percent
 from codecbench.core.report.picks import measured
 from codecbench.core.report.tables import cell, table
+from codecbench.paper.measured import Measured
+from codecbench.paper.page import contradicted, deviations, tracking_limits
 from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 
 IMAGES: Final = Path(__file__).parents[1] / "images"
-CSV: Final = Path(__file__).parents[1] / "tables" / "reference.csv"
+CSVS: Final = Path(__file__).parents[1] / "tables"
 Row = dict[str, Any]
 RunTable = Callable[..., Iterator[str]]
 
@@ -104,11 +107,21 @@ def settings(columns: dict[str, Column]) -> RunTable:
 
 
 def paths(run: RunResult) -> Iterator[str]:
-    """One row for each sequence and setting, of `trajectory`."""
-    heads = ("sequence", "codec", "setting")
-    rows = [{str(k): v for k, v in row.items()} for row in run.wide.to_dict("records")]
-    cells = [[*(row[head] for head in heads), *(column.shown(row) for column in PATHS.values())] for row in rows]
-    yield table([*heads, *PATHS], cells)
+    """One row for each sequence, setting and, if there are several, backend, of `trajectory`."""
+    heads = ["sequence", "codec", "setting"]
+    titles = [
+        name.partition(".")[0] for name in map(str, run.wide) if re.match(r"trajectory\b.*\.success\.mean$", name)
+    ]
+    several = len(titles) > 1
+    rows = []
+    for row in run.wide.to_dict("records"):
+        for title in titles:
+            values = {str(name).replace(f"{title}.", "trajectory."): value for name, value in row.items()}
+            backend = [title.partition("=")[2].strip("()")] if several else []
+            rows.append(
+                [*(row[head] for head in heads), *backend, *(column.shown(values) for column in PATHS.values())]
+            )
+    yield table([*heads, *(["backend"] if several else []), *PATHS], rows)
 
 
 def order(*anchors: str, of: tuple[str, ...] = ()) -> RunTable:
@@ -195,16 +208,37 @@ def located(run: RunResult) -> Ranking:
 
 
 def reference(run: RunResult) -> Iterator[str]:
-    """The figure of localization in the office, all settings on all sequences as a CSV file, and the picks."""
+    """The figure of localization in the office, and the picks."""
+    yield _figure(run, "office-rate-located_auc", "localization", "Localization over the rate, one line a codec")
+    yield from picked()(run)
+    yield _everything("reference", run)
+
+
+def paper(run: RunResult, loops: RunResult) -> Iterator[str]:
+    """The paper's contradictions, down to which setting tracking works, and what differs from the paper."""
+    both = [Measured(run), Measured(loops)]
+    yield from chain(contradicted(both), tracking_limits(both))
+    yield _figure(loops, "kitti00_half-rate-ate_rmse_m", "paper", "Error of the road's trajectory over the rate")
+    yield _everything("paper", run, loops) + "\n"
+    yield from deviations()
+
+
+def _figure(run: RunResult, name: str, image: str, title: str) -> str:
+    """A figure of `codecbench plot`, kept as an image of the docs."""
     with tempfile.TemporaryDirectory() as folder:
         command("plot", str(run.folder), "--out", folder)
-        shutil.copy(Path(folder) / "office-rate-located_auc.svg", IMAGES / "localization.svg")
+        shutil.copy(Path(folder) / f"{name}.svg", IMAGES / f"{image}.svg")
+    return f"![{title}](images/{image}.svg)\n"
+
+
+def _everything(name: str, *runs: RunResult) -> str:
+    """A CSV file of all settings on all sequences of runs, and what links it."""
     keys = ["sequence", "codec", "setting"]
-    columns = [column.name for column in (CODING | TASKS | PATHS).values() if column.name in run.wide]
-    run.wide[[*keys, *dict.fromkeys(columns)]].to_csv(CSV, index=False, float_format="%.5g")
-    yield "![Localization over the rate, one line a codec](images/localization.svg)\n"
-    yield from picked()(run)
-    yield f"All settings on all sequences: [{CSV.name}](tables/{CSV.name}), {len(run.wide)} rows."
+    rows = pd.concat([run.wide for run in runs])
+    wanted = dict.fromkeys(column.name for column in (CODING | TASKS | PATHS).values())
+    columns = [name for one in wanted for name in rows if re.sub(r"\(.*?\)", "", str(name)) == one]
+    rows[[*keys, *columns]].to_csv(CSVS / f"{name}.csv", index=False, float_format="%.5g")
+    return f"All settings on all sequences: [{name}.csv](tables/{name}.csv), {len(rows)} rows."
 
 
 def uses(run: RunResult) -> Iterator[str]:

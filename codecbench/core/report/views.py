@@ -205,8 +205,8 @@ PALETTE: Final = (
     "#56B4E9", "#882255",
 )  # fmt: skip
 """Six colors of Okabe and Ito, which color-blind readers can tell apart, and six that go with them."""
-_SEED: Final = 11_321_003
-"""Of the hash that gives names their colors: one by which codecs differ that are often compared with each other."""
+_SEED: Final = 11_705_624
+"""Of the hash that gives names their colors: one by which those of examples/reference.yaml differ."""
 NEUTRAL: Final = "#777777"
 """What others are compared with: baseline codecs, ground truth."""
 FAILED: Final = "#a02020"
