@@ -32,16 +32,16 @@ Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 
 _SUMMARIES = {
-    "mults": "multiplications, divisions, remainders, square roots, elementary functions",
-    "adds": "additions, subtractions, negations, absolute values, roundings",
-    "bit_ops": "integer and, or, exclusive or, inversion",
-    "comparisons": "comparisons, also in min, max and conditions",
-    "shifts": "shifts by any amount",
-    "reads": "array loads (machine: memory operands read, stack included)",
-    "writes": "array stores (machine: memory operands written)",
-    "total": "the seven classes together",
-    "divisions": "divisions among the multiplications",
-    "index_ops": "arithmetic in brackets, range bounds and array sizes, two per for-loop turn; in no total",
+    "mults": "also divisions, remainders, square roots, elementary functions",
+    "adds": "also subtractions, negations, absolute values, roundings",
+    "bit_ops": "integer and, or, xor, not",
+    "comparisons": "also in min, max and conditions",
+    "shifts": "by any amount",
+    "reads": "array loads (machine: memory operands, stack included)",
+    "writes": "array stores (machine: memory operands)",
+    "total": "all seven classes",
+    "divisions": "among the multiplications",
+    "index_ops": "in brackets, range bounds, array sizes; two per for-loop turn; in no total",
 }
 _LABELS = {
     "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",

@@ -34,7 +34,7 @@ class Stream(SequenceEvaluator[StreamParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
+            "bitrate_kbps", "kbit/s", "lower", "frame bits times nominal frame rate",
             role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
         ),
         Metric("mean_frame_bytes", "bytes", "lower", "mean frame size", role="rate", scale="log"),
@@ -45,12 +45,12 @@ class Stream(SequenceEvaluator[StreamParams]):
             role="rate", label="peak rate", scale="log",
         ),
         Metric(
-            "intra_to_predicted", "1", "neither", "mean size of keyframes over that of others",
+            "intra_to_predicted", "1", "neither", "mean size, keyframes over others",
             label="intra to predicted", scale="log",
         ),
         Metric(
             "delay_frames", "frames", "lower",
-            "most later frames taken before a frame's packet comes",
+            "most later frames taken before a frame's packet",
             label="frames held back",
         ),
         Metric(
@@ -58,7 +58,7 @@ class Stream(SequenceEvaluator[StreamParams]):
             role="time", headline=True, label="coding delay", brief="delay ms",
         ),
         Metric(
-            "first_packet_frames", "frames", "lower", "frames taken after the first before any packet",
+            "first_packet_frames", "frames", "lower", "taken after the first before any packet",
             label="frames before the first packet",
         ),
         Metric(
@@ -67,11 +67,11 @@ class Stream(SequenceEvaluator[StreamParams]):
         ),
         Metric(
             "joining_frames", "frames", "lower",
-            "median frames from joining until all later ones are whole",
+            "median frames until all later ones are whole",
             headline=True, label="joining", brief="join",
         ),
         Metric(
-            "joining_worst_frames", "frames", "lower", "joining_frames of the worst join", label="joining, worst",
+            "joining_worst_frames", "frames", "lower", "of the worst join", label="joining, worst",
         ),
     )  # fmt: skip
 
