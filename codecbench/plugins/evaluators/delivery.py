@@ -31,7 +31,7 @@ _UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
     "late": ("older than deadline_ms, or after a newer one", "too late"),
     "lost": ("sent but never whole", "lost on the way"),
     "broken": ("whole, but depend on one not whole", "broken by an earlier loss"),
-    "skipped": ("for want of time or rate", "never sent"),
+    "skipped": ("no time or rate left", "never sent"),
 }
 
 
@@ -93,8 +93,8 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         ),
         Metric(
             "partial_whole_share", "1", "higher",
-            "undamaged pixels of those in part",
-            label="as sent of those in part",
+            "mean share over those in part",
+            label="undamaged pixels",
         ),
         *(
             Metric(f"{outcome}_share", "1", "lower", summary, label=label, need="cause")
@@ -116,9 +116,9 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             "with headers, redundancy and retransmissions",
             role="rate", label="sent over the link", scale="log",
         ),
-        Metric("wasted_share", "1", "lower", "sent bytes for frames not on time", label="sent in vain"),
-        Metric("packets_sent", "1", "neither", "given to the link"),
-        Metric("packets_arrived", "1", "neither", "in time or late"),
+        Metric("wasted_share", "1", "lower", "sent bytes for frames not on time"),
+        Metric("packets_sent", "1", "neither", "over the link, late ones included"),
+        Metric("packets_arrived", "1", "neither", "over the link, late ones included"),
         Metric("packets_late", "1", "lower", "arrived after their frame's deadline_ms"),
         Metric("packets_lost", "1", "lower", "lost by the link"),
         Metric("packets_dropped", "1", "lower", "dropped by the queue"),

@@ -24,16 +24,16 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
             f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
         ),
-        task("position_error_mm", "mm", "distance from the true position", "position error"),
-        task("rotation_error_deg", "deg", "angle from the true orientation", "rotation error"),
-        task("position_to_raw_mm", "mm", "distance from raw's position", "position beside raw"),
-        task("rotation_to_raw_deg", "deg", "angle from raw's orientation", "rotation beside raw"),
+        task("position_error_mm", "mm", "distance from the truth", "position error"),
+        task("rotation_error_deg", "deg", "angle from the truth", "rotation error"),
+        task("position_to_raw_mm", "mm", "distance from raw's", "position beside raw"),
+        task("rotation_to_raw_deg", "deg", "angle from raw's", "rotation beside raw"),
     )  # fmt: skip
 
 
 METRICS: Final = (
     Metric(
-        "located_auc", "1", "higher", "max(0, 1 - d / L), d the distance from raw's position",
+        "located_auc", "1", "higher", "max(0, 1 - tracked_position_to_raw_mm / L)",
         role="task", headline=True, label="localization AUC", brief="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),

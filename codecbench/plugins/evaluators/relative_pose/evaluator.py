@@ -81,7 +81,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         _task("pose_auc_20deg", "1", "higher", _AUC, "pose AUC to 20°"),
         _task(
             "pose_inliers", "1", "higher", "matches that fit the motion, else 0",
-            "matches behind the pose",
+            "pose inliers",
         ),
         Metric(
             "correct_matches", "1", "higher",

@@ -37,8 +37,8 @@ class Stream(SequenceEvaluator[StreamParams]):
             "bitrate_kbps", "kbit/s", "lower", "frame bits times nominal frame rate",
             role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
         ),
-        Metric("mean_frame_bytes", "bytes", "lower", "mean frame size", role="rate", scale="log"),
-        Metric("largest_frame_bytes", "bytes", "lower", "largest frame size", role="rate", scale="log"),
+        Metric("mean_frame_bytes", "bytes", "lower", "frame size", role="rate", scale="log"),
+        Metric("largest_frame_bytes", "bytes", "lower", "frame size", role="rate", scale="log"),
         Metric(
             "peak_kbps", "kbit/s", "lower",
             "greatest rate over 1 s, in sending order",

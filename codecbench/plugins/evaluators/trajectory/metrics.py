@@ -26,7 +26,7 @@ SPREAD: Final = "path_spread_m"
 ACCURACY: Final = (
     Metric(
         "held_ate_m", "m", "lower",
-        "RMS position error of all frames, untracked ones at the last known position",
+        "RMS position error, untracked frames at the last known position",
         _SPREAD, role="task", headline=True, label="error with positions held", brief="held m", scale="log",
     ),
     Metric(
@@ -35,8 +35,8 @@ ACCURACY: Final = (
         headline=True, label="trajectory error", brief="ATE m", scale="log",
     ),
     _part("held_waiting_m", "before the first pose"),
-    _part("held_tracked_m", "of tracked frames"),
-    _part("held_lost_m", "of frames without a pose"),
+    _part("held_tracked_m", "while tracked"),
+    _part("held_lost_m", "while lost"),
     Metric(
         SPREAD, "m", "neither", "RMS distance of true positions from their mean",
         _MIDDLE, label="spread of the true path", scale="log",
@@ -71,15 +71,15 @@ LIVE: Final = (
     ),
     Metric(
         "idle_error_m", "m", "neither", "live_position_error_m of the mean true position",
-        label="error of a reader that gets nothing", scale="log", need="idle",
+        label="idle error", scale="log", need="idle",
     ),
     Metric(
         "fresh_pose_fraction", "1", "higher", "captures with a known pose at most 0.5 s old",
         label="moments with a fresh pose", need="fresh",
     ),
     Metric(
-        "first_pose_s", "s", "lower", "first capture to first known pose",
-        label="time to the first pose",
+        "first_pose_s", "s", "lower", "time from the first capture",
+        label="first pose",
     ),
     Metric(
         "live_error_max_m", "m", "lower", "largest distance in live_position_error_m",
@@ -149,11 +149,11 @@ COMPARED: Final = (
         caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
     ),
     Metric(
-        "ate_to_raw_m", "m", "lower", "RMS distance from raw's, same repeat", _MIDDLE,
-        role="task", label="distance from the raw trajectory", scale="log",
+        "ate_to_raw_m", "m", "lower", "RMS to raw's trajectory, same repeat", _MIDDLE,
+        role="task", label="distance from raw", scale="log",
     ),
     Metric(
         "ate_minus_raw_m", "m", "lower", "ate_rmse_m less raw's, same repeat", _SPREAD,
-        role="task", label="error beyond the raw codec's",
+        role="task", label="error beyond raw's",
     ),
 )  # fmt: skip
