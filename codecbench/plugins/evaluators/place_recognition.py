@@ -71,11 +71,11 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "recall_at_1", "1", "higher", "1 if one of the N most similar raw frames shows the place, else 0",
+            "recall_at_1", "1", "higher", "1 if the place is among the N most similar, else 0",
             role="task", label="places found first",
         ),
         Metric(
-            "recall_at_5", "1", "higher", "1 if one of the N most similar raw frames shows the place, else 0",
+            "recall_at_5", "1", "higher", "1 if the place is among the N most similar, else 0",
             role="task", label="places found among five",
         ),
         Metric(

@@ -26,8 +26,8 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
         ),
         task("position_error_mm", "mm", "distance from the truth", "position error"),
         task("rotation_error_deg", "deg", "angle from the truth", "rotation error"),
-        task("position_to_raw_mm", "mm", "distance from raw's", "position beside raw"),
-        task("rotation_to_raw_deg", "deg", "angle from raw's", "rotation beside raw"),
+        task("position_to_raw_mm", "mm", "distance from raw", "position beside raw"),
+        task("rotation_to_raw_deg", "deg", "angle from raw", "rotation beside raw"),
     )  # fmt: skip
 
 

@@ -70,7 +70,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         _task(
             "pose_error_deg", "deg", "lower",
-            "larger of rotation and translation direction error (up to sign); 180 without a motion",
+            "larger of rotation and translation direction error (up to sign); 180 without motion",
             "pose error", "median", "p95",
         ),
         _task("pose_auc_5deg", "1", "higher", _AUC, "pose AUC to 5°"),

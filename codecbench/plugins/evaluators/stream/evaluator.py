@@ -41,7 +41,7 @@ class Stream(SequenceEvaluator[StreamParams]):
         Metric("largest_frame_bytes", "bytes", "lower", "frame size", role="rate", scale="log"),
         Metric(
             "peak_kbps", "kbit/s", "lower",
-            "greatest rate over 1 s, in sending order",
+            "over 1 s, in sending order",
             role="rate", label="peak rate", scale="log",
         ),
         Metric(
@@ -63,7 +63,7 @@ class Stream(SequenceEvaluator[StreamParams]):
         ),
         Metric(
             "first_packet_ms", "ms", "lower", "first_packet_frames at the frame rate",
-            label="wait for the first packet",
+            label="first packet",
         ),
         Metric(
             "joining_frames", "frames", "lower",

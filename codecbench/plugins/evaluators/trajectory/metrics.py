@@ -31,7 +31,7 @@ ACCURACY: Final = (
     ),
     Metric(
         "ate_rmse_m", "m", "lower",
-        "ATE: RMS position error of tracked frames after Sim(3) alignment", _SPREAD,
+        "ATE: RMS position error of tracked frames", _SPREAD,
         headline=True, label="trajectory error", brief="ATE m", scale="log",
     ),
     _part("held_waiting_m", "before the first pose"),
@@ -41,7 +41,7 @@ ACCURACY: Final = (
         SPREAD, "m", "neither", "RMS distance of true positions from their mean",
         _MIDDLE, label="spread of the true path", scale="log",
     ),
-    _error("ate_median_m", "median of the errors in ate_rmse_m", "median trajectory error"),
+    _error("ate_median_m", "median instead of RMS", "median trajectory error"),
     _error(
         "ate_rmse_first_frame_m",
         "relative to the first poses, scaled by the median norm ratio",
@@ -75,7 +75,7 @@ LIVE: Final = (
     ),
     Metric(
         "fresh_pose_fraction", "1", "higher", "captures with a known pose at most 0.5 s old",
-        label="moments with a fresh pose", need="fresh",
+        label="fresh pose share", need="fresh",
     ),
     Metric(
         "first_pose_s", "s", "lower", "time from the first capture",
