@@ -367,9 +367,8 @@ def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:
     """The metrics that an evaluator declares, or that a tuple of its module `metrics` lists.
 
     Metrics share a row if nothing but the ends of their labels and summaries differs, from the last comma on, or if
-    they have one summary, and labels without a comma. Ends of labels that equal those of the last such row are left
-    out. Headlines are bold. No unit is a pure number, no label the name in words, no role `behaviour`; a role that all
-    have stands in the head.
+    they have one summary, and labels without a comma. Headlines are bold. No unit is a pure number; a role of all
+    stands in the head.
     """
 
     def content() -> Iterator[str]:
@@ -386,22 +385,14 @@ def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:
             yield "| metric | label | unit | role | definition |\n|---|---|---|---|---|"
         else:
             yield f"| metric | label | unit | definition (role `{', '.join(common)}`) |\n|---|---|---|---|"
-        last: list[str] = []
         for (label, summary, unit, better, role), alike in rows.items():
-            first, *others = alike
-            named = first.label
-            if others:
-                ends = [metric.label.removeprefix(f"{label}, ") for metric in alike]
-                named = label if label and ends == last else "; ".join([named, *ends[1:]])
-                last = ends
-            elif named == Metric(first.name, unit, first.better, "").label:
-                named = ""
+            ends = [metric.label.removeprefix(f"{label}, ") for metric in alike[1:]]
             cells = [
                 ", ".join(f"**`{metric.name}`**" if metric.headline else f"`{metric.name}`" for metric in alike),
-                named,
+                "; ".join([alike[0].label, *ends]),
                 f"{unit.removeprefix('1')} {_ARROWS[better]}".strip(),
-                *([role.removeprefix("behaviour")] if len(common) > 1 else []),
-                first.summary if len({metric.summary for metric in alike}) == 1 else summary,
+                *([role] if len(common) > 1 else []),
+                alike[0].summary if len({metric.summary for metric in alike}) == 1 else summary,
             ]
             yield f"| {' | '.join(cells)} |"
 

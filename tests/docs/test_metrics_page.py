@@ -9,7 +9,6 @@ import pytest
 from project import DOCS
 
 from codecbench.core.contracts.evaluator import Evaluator
-from codecbench.core.contracts.metric import Metric
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.evaluators import codecbench_evaluators
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
@@ -47,29 +46,21 @@ class Row:
 
 
 def rows(evaluator: type[Evaluator]) -> list[Row]:
-    """Where a row leaves it out: the role of the table's head or `behaviour`, the unit 1, the label that a name gives,
-    and the ends of labels of the last shared row."""
-    found, common, ends = [], "", [""]
+    """Where a row leaves it out: the role of the table's head, and the unit 1."""
+    found, common = [], ""
     for line in SECTIONS[evaluator.name].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if cells[:3] == ["metric", "label", "unit"]:
             common = "".join(re.findall(r"^definition \(role `(\w+)`\)$", cells[3]))
-            ends = [""]
             assert common or cells[3:] == ["role", "definition"]
         elif re.match(r"\**`\w+`", cells[0]) and len(cells) == (4 if common else 5):
             names = tuple(re.findall(r"`(\w+)`", cells[0]))
             arrow = cells[2][-1:] if cells[2][-1:] in ARROWS else ""
             unit = cells[2].removesuffix(arrow).strip() or "1"
-            label, several, last = cells[1].partition("; ")
-            if several:
-                stem, comma, first = label.rpartition(", ")
-                ends = [first, *last.split("; ")]
-                labels = tuple(f"{stem}{comma}{end}" for end in ends)
-            elif len(names) > 1:
-                labels = tuple(f"{label}, {end}" for end in ends)
-            else:
-                labels = (label or Metric(names[0], unit, "neither", "").label,)
-            role = common or cells[3] or "behaviour"
+            first, *ends = cells[1].split("; ")
+            stem = "".join(first.rpartition(", ")[:2])
+            labels = (first, *(f"{stem}{end}" for end in ends))
+            role = common or cells[3]
             headlines = tuple(re.findall(r"\*\*`(\w+)`\*\*", cells[0]))
             found.append(Row(names, headlines, labels, unit, ARROWS[arrow], role, cells[-1]))
     return found
