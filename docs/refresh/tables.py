@@ -69,7 +69,7 @@ CODING: Final = RATE | {
     "paper's model Mops": Column("operations.model_total.encode.mean", 1e-6),
 }
 TASKS: Final = RATE | {
-    "localisation AUC": Column("localization.located_auc.mean"),
+    "localization AUC": Column("localization.located_auc.mean"),
     "map points found": Column("localization.tracked_inliers.mean"),
     "held mm": Column("trajectory.held_ate_m.median", 1e3),
     "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
@@ -286,7 +286,7 @@ def _encode_ms(run: RunResult, ranked: Ranked) -> float:
 def followers(run: RunResult) -> Iterator[str]:
     """Spearman correlation of the means of cheaper metrics with those of tasks, over lossy settings."""
     tasks = {
-        "localisation AUC": "localization.located_auc", "map points found": "localization.tracked_inliers",
+        "localization AUC": "localization.located_auc", "map points found": "localization.tracked_inliers",
         "relative pose AUC": "relative_pose.pose_auc_10deg", "correct matches": "relative_pose.correct_matches",
     }  # fmt: skip
     cheaper = {
@@ -394,10 +394,15 @@ def commands() -> Iterator[str]:
     yield subprocess.run([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
+_ARROWS: Final = {"higher": "↑", "lower": "↓", "neither": ""}
+
+
 def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:
     """The metrics that an evaluator declares, or that a tuple of its module `metrics` lists.
 
-    Metrics share a row if nothing but the ends of their labels and summaries differs, from the last comma on.
+    Metrics share a row if nothing but the ends of their labels and summaries differs, from the last comma on, or if
+    they have one summary, and labels without a comma. Headlines are bold. No unit is a pure number; a role of all
+    stands in the head.
     """
 
     def content() -> Iterator[str]:
@@ -406,22 +411,23 @@ def metrics(evaluator: str, part: str = "") -> Callable[[], Iterator[str]]:
             declared = getattr(import_module(f"codecbench.plugins.evaluators.{evaluator}.metrics"), part)
         rows: dict[tuple[str, ...], list[Metric]] = defaultdict(list)
         for metric in declared:
-            stems = (text.rpartition(", ")[0] or text for text in (metric.label, metric.summary))
-            rows[(*stems, metric.unit, metric.better, metric.role)].append(metric)
-        lines = []
-        for (label, summary, *shared), alike in rows.items():
-            first, *others = alike
-            heads = [metric.name for metric in alike if metric.headline]
-            only = f" (`{'`, `'.join(heads)}`)" if len(heads) < len(alike) else ""
+            label, comma, _ = metric.label.rpartition(", ")
+            summary = metric.summary.rpartition(", ")[0] if comma else ""
+            rows[label, summary or metric.summary, metric.unit, metric.better, metric.role].append(metric)
+        common = {metric.role for metric in declared}
+        if len(common) > 1:
+            yield "| metric | label | unit | role | definition |\n|---|---|---|---|---|"
+        else:
+            yield f"| metric | label | unit | definition (role `{', '.join(common)}`) |\n|---|---|---|---|"
+        for (label, summary, unit, better, role), alike in rows.items():
+            ends = [metric.label.removeprefix(f"{label}, ") for metric in alike[1:]]
             cells = [
-                ", ".join(f"`{metric.name}`" for metric in alike),
-                "; ".join([first.label, *(metric.label.removeprefix(f"{label}, ") for metric in others)]),
-                *shared,
-                first.summary if len({metric.summary for metric in alike}) == 1 else summary,
+                ", ".join(f"**`{metric.name}`**" if metric.headline else f"`{metric.name}`" for metric in alike),
+                "; ".join([alike[0].label, *ends]),
+                f"{unit.removeprefix('1')} {_ARROWS[better]}".strip(),
+                *([role] if len(common) > 1 else []),
+                alike[0].summary if len({metric.summary for metric in alike}) == 1 else summary,
             ]
-            cells[4] += f", headline{only}" if heads else ""
-            lines.append(f"| {' | '.join(cells)} |")
-        yield "| metric | label | unit | better | role | definition |\n|---|---|---|---|---|---|"
-        yield from lines
+            yield f"| {' | '.join(cells)} |"
 
     return content

@@ -9,7 +9,6 @@ import pytest
 from project import DOCS
 
 from codecbench.core.contracts.evaluator import Evaluator
-from codecbench.core.contracts.metric import Metric
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.evaluators import codecbench_evaluators
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
@@ -29,15 +28,17 @@ EVALUATORS = (
     Quality, Features, Localization, RelativePose, PlaceRecognition, Stream, DeliveryEvaluator, Timing, Operations,
     TrajectoryEvaluator,
 )  # fmt: skip
+ARROWS = {"↑": "higher", "↓": "lower", "": "neither"}
 each = pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the page: the metrics that share it, and what it says of them."""
+    """A row of the page: the metrics that share it, their labels and what it says of them all."""
 
     names: tuple[str, ...]
-    label: str
+    headlines: tuple[str, ...]
+    labels: tuple[str, ...]
     unit: str
     better: str
     role: str
@@ -45,20 +46,24 @@ class Row:
 
 
 def rows(evaluator: type[Evaluator]) -> list[Row]:
-    found = []
+    """Where a row leaves it out: the role of the table's head, and the unit 1."""
+    found, common = [], ""
     for line in SECTIONS[evaluator.name].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 6 and cells[0].startswith("`"):
-            found.append(Row(tuple(re.findall(r"`(\w+)`", cells[0])), *cells[1:]))
+        if cells[:3] == ["metric", "label", "unit"]:
+            common = "".join(re.findall(r"^definition \(role `(\w+)`\)$", cells[3]))
+            assert common or cells[3:] == ["role", "definition"]
+        elif re.match(r"\**`\w+`", cells[0]) and len(cells) == (4 if common else 5):
+            names = tuple(re.findall(r"`(\w+)`", cells[0]))
+            arrow = cells[2][-1:] if cells[2][-1:] in ARROWS else ""
+            unit = cells[2].removesuffix(arrow).strip() or "1"
+            first, *ends = cells[1].split("; ")
+            stem = "".join(first.rpartition(", ")[:2])
+            labels = (first, *(f"{stem}{end}" for end in ends))
+            role = common or cells[3]
+            headlines = tuple(re.findall(r"\*\*`(\w+)`\*\*", cells[0]))
+            found.append(Row(names, headlines, labels, unit, ARROWS[arrow], role, cells[-1]))
     return found
-
-
-def family_of(metric: Metric) -> str:
-    return metric.name.partition("_")[0]
-
-
-def role_of(metric: Metric) -> str:
-    return f"{metric.role}, headline" if metric.headline else metric.role
 
 
 @each
@@ -70,22 +75,20 @@ def test_every_metric_is_defined_and_no_other(evaluator: type[Evaluator]) -> Non
 
 @each
 def test_every_row_says_what_its_metrics_declare(evaluator: type[Evaluator]) -> None:
-    """Metrics that share a row differ in the ends of labels and summaries, and it names those that are headlines."""
+    """Metrics that share a row differ in labels, and in the ends of summaries."""
     declared = {metric.name: metric for metric in evaluator.metrics}
     for row in rows(evaluator):
         metrics = [declared[name] for name in row.names]
         assert {(metric.unit, metric.better) for metric in metrics} == {(row.unit, row.better)}, row.names
+        assert tuple(metric.label for metric in metrics) == row.labels
+        assert {metric.role for metric in metrics} == {row.role}, row.names
+        assert tuple(metric.name for metric in metrics if metric.headline) == row.headlines
         if len(metrics) == 1:
-            found = (row.label, row.role, row.definition)
-            assert found == (metrics[0].label, role_of(metrics[0]), metrics[0].summary), row.names
+            assert metrics[0].summary == row.definition, row.names
             continue
-        head, _, ends = row.label.rpartition(", ")
-        assert [metric.label for metric in metrics] == [f"{head}, {end}" for end in ends.split("; ")]
-        assert {metric.role for metric in metrics} == {row.role.partition(",")[0]}
-        assert re.findall(r"`(\w+)`", row.role) == [metric.name for metric in metrics if metric.headline]
         for metric in metrics:
             ending = metric.summary.removeprefix(row.definition)
-            assert ending in ("", f", {metric.label.removeprefix(f'{head}, ')}", f", {family_of(metric)} counts")
+            assert ending in ("", f", {metric.label.rpartition(', ')[2]}")
 
 
 @pytest.mark.parametrize("evaluator", EVALUATORS[1:], ids=lambda evaluator: evaluator.name)
