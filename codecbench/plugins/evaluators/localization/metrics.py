@@ -34,7 +34,7 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
 METRICS: Final = (
     Metric(
         "located_auc", "1", "higher", "max(0, 1 - tracked_position_to_raw_mm / L)",
-        role="task", headline=True, label="localization AUC", brief="located", enough=0.9,
+        role="task", headline=True, label="localisation AUC", brief="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),
 )  # fmt: skip
