@@ -30,7 +30,7 @@ FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "
 TRIED: Final = (*SLAM, ("codec", "h264"), ("codec", "jpeg"), ("evaluator", "localization"), ("evaluator", "trajectory"))
 
 MATRICES: Final = ("first", "reference", "effort", "joining", "context", "tasks", "link", "link_room", "worlds",
-                   "paper", "paper_loops")  # fmt: skip
+                   "paper", "paper_loops", "slam_anchor")  # fmt: skip
 """Of examples/."""
 
 
@@ -112,7 +112,7 @@ BLOCKS: Final = {
         "docs/pictures-or-features.md", ("reference",),
         tables.order("jpeg", "h264", of=("jpeg", "h264", "orb_features")),
     ),
-    "paper": Block("docs/reproduction.md", ("paper", "paper_loops"), tables.paper),
+    "paper": Block("docs/reproduction.md", ("paper", "paper_loops", "slam_anchor"), tables.paper),
     "streams-joining": Block("docs/video.md", ("joining",), tables.settings(tables.JOINING)),
     "context-order": Block("docs/multilevel.md", ("context",), tables.order("jpeg")),
     "follow": Block("docs/task-metrics.md", ("tasks",), tables.followers),
@@ -135,6 +135,7 @@ BLOCKS: Final = {
         tables.printed("sequence", "codec", "starts", "calibration error", "forward %", "reversed %", "symmetric %",
                        "by order %", "scatter", "median mm", "with a pose %"),
     ),
+    "anchor": Block("docs/slam.md", ("slam_anchor",), tables.paths),
     "processes": Block(TIMES, ("processes",), tables.printed("what", "measured")),
     "codecs": Block(TIMES, ("benchmarks",), tables.coding_times),
     "evaluators": Block(TIMES, ("benchmarks",), tables.evaluator_times),
