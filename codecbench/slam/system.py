@@ -79,8 +79,12 @@ class System:
         """Look at one frame of which only the keypoints are here, as `FeatureExtractor.find` gives them.
 
         They are of a pyramid as `options` has it, in its order. Otherwise as `process`: keypoints of a frame give what
-        the frame gives.
+        the frame gives. Raises ValueError for more keypoints than `options.features`.
         """
+        if len(found) > self.options.features:
+            raise ValueError(
+                f"{len(found)} keypoints; Options.features allows {self.options.features}: set it to that many"
+            )
         with _one_thread():
             return self._take(found.size, timestamp_s, lambda: self._extractor.features_of(found))
 

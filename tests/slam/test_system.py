@@ -246,6 +246,12 @@ def test_keypoints_give_what_their_frames_give(film: list[NDArray[np.uint8]]) ->
     assert digest(system.finish()) == digest(run(film))
 
 
+def test_more_keypoints_than_the_options_allow_are_refused(film: list[NDArray[np.uint8]]) -> None:
+    many = FeatureExtractor(CAMERA, Options(features=600)).find(film[0])
+    with pytest.raises(ValueError, match=rf"^{len(many)} keypoints; Options.features allows 100: "):
+        System(CAMERA, Options(features=100)).process_keypoints(many, 0.0)
+
+
 def test_after_a_blackout_the_camera_is_found_again(film: list[NDArray[np.uint8]]) -> None:
     black = np.zeros_like(film[0])
     room = Room()
