@@ -112,7 +112,7 @@ BLOCKS: Final = {
         "docs/pictures-or-features.md", ("reference",),
         tables.order("jpeg", "h264", of=("jpeg", "h264", "orb_features")),
     ),
-    "paper": Block("docs/reproduction.md", ("paper", "paper_loops", "slam_anchor"), tables.paper),
+    "paper": Block("docs/reproduction.md", ("paper", "paper_loops"), tables.paper),
     "streams-joining": Block("docs/video.md", ("joining",), tables.settings(tables.JOINING)),
     "context-order": Block("docs/multilevel.md", ("context",), tables.order("jpeg")),
     "follow": Block("docs/task-metrics.md", ("tasks",), tables.followers),

@@ -107,21 +107,18 @@ def settings(columns: dict[str, Column]) -> RunTable:
 
 
 def paths(run: RunResult) -> Iterator[str]:
-    """One row for each sequence, setting and, if there are several, backend, of `trajectory`."""
-    heads = ["sequence", "codec", "setting"]
-    titles = [
-        name.partition(".")[0] for name in map(str, run.wide) if re.match(r"trajectory\b.*\.success\.mean$", name)
-    ]
-    several = len(titles) > 1
+    """One row for each sequence, setting and backend of `trajectory`, without columns that have nothing."""
+    titles = {name.partition(".")[0] for name in run.wide if re.match(r"trajectory\b.*\.success\.mean$", name)}
     rows = []
     for row in run.wide.to_dict("records"):
-        for title in titles:
+        for title in sorted(titles):
             values = {str(name).replace(f"{title}.", "trajectory."): value for name, value in row.items()}
-            backend = [title.partition("=")[2].strip("()")] if several else []
-            rows.append(
-                [*(row[head] for head in heads), *backend, *(column.shown(values) for column in PATHS.values())]
-            )
-    yield table([*heads, *(["backend"] if several else []), *PATHS], rows)
+            keys = {head: row[head] for head in ("sequence", "codec", "setting")}
+            backend = title.partition("=")[2].strip("()") or "–"
+            rows.append(keys | {"backend": backend} | {head: column.shown(values) for head, column in PATHS.items()})
+    shown = pd.DataFrame(rows)
+    shown = shown.loc[:, (shown != "–").any()]
+    yield table(list(shown), shown.to_numpy().tolist())
 
 
 def order(*anchors: str, of: tuple[str, ...] = ()) -> RunTable:
