@@ -3,9 +3,9 @@
 python docs/refresh [JOB...]      these, or all; what is there already is not computed again
 python docs/refresh --check       exit status 1 if a block was made by other versions of plugins than today's
 
-CODECBENCH_DATA names the folder of fr3_office_715, fr3_png16, kitti00_half, sevenscenes_400 and kodak. Cut, it goes on
-with the same command. A script runs again if its plugins have other versions, or if its file in the folder of --work is
-gone.
+It takes the extras test and orbslam3. CODECBENCH_DATA names the folder of fr3_office_715, fr3_png16, kitti00_half,
+sevenscenes_400 and kodak. Cut, it goes on with the same command. A script runs again if its plugins have other
+versions, or if its file in the folder of --work is gone.
 """
 
 from __future__ import annotations
