@@ -88,7 +88,8 @@ def test_every_row_says_what_its_metrics_declare(evaluator: type[Evaluator]) -> 
             continue
         for metric in metrics:
             ending = metric.summary.removeprefix(row.definition)
-            assert ending in ("", f", {metric.label.rpartition(', ')[2]}")
+            family = metric.name.partition("_")[0]
+            assert ending in ("", f", {metric.label.rpartition(', ')[2]}", f", {family} counts")
 
 
 @pytest.mark.parametrize("evaluator", EVALUATORS[1:], ids=lambda evaluator: evaluator.name)

@@ -28,10 +28,10 @@ from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
 
 _UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
-    "late": ("older than deadline_ms, or after a newer one", "too late"),
-    "lost": ("sent but never whole", "lost on the way"),
-    "broken": ("whole, but depend on one not whole", "broken by an earlier loss"),
-    "skipped": ("no time or rate left", "never sent"),
+    "late": ("share of frames older than deadline_ms, or after a newer one", "too late"),
+    "lost": ("share of frames sent but never whole", "lost on the way"),
+    "broken": ("share of frames whole that depend on one not whole", "broken by an earlier loss"),
+    "skipped": ("share of frames never sent, for want of time or rate", "never sent"),
 }
 
 
@@ -67,61 +67,61 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     views = (View("map", "What comes, and how old it is", note=_NOTE),)
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "on_time", "1", "higher", "1 if handed on, else 0",
+            "on_time", "1", "higher", "1 if the frame is handed on, else 0",
             role="task", headline=True, label="pictures on time", brief="on time",
         ),
         Metric(
             "age_ms", "ms", "lower",
-            "of the newest frame handed on, else since the first capture; at each capture",
+            "at each capture, age of the newest frame handed on, or time since the first capture",
             ("p95", "median", "max"),
             role="task", headline=True, label="age of the newest picture", brief="age ms", scale="log",
         ),
         Metric(
             "delay_ms", "ms", "lower",
-            "capture to decoded; missing if not on time",
+            "from capture until decoded; missing if not on time",
             ("median", "p95", "max"),
             label="delay of pictures", scale="log", need="delay",
         ),
-        Metric("delivered_share", "1", "higher", "whole, however late", label="delivered"),
+        Metric("delivered_share", "1", "higher", "share of frames whole, however late", label="delivered"),
         Metric(
-            "concealed_share", "1", "lower", "of those on time, depend on a lost one",
+            "concealed_share", "1", "lower", "share of frames on time that depend on a lost one",
             label="concealed",
         ),
         Metric(
-            "partial_share", "1", "lower", "of those on time, lack packets",
+            "partial_share", "1", "lower", "share of frames on time with missing packets",
             label="in part",
         ),
         Metric(
             "partial_whole_share", "1", "higher",
-            "mean share over those in part",
-            label="undamaged pixels",
+            "share of their pixels that are undamaged",
+            label="as sent of those in part",
         ),
         *(
             Metric(f"{outcome}_share", "1", "lower", summary, label=label, need="cause")
             for outcome, (summary, label) in _UNTIMELY.items()
         ),
-        _count("stalls_half_s", "longer waits for a frame", "stalls over 0.5 s"),
-        _count("stalls_1_s", "longer waits for a frame", "stalls over 1 s"),
+        _count("stalls_half_s", "waits over 0.5 s for a frame", "stalls over 0.5 s"),
+        _count("stalls_1_s", "waits over 1 s for a frame", "stalls over 1 s"),
         Metric("longest_stall_s", "s", "lower", "longest wait for a frame", ("median", "max"), scale="log"),
         _count(
-            "queue_packets", "queued when a frame comes to the encoder",
+            "queue_packets", "packets queued when a frame comes to the encoder",
             "packets waiting", ("p95", "max"),
         ),
         Metric(
-            "goodput_kbps", "kbit/s", "higher", "of frames on time over the nominal length",
+            "goodput_kbps", "kbit/s", "higher", "bytes of frames on time over the nominal length",
             label="goodput",
         ),
         Metric(
             "sent_kbps", "kbit/s", "lower",
-            "with headers, redundancy and retransmissions",
+            "bytes sent, with headers, redundancy and retransmissions",
             role="rate", label="sent over the link", scale="log",
         ),
-        Metric("wasted_share", "1", "lower", "sent bytes for frames not on time"),
-        Metric("packets_sent", "1", "neither", "at the link's ends, late ones included"),
-        Metric("packets_arrived", "1", "neither", "at the link's ends, late ones included"),
-        Metric("packets_late", "1", "lower", "arrived after their frame's deadline_ms"),
-        Metric("packets_lost", "1", "lower", "lost by the link"),
-        Metric("packets_dropped", "1", "lower", "dropped by the queue"),
+        Metric("wasted_share", "1", "lower", "share of sent bytes for frames not on time", label="sent in vain"),
+        Metric("packets_sent", "1", "neither", "packets given to the link"),
+        Metric("packets_arrived", "1", "neither", "packets that arrived"),
+        Metric("packets_late", "1", "lower", "packets arrived when their frame was past deadline_ms"),
+        Metric("packets_lost", "1", "lower", "packets lost by the link"),
+        Metric("packets_dropped", "1", "lower", "packets dropped by the queue"),
     )  # fmt: skip
 
     @property

@@ -71,16 +71,16 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "recall_at_1", "1", "higher", "1 if the place is among the N most similar, else 0",
+            "recall_at_1", "1", "higher", "1 if the most similar raw frame shows the place, else 0",
             role="task", label="places found first",
         ),
         Metric(
-            "recall_at_5", "1", "higher", "1 if the place is among the N most similar, else 0",
+            "recall_at_5", "1", "higher", "1 if one of the five most similar does, else 0",
             role="task", label="places found among five",
         ),
         Metric(
             "average_precision", "1", "higher",
-            "mean precision at each right frame's rank; 0 without a common word",
+            "mean precision at the rank of each raw frame of the place; 0 without a common word",
             role="task", headline=True, label="places, mean average precision", brief="places mAP",
         ),
     )  # fmt: skip

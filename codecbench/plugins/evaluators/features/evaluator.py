@@ -65,21 +65,22 @@ def _metrics(prefix: str, finder: str, brief: str) -> tuple[Metric, ...]:
     """What is measured with the features of one finder. brief: of the headline; none where it is empty."""
     return (
         Metric(
-            f"{prefix}keypoint_repeatability", "1", "higher", "share of original keypoints found again",
+            f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
             role="task", headline=bool(brief), label=f"features kept, {finder}", brief=brief,
         ),
         Metric(
-            f"{prefix}descriptor_distance_bits", "bits", "lower", "mean Hamming distance of keypoints found again",
+            f"{prefix}descriptor_distance_bits", "bits", "lower",
+            "mean Hamming distance at keypoints found again",
             role="task", label=f"descriptor distance, {finder}",
         ),
         Metric(
             f"{prefix}matches_kept", "1", "higher",
-            "share of original matches found again and matching",
+            "share of the original's matches whose keypoints are found again and match",
             role="task", label=f"matches kept, {finder}",
         ),
         Metric(
             f"{prefix}inlier_ratio", "1", "higher",
-            "inlier share of decoded matches; 0 below 8",
+            "share of decoded matches near their epipolar lines; 0 for fewer than 8",
             role="task", label=f"inlier ratio, {finder}",
         ),
     )  # fmt: skip

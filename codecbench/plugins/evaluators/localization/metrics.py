@@ -17,23 +17,24 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
 
     return (
         Metric(
-            f"{way}_located", "1", "higher", f"1 if located, else 0, {how}",
-            role="task", label=f"located, {how}",
+            f"{way}_located", "1", "higher", f"1 if located {how}, else 0",
+            role="task", label=f"located {how}",
         ),
         Metric(
             f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
         ),
-        task("position_error_mm", "mm", "distance from the truth", "position error"),
-        task("rotation_error_deg", "deg", "angle from the truth", "rotation error"),
-        task("position_to_raw_mm", "mm", "distance from raw", "position beside raw"),
-        task("rotation_to_raw_deg", "deg", "angle from raw", "rotation beside raw"),
+        task("position_error_mm", "mm", "distance from the true position", "position error"),
+        task("rotation_error_deg", "deg", "angle from the true orientation", "rotation error"),
+        task("position_to_raw_mm", "mm", "distance from the raw frame's position", "position beside raw"),
+        task("rotation_to_raw_deg", "deg", "angle from the raw frame's orientation", "rotation beside raw"),
     )  # fmt: skip
 
 
 METRICS: Final = (
     Metric(
-        "located_auc", "1", "higher", "max(0, 1 - tracked_position_to_raw_mm / L)",
+        "located_auc", "1", "higher",
+        "max(0, 1 - d / L), d the distance from the raw frame's position",
         role="task", headline=True, label="localisation AUC", brief="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),

@@ -32,16 +32,16 @@ Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 
 _SUMMARIES = {
-    "mults": "also divisions, remainders, square roots, elementary functions",
-    "adds": "also subtractions, negations, absolute values, roundings",
-    "bit_ops": "integer and, or, xor, not",
-    "comparisons": "also in min, max and conditions",
-    "shifts": "by any amount",
-    "reads": "array loads (machine: memory operands, stack included)",
-    "writes": "array stores (machine: memory operands)",
-    "total": "all seven classes",
-    "divisions": "among the multiplications",
-    "index_ops": "in brackets, range bounds, array sizes; two per for-loop turn; in no total",
+    "mults": "multiplications, divisions, remainders, square roots, elementary functions",
+    "adds": "additions, subtractions, negations, absolute values, roundings",
+    "bit_ops": "integer and, or, exclusive or, inversion",
+    "comparisons": "comparisons, also in min, max and conditions",
+    "shifts": "shifts by any amount",
+    "reads": "array loads (machine: memory operands read, stack included)",
+    "writes": "array stores (machine: memory operands written)",
+    "total": "the seven classes together",
+    "divisions": "divisions among the multiplications",
+    "index_ops": "arithmetic in brackets, range bounds and array sizes, two per for-loop turn; in no total",
 }
 _LABELS = {
     "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",
@@ -76,7 +76,7 @@ class OperationsParams(Params):
 def _metric(family: Family, name: str) -> Metric:
     is_headline = (family, name) == ("source", "total")
     return Metric(
-        f"{family}_{name}", "ops", "lower", _SUMMARIES[name], repeatable=family != "machine",
+        f"{family}_{name}", "ops", "lower", f"{_SUMMARIES[name]}, {family} counts", repeatable=family != "machine",
         role="operations", headline=is_headline, label=f"{_LABELS.get(name, name)}, {family}",
         brief="Mops" if is_headline else "", scale="log", display_unit="Mops", display_factor=1e-6,
     )  # fmt: skip

@@ -33,42 +33,43 @@ class Quality(SequenceEvaluator[NoParams]):
     typical_ms_per_frame = 30.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "size_bytes", "bytes", "lower", "bitstream with headers",
+            "size_bytes", "bytes", "lower", "the whole bitstream, headers included",
             role="rate", label="size", scale="log",
         ),
         Metric(
-            "rate_bpp", "bit/px", "lower", "bits of all channels per pixel",
+            "rate_bpp", "bit/px", "lower", "bits per pixel, all channels together",
             role="rate", headline=True, label="rate", brief="bpp", scale="log",
         ),
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "frame bits times nominal frame rate",
+            "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
             role="rate", label="bit rate", scale="log",
         ),
         Metric(
-            "compression_ratio", "1", "higher", "raw bytes over bitstream bytes",
+            "compression_ratio", "1", "higher", "raw bytes of all channels over bitstream bytes",
             role="rate",
         ),
         Metric(
-            "cr_percent", "%", "higher", "100 (1 - size_bytes / PNG bytes)",
+            "cr_percent", "%", "higher", "100 (1 - size_bytes / bytes of the frame's PNG)",
             role="rate", headline=True, label="size against PNG", brief="vs\nPNG %", display_factor=-1.0,
         ),
         Metric(
-            "psnr_gray_db", "dB", "higher", "10 log10(255² / MSE) of gray",
+            "psnr_gray_db", "dB", "higher", "10 log10(255^2 / MSE) of gray",
             role="quality", headline=True, label="PSNR", brief="PSNR dB", enough=40.0,
         ),
         Metric(
-            "psnr_rgb_db", "dB", "higher", "over three channels; color frames only",
+            "psnr_rgb_db", "dB", "higher", "PSNR over three channels; color frames only",
             role="quality", label="PSNR of color",
         ),
         Metric(
-            "ssim_matlab", "1", "higher", "mean over gray, border replicated, as MATLAB's ssim",
+            "ssim_matlab", "1", "higher", "mean SSIM of gray, border replicated, as MATLAB's ssim",
             role="quality", headline=True, label="SSIM", enough=0.95,
         ),
         Metric(
-            "ssim_wang", "1", "higher", "mean over gray where the window fits, as Wang's code",
+            "ssim_wang", "1", "higher",
+            "mean SSIM of gray where the window fits, as Wang's code",
             role="quality", label="SSIM inside",
         ),
-        Metric("ms_ssim", "1", "higher", "five scales of gray", role="quality", label="MS-SSIM"),
+        Metric("ms_ssim", "1", "higher", "five-scale SSIM of gray", role="quality", label="MS-SSIM"),
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -27,7 +27,6 @@ from codecbench.plugins.evaluators.relative_pose.two_view import (
 from codecbench.plugins.evaluators.true_poses import true_poses
 
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
-_AUC: Final = "max(0, 1 - pose_error_deg / T), T in the name"
 
 
 class RelativePoseParams(Params):
@@ -70,25 +69,30 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         _task(
             "pose_error_deg", "deg", "lower",
-            "larger of rotation and translation direction error (up to sign); 180 without motion",
+            "larger of rotation error and translation direction error (up to sign); 180 without a motion",
             "pose error", "median", "p95",
         ),
-        _task("pose_auc_5deg", "1", "higher", _AUC, "pose AUC to 5°"),
+        _task("pose_auc_5deg", "1", "higher", "max(0, 1 - pose_error_deg / 5)", "pose AUC to 5°"),
         Metric(
-            "pose_auc_10deg", "1", "higher", _AUC,
+            "pose_auc_10deg", "1", "higher", "max(0, 1 - pose_error_deg / 10)",
             role="task", headline=True, label="pose AUC to 10°", brief="pose AUC",
         ),
-        _task("pose_auc_20deg", "1", "higher", _AUC, "pose AUC to 20°"),
+        _task("pose_auc_20deg", "1", "higher", "max(0, 1 - pose_error_deg / 20)",
+              "pose AUC to 20°"),
         _task(
-            "pose_inliers", "1", "higher", "matches that fit the motion, else 0",
-            "pose inliers",
+            "pose_inliers", "1", "higher", "matches that obey the motion found, else 0",
+            "matches behind the pose",
         ),
         Metric(
             "correct_matches", "1", "higher",
-            "matches within inlier_px of true epipolar lines in both frames",
+            "matches within inlier_px of their true epipolar lines in both frames",
             role="task", headline=True, label="correct matches", brief="matches",
         ),
-        _task("matches_lost", "1", "lower", "1 - correct_matches / raw's", "matches lost"),
+        _task(
+            "matches_lost", "1", "lower",
+            "1 - correct_matches / the raw pair's",
+            "matches lost",
+        ),
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:

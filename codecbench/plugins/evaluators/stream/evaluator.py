@@ -34,23 +34,23 @@ class Stream(SequenceEvaluator[StreamParams]):
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "bitrate_kbps", "kbit/s", "lower", "frame bits times nominal frame rate",
+            "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
             role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
         ),
-        Metric("mean_frame_bytes", "bytes", "lower", "frame size", role="rate", scale="log"),
-        Metric("largest_frame_bytes", "bytes", "lower", "frame size", role="rate", scale="log"),
+        Metric("mean_frame_bytes", "bytes", "lower", "mean frame size", role="rate", scale="log"),
+        Metric("largest_frame_bytes", "bytes", "lower", "largest frame size", role="rate", scale="log"),
         Metric(
             "peak_kbps", "kbit/s", "lower",
-            "over 1 s, in sending order",
+            "greatest rate over 1 s, in sending order",
             role="rate", label="peak rate", scale="log",
         ),
         Metric(
-            "intra_to_predicted", "1", "neither", "mean size, keyframes over others",
+            "intra_to_predicted", "1", "neither", "mean size of keyframes over that of others",
             label="intra to predicted", scale="log",
         ),
         Metric(
             "delay_frames", "frames", "lower",
-            "most later frames taken before a frame's packet",
+            "most later frames taken before a frame's packet comes",
             label="frames held back",
         ),
         Metric(
@@ -58,20 +58,20 @@ class Stream(SequenceEvaluator[StreamParams]):
             role="time", headline=True, label="coding delay", brief="delay ms",
         ),
         Metric(
-            "first_packet_frames", "frames", "lower", "taken after the first before any packet",
+            "first_packet_frames", "frames", "lower", "frames taken after the first before any packet",
             label="frames before the first packet",
         ),
         Metric(
             "first_packet_ms", "ms", "lower", "first_packet_frames at the frame rate",
-            label="first packet",
+            label="wait for the first packet",
         ),
         Metric(
             "joining_frames", "frames", "lower",
-            "median frames until all later ones are whole",
+            "median frames from joining until all later ones are whole",
             headline=True, label="joining", brief="join",
         ),
         Metric(
-            "joining_worst_frames", "frames", "lower", "of the worst join", label="joining, worst",
+            "joining_worst_frames", "frames", "lower", "joining_frames of the worst join", label="joining, worst",
         ),
     )  # fmt: skip
 

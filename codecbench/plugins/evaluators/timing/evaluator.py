@@ -31,7 +31,6 @@ from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
 _WARM_UP_S: Final = 0.1
-_CPU, _WALL, _PACE = "of all threads", "elapsed time", "pixels per elapsed time"
 """A codec that takes longer has settled after one coding: what it loads and compiles is a small part of it."""
 _NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
@@ -85,24 +84,24 @@ class Timing(CodecEvaluator[TimingParams]):
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
         _time(
-            "encode_cpu_ms", _CPU,
+            "encode_cpu_ms", "processor time, image to bitstream, all threads",
             "encoding processor time", "enc CPU ms",
         ),
         _time(
-            "decode_cpu_ms", _CPU,
+            "decode_cpu_ms", "processor time, bitstream to image, all threads",
             "decoding processor time", "dec CPU ms",
         ),
-        _time("encode_wall_ms", _WALL, "encoding time", "", "encode_cpu_ms"),
-        _time("decode_wall_ms", _WALL, "decoding time", "", "decode_cpu_ms"),
-        _pace("encode_mpix_per_s", _PACE, "encoding pace", "encode_cpu_ms"),
-        _pace("decode_mpix_per_s", _PACE, "decoding pace", "decode_cpu_ms"),
+        _time("encode_wall_ms", "elapsed time, image to bitstream", "encoding time", "", "encode_cpu_ms"),
+        _time("decode_wall_ms", "elapsed time, bitstream to image", "decoding time", "", "decode_cpu_ms"),
+        _pace("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
+        _pace("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
         _time(
-            "prepare_wall_ms", _WALL,
+            "prepare_wall_ms", "elapsed time of the search before encoding",
             "preparation time", "", "prepare_cpu_ms",
         ),
-        _time("prepare_cpu_ms", _CPU, "preparation processor time"),
+        _time("prepare_cpu_ms", "processor time of the search before encoding", "preparation processor time"),
         Metric(
-            _YARDSTICK_MS, "ms", "neither", "fixed work beside each frame, to compare machines",
+            _YARDSTICK_MS, "ms", "neither", "fixed work timed beside each frame, to compare machines",
             ("median",), False, label="yardstick",
         ),
     )  # fmt: skip

@@ -16,7 +16,7 @@ def _error(name: str, summary: str, label: str, aggregates: tuple[str, ...] = _M
 
 def _part(name: str, of_what: str) -> Metric:
     return Metric(
-        name, "m", "lower", f"part of held_ate_m, {of_what}", _MIDDLE, label=f"held error, {of_what}", scale="log"
+        name, "m", "lower", f"part of held_ate_m: {of_what}", _MIDDLE, label=f"held error {of_what}", scale="log"
     )
 
 
@@ -26,39 +26,39 @@ SPREAD: Final = "path_spread_m"
 ACCURACY: Final = (
     Metric(
         "held_ate_m", "m", "lower",
-        "RMS position error, untracked frames at the last known position",
+        "RMS position error of all frames, untracked ones at the last known position",
         _SPREAD, role="task", headline=True, label="error with positions held", brief="held m", scale="log",
     ),
     Metric(
         "ate_rmse_m", "m", "lower",
-        "ATE: RMS position error of tracked frames", _SPREAD,
+        "ATE: RMS position error of tracked frames after Sim(3) alignment", _SPREAD,
         headline=True, label="trajectory error", brief="ATE m", scale="log",
     ),
     _part("held_waiting_m", "before the first pose"),
-    _part("held_tracked_m", "while tracked"),
-    _part("held_lost_m", "while lost"),
+    _part("held_tracked_m", "of tracked frames"),
+    _part("held_lost_m", "of frames without a pose"),
     Metric(
         SPREAD, "m", "neither", "RMS distance of true positions from their mean",
         _MIDDLE, label="spread of the true path", scale="log",
     ),
-    _error("ate_median_m", "median instead of RMS", "median trajectory error"),
+    _error("ate_median_m", "median of the errors in ate_rmse_m", "median trajectory error"),
     _error(
         "ate_rmse_first_frame_m",
-        "relative to the first poses, scaled by the median norm ratio",
+        "RMS position error relative to the first poses, scaled by the median norm ratio",
         "error from the first frame",
     ),
     _error(
-        "ate_before_loops_m", "ate_rmse_m before loop closing, aligned anew",
+        "ate_before_loops_m", "ate_rmse_m of poses before loop closing, aligned anew",
         "error before loops",
     ),
     _error(
-        "rpe_trans_m", "RMS over rpe_interval_s, at the alignment's scale",
+        "rpe_trans_m", "RMS translation error over rpe_interval_s, at the alignment's scale",
         "drift of position",
     ),
-    _error("rpe_rot_deg", "RMS over rpe_interval_s", "drift of orientation", unit="deg"),
+    _error("rpe_rot_deg", "RMS rotation error over rpe_interval_s", "drift of orientation", unit="deg"),
     _error(
         "scale_drift",
-        "absolute log ratio, last to first third of tracked frames",
+        "absolute log ratio of scales, last to first third of tracked frames",
         "drift of scale", unit="1",
     ),
 )  # fmt: skip
@@ -66,94 +66,95 @@ ACCURACY: Final = (
 LIVE: Final = (
     Metric(
         "live_position_error_m", "m", "lower",
-        "RMS distance, true to newest known position at each capture",
+        "RMS distance between true and newest known position at each capture",
         _SPREAD, role="task", headline=True, label="live position error", brief="live m", scale="log", need="error",
     ),
     Metric(
-        "idle_error_m", "m", "neither", "live_position_error_m of the mean true position",
-        label="idle error", scale="log", need="idle",
+        "idle_error_m", "m", "neither", "live_position_error_m of the constant mean true position",
+        label="error of a reader that gets nothing", scale="log", need="idle",
     ),
     Metric(
-        "fresh_pose_fraction", "1", "higher", "captures with a known pose at most 0.5 s old",
-        label="fresh pose share", need="fresh",
+        "fresh_pose_fraction", "1", "higher", "share of captures with a known pose at most 0.5 s old",
+        label="moments with a fresh pose", need="fresh",
     ),
     Metric(
-        "first_pose_s", "s", "lower", "time from the first capture",
-        label="first pose",
+        "first_pose_s", "s", "lower", "from first capture to first known pose",
+        label="time to the first pose",
     ),
     Metric(
         "live_error_max_m", "m", "lower", "largest distance in live_position_error_m",
         label="worst live error", scale="log",
     ),
     Metric(
-        "delivered_fraction", "1", "higher", "captured frames given to SLAM",
+        "delivered_fraction", "1", "higher", "share of captured frames given to SLAM",
         label="delivered share",
     ),
 )  # fmt: skip
 
 BEHAVIOUR: Final = (
     Metric(
-        "tracked_fraction", "1", "higher", "frames with a final pose",
+        "tracked_fraction", "1", "higher", "share of frames with a final pose",
         ("median", "min"),
         headline=True, label="tracked share", brief="tracked",
     ),
     Metric(
-        "initialisation_frames", "frames", "lower", "before the first tracked one, in any map",
+        "initialisation_frames", "frames", "lower", "frames before the first tracked one, in whichever map",
         ("median", "max"),
         label="frames before the first map",
     ),
     Metric(
-        "tracked_since_map_fraction", "1", "higher", "from the first tracked frame on",
+        "tracked_since_map_fraction", "1", "higher", "share of frames from the first tracked one with a final pose",
         ("median", "min"), label="tracked share since the first map",
     ),
-    Metric("first_tracked_frame", "frames", "lower", "index of the first with a final pose", _MIDDLE),
-    Metric("times_lost", "1", "lower", "tracked frames before an untracked one", ("median", "max")),
-    Metric("maps", "1", "lower", "without merged ones", ("median", "max")),
-    Metric("maps_merged", "1", "neither", "merged into another", ("median", "min")),
-    Metric("keyframes", "1", "neither", "in the final map", _MIDDLE),
-    Metric("map_points", "1", "neither", "in the final map", _MIDDLE),
-    Metric("loops_closed", "1", "higher", "without merged maps", ("median", "min")),
-    Metric("loop_frame", "frames", "lower", "index of the first that closes a loop", _MIDDLE),
-    Metric("mean_inliers", "1", "higher", "map points behind a tracked pose", _MIDDLE),
+    Metric("first_tracked_frame", "frames", "lower", "index of the first frame with a final pose", _MIDDLE),
+    Metric("times_lost", "1", "lower", "tracked frames followed by an untracked one", ("median", "max")),
+    Metric("maps", "1", "lower", "maps kept, without merged ones", ("median", "max")),
+    Metric("maps_merged", "1", "neither", "maps merged into another", ("median", "min")),
+    Metric("keyframes", "1", "neither", "keyframes in the final map", _MIDDLE),
+    Metric("map_points", "1", "neither", "points in the final map", _MIDDLE),
+    Metric("loops_closed", "1", "higher", "loops closed, without merged maps", ("median", "min")),
+    Metric("loop_frame", "frames", "lower", "index of the first loop-closing frame", _MIDDLE),
+    Metric("mean_inliers", "1", "higher", "mean map points behind a tracked pose", _MIDDLE),
     Metric(
-        "slam_ms_per_frame", "ms", "lower", "mean per frame, beside other work",
+        "slam_ms_per_frame", "ms", "lower",
+        "mean backend time per frame, beside other work",
         _MIDDLE, False,
         role="time", label="SLAM time", scale="log", need="reading",
     ),
     Metric(
         "sent_size_bytes", "bytes", "lower",
-        "all frames, keyframes under atc, or all given to the link", _MIDDLE,
+        "bytes sent: all frames, keyframes under atc, or all given to the link", _MIDDLE,
         role="rate", label="sent size", scale="log",
     ),
     Metric(
-        "sent_rate_kbps", "kbit/s", "lower", "sent_size_bytes per second", _MIDDLE,
+        "sent_rate_kbps", "kbit/s", "lower", "sent_size_bytes per second of the sequence", _MIDDLE,
         role="rate", label="sent rate", scale="log",
     ),
 )  # fmt: skip
 
 COMPARED: Final = (
     Metric(
-        "success", "1", "higher", "1 if tracked share and error pass, else 0",
+        "success", "1", "higher", "1 if tracked share and error are within their limits, else 0",
         role="success",
         headline=True, label="tracked like raw", brief="success",
     ),
     Metric(
         "starts_in_time", "1", "higher",
-        "1 if the first map comes at most delay_frames after raw's, else 0",
+        "1 if the first map comes at most delay_frames after raw's from the same start, else 0",
         role="success", headline=True, label="map starts in time", brief="starts",
     ),
     Metric(
         "raw_path_error_percent", "%", "lower",
-        "without ground truth: RMS over path length, median over other starts",
+        "without ground truth: RMS distance from raw's path over its length, median over other starts",
         _SPREAD, role="task", headline=True, label="distance from raw's path", brief="off raw %", scale="log",
         caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
     ),
     Metric(
-        "ate_to_raw_m", "m", "lower", "RMS to raw's trajectory, same repeat", _MIDDLE,
-        role="task", label="distance from raw", scale="log",
+        "ate_to_raw_m", "m", "lower", "RMS distance from raw's trajectory of the same repeat", _MIDDLE,
+        role="task", label="distance from the raw trajectory", scale="log",
     ),
     Metric(
-        "ate_minus_raw_m", "m", "lower", "ate_rmse_m less raw's, same repeat", _SPREAD,
-        role="task", label="error beyond raw's",
+        "ate_minus_raw_m", "m", "lower", "ate_rmse_m less raw's of the same repeat", _SPREAD,
+        role="task", label="error beyond the raw codec's",
     ),
 )  # fmt: skip
