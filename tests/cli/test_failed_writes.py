@@ -194,6 +194,7 @@ def test_a_refusal_of_the_system_names_the_file_and_the_next_step(
         ("replace", "plan.json"),
         pytest.param("replace", "environment", marks=pytest.mark.slow),
         ("rename", "records"),
+        ("replace", ".bits"),
     ],
 )
 def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
 import subprocess
@@ -111,6 +112,9 @@ class Faulty(Codec[FaultParams]):
 
     def encode_raise(self, image: Image) -> bytes:
         raise ZeroDivisionError("divided by\nnothing")
+
+    def encode_full(self, image: Image) -> bytes:
+        raise OSError(errno.ENOSPC, "no room for the codec's own files")
 
     def encode_exit(self, image: Image) -> bytes:
         sys.exit("leaving")

@@ -17,8 +17,8 @@ from codecbench.core.engine.storage.record import Record, RecordDamage, bytes_fr
 _NO_FILE: Final = ("", ".", "..")
 
 
-def outcome_of(work: Work, finished: Finished) -> Record | BitstreamDamage:
-    """The record or the damage that a task of this work ended with.
+def outcome_of(work: Work, finished: Finished) -> Record | BitstreamDamage | OSError:
+    """The record, the damage or the full disk that a task of this work ended with.
 
     What a confined worker answers is looked at first, because a stranger may have written it: a failure where it is no
     record of that work. `worker` of the record is empty where no worker lived to tell.

@@ -226,6 +226,8 @@ class _Run:
             return
         work = self.under_way.pop(finished.task_id)
         outcome = outcome_of(work, finished)
+        if isinstance(outcome, OSError):
+            raise self.store.refusal(outcome) from outcome
         if isinstance(outcome, Record) and outcome.worker and not outcome.worker["checked"]:
             self._distrust(outcome.worker, work.company)
         if isinstance(work, CodingJob):

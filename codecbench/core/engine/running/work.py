@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import gc
 import platform
@@ -37,7 +38,7 @@ from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
-from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.sentinel import Tampering
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
@@ -60,6 +61,8 @@ from codecbench.core.engine.storage.samples import MeasurementCheck, Measurement
 
 BITSTREAMS: Final = "bitstreams"
 """The name of a coding job's file among the contents of its record, where it was not written by the worker."""
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,11 @@ def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
     return _workbench().environment, _workbench().environment_description
 
 
-def perform(order: Order) -> Record | BitstreamDamage:
-    """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read."""
+def perform(order: Order) -> Record | BitstreamDamage | OSError:
+    """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read.
+
+    An OSError is a full disk where the bitstreams were to be written, which no plugin is to blame for.
+    """
     begun, started = time.monotonic(), datetime.now(UTC)
     work, bench, position, checked = order.work, _workbench(), WorkPosition(titles=_titles(order.work)), True
     code: dict[str, str] = {}
@@ -110,6 +116,8 @@ def perform(order: Order) -> Record | BitstreamDamage:
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
+        if isinstance(error, OSError) and error.errno in _FULL and position.stage == WRITE:
+            return error
         record = _failure(work, error, position)
         checked = not isinstance(error, Tampering) and bench.is_sound(work.company)
         retirement.asked = not checked
@@ -192,6 +200,7 @@ def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
     position.at("construct codec")
     codec: AnyCodec[Any] = bench.create(job.codec)
     if isinstance(order.bitstreams, Path):
+        position.at(WRITE)
         with open_whole(order.bitstreams) as file:
             _write_coded(file, codec, sequence, job.id, position)
         return Record(job.id, "ok")

@@ -234,13 +234,17 @@ class Store:
         with self._writing():
             self._index.rewrite(self.entries().values())
 
+    def refusal(self, error: OSError) -> StoreError:
+        """What ends a run where the system lets neither it nor a worker of it write to its folder."""
+        message = f"cannot write to {self.folder}: {error}; all earlier records are kept: fix this and run again"
+        return StoreError(message)
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            message = f"cannot write to {self.folder}: {error}; all earlier records are kept: fix this and run again"
-            raise StoreError(message) from error
+            raise self.refusal(error) from error
 
     def _problem(self, entry: IndexEntry) -> str | None:
         folder = f"{self.records_folder}/{entry.cell_id[:2]}/{entry.cell_id}/"

@@ -66,9 +66,9 @@ def refused(place: Path, members: Members, match: str, *, listed: bool = True) -
 
 def refused_file(path: Path, match: str) -> None:
     with pytest.raises(StoreError, match=match) as caught:
-        unpack_bundle(path, path.parent / "opened")
+        unpack_bundle(path, path.parent / "new" / "opened")
     assert caught.value.__cause__ is not None  # the file is at fault, and not what was asked for
-    assert not (path.parent / "opened").exists()
+    assert not (path.parent / "new").exists()
 
 
 @pytest.mark.parametrize(
@@ -128,6 +128,19 @@ def test_a_file_that_is_not_what_was_bundled(sound: Path, place: Path) -> None:
         for info, data in members_of(sound)
     ]
     refused(place, members, "is not what was bundled", listed=False)
+
+
+@pytest.mark.parametrize(
+    ("ending", "match"),
+    [
+        ("plan.json", r"hostile\.zip is refused: its plan\.json is damaged .*; nothing of it was unpacked"),
+        ("record.json", "none of its 2 cells has a record that can be read"),
+        ("trajectory.txt", "none of its 2 cells has a record that can be read"),
+    ],
+)
+def test_a_run_that_was_damaged_before_it_was_bundled(sound: Path, place: Path, ending: str, match: str) -> None:
+    members = [(info, data[:-9] if info.filename.endswith(ending) else data) for info, data in members_of(sound)]
+    refused(place, members, match)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from codecbench.core.engine.storage.store import Store
 
 CODEC_FAULTS = {
     "raise": ("failed", "coding failed: encode, frame 2: ZeroDivisionError: divided by nothing"),
+    "full": ("failed", "coding failed: encode, frame 2: OSError: [Errno 28] no room for the codec's own files"),
     "exit": ("failed", "coding failed: encode, frame 2: SystemExit: leaving"),
     "leave": ("crashed", "coding failed: its worker exited with status 0"),
     "segfault": ("crashed", "coding failed: its worker died of SIGSEGV"),

@@ -9,12 +9,12 @@ from codecbench.core.contracts.codec import AnyCodec, encoder_of
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
-from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
+from codecbench.core.engine.running.coding.position import WRITE, CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
 
 def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> Iterator[CodedPacket]:
-    """The packets of all frames in the order in which they are sent.
+    """The packets of all frames in the order in which they are sent; the position is `write` while one is taken.
 
     Raises CodingError for what is not a packet, and where a frame has none or two.
     """
@@ -24,9 +24,13 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
         position.at("read", index)
         image = sequence.read(index).image
         position.at("encode", index)
-        yield from encoder.push(image)
+        packets = encoder.push(image)
+        position.at(WRITE, index)
+        yield from packets
     position.at("encode")
-    yield from encoder.flush()
+    packets = encoder.flush()
+    position.at(WRITE)
+    yield from packets
 
 
 class CheckedEncoder:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from codecbench.core.contracts.errors import CodecbenchError
+
+WRITE: Final = "write"
+"""The stage at which the engine writes the file of bitstreams, and no code of a plugin runs."""
 
 
 class CodingError(CodecbenchError):
