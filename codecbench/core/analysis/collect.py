@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codecbench.core.analysis.hosted_evaluator import HostedEvaluator, ResultsEvaluator
+from codecbench.core.analysis.plausibility import with_doubts
 from codecbench.core.analysis.run_result import RunResult, RunSchema
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, StoreError
@@ -61,7 +62,7 @@ def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
         metrics = dict(meaning.metrics[title])
         added = [name for name in metrics if name not in measured[title]]
         results.append(_result(store, cell, record, evaluators.get(title), metrics, baselines[_group(cell)], added))
-    return RunResult(store.folder, plan, tuple(results), store.environments.read(), meaning)
+    return RunResult(store.folder, plan, with_doubts(results, meaning.stateless), store.environments.read(), meaning)
 
 
 def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
@@ -199,6 +200,11 @@ def schema_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: 
         views,
         frozenset(name for name, reference in references.items() if reference == "baseline"),
         tuple(name for name, reference in references.items() if reference == "anchor"),
+        {
+            name: bool(stored["stateless"])
+            for name, stored in plan.declared.get("codecs", {}).items()
+            if "stateless" in stored
+        },
     )
 
 

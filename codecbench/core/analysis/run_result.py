@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -27,13 +27,15 @@ Key = tuple[str, str, str]
 class RunSchema:
     """What a run's plugins declared.
 
-    metrics, views: by the title of an evaluator's setting. baselines, anchors: names of codecs.
+    metrics, views: by the title of an evaluator's setting. baselines, anchors: names of codecs. stateless: by codec,
+    whether it codes each picture on its own; without those of which the plan does not say it.
     """
 
     metrics: Mapping[str, Mapping[str, Metric]]
     views: Mapping[str, tuple[View, ...]]
     baselines: frozenset[str] = frozenset()
     anchors: tuple[str, ...] = ()
+    stateless: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,7 +10,9 @@ from codecbench.core.contracts.errors import PluginError
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
 Scale = Literal["linear", "log"]
-Need = Literal["", "delay", "error", "idle", "fresh", "cause", "encoding", "decoding", "reading"]
+Need = Literal[
+    "", "delay", "error", "idle", "fresh", "cause", "encoding", "decoding", "reading", "per_pixel", "below_png"
+]  # fmt: skip
 Aggregate = Literal[
     "mean", "std", "median", "p95", "iqr", "min", "max", "sum", "infinite", "ci95_low", "ci95_high"
 ]  # fmt: skip
@@ -48,7 +50,8 @@ class Metric:
     missing where it never came, by the `error` of what reads the frames, beside that of one that gets none (`idle`), by
     the share of the moments at which that knows a pose of the last FRESH_S (`fresh`), and by the `cause` for which a
     share of the frames did not come in time; the times, in milliseconds, of `encoding`, `decoding` and `reading` a
-    frame are for whoever awaits them (`Evaluator.awaits`).
+    frame are for whoever awaits them (`Evaluator.awaits`). By a frame's bits `per_pixel`, and by how many percent it is
+    `below_png`, tables tell that a lossless row is implausible: one of which every quality in dB is infinite.
     """
 
     name: str

@@ -120,7 +120,7 @@ class Nothing:
 
 
 def test_meaning_travels_with_the_plan() -> None:
-    codec = SimpleNamespace(name="plain", reference="anchor")
+    codec = SimpleNamespace(name="plain", reference="anchor", stateless=True)
     meant = {
         "codecs": {codec.name: codec_declared(codec)},
         "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())},
@@ -129,7 +129,7 @@ def test_meaning_travels_with_the_plan() -> None:
     meaning = schema_of(plan, {}, Nothing())  # type: ignore[arg-type]
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
-    assert (meaning.anchors, meaning.baselines) == (("plain",), frozenset())
+    assert (meaning.anchors, meaning.baselines, meaning.stateless) == (("plain",), frozenset(), {"plain": True})
     assert meant["evaluators"]["grain(size=2)"]["typical_ms_per_frame"] == 7.0
 
 

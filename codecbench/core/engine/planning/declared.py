@@ -20,7 +20,7 @@ log = logging.getLogger("codecbench.results")
 
 def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
     """The meaning of a codec."""
-    return {"reference": codec.reference}
+    return {"reference": codec.reference, "stateless": codec.stateless}
 
 
 def reference_of(registry: Registry, name: str) -> str:

@@ -38,7 +38,7 @@ class Quality(SequenceEvaluator[NoParams]):
         ),
         Metric(
             "rate_bpp", "bit/px", "lower", "bits per pixel, all channels together",
-            role="rate", headline=True, label="rate", brief="bpp", scale="log",
+            role="rate", headline=True, label="rate", brief="bpp", scale="log", need="per_pixel",
         ),
         Metric(
             "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
@@ -51,6 +51,7 @@ class Quality(SequenceEvaluator[NoParams]):
         Metric(
             "cr_percent", "%", "higher", "100 (1 - size_bytes / bytes of the frame's PNG)",
             role="rate", headline=True, label="size against PNG", brief="vs\nPNG %", display_factor=-1.0,
+            need="below_png",
         ),
         Metric(
             "psnr_gray_db", "dB", "higher", "10 log10(255^2 / MSE) of gray",
