@@ -17,12 +17,15 @@ from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.contracts.evaluator import CodedSequence
 from codecbench.core.engine.bundling.packing import write_bundle
 from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.matrix import matrix_from, read_matrix
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.run import Listener
+from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
@@ -170,11 +173,9 @@ def _stored_frames(
     elsewhere = PlanFile(run.folder).origin_elsewhere()
     if elsewhere is not None:
         raise DatasetError(f"the run was made in {elsewhere}, so the sequences that its plan names are not opened")
-    job, registry = chosen[0], installed()
-    opened = registry.create("dataset", job.sequence.dataset.name, job.sequence.dataset.params).open()
-    if opened.fingerprint != job.sequence.fingerprint:
-        raise DatasetError(f"{job.sequence.name}: its frames are no longer those of the run")
-    coder = registry.create("codec", job.codec.name, job.codec.params)
+    job, plugins = chosen[0], Workbench(limit_s)
+    opened = plugins.sequence(job.sequence, MOST_BYTES)
+    coder = plugins.create(job.codec, job.id)
     bitstreams = BitstreamFile(Store(run.folder).coded_path(job.id), job.id)
     return CodedFrames(opened, coder, bitstreams, WorkPosition())
 

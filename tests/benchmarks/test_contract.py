@@ -21,9 +21,13 @@ import skimage.data
 from memory_sequence import MemorySequence, context
 
 from codecbench.core.contracts.evaluator import CodedFrame, Measurement
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.registry import own
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
+from codecbench.core.engine.running.plugins import Plugins
+from codecbench.core.engine.serving import keep_memory
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_bitstreams
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.evaluators.quality import Quality
@@ -77,7 +81,12 @@ def by_engine(sequence: MemorySequence, bitstreams: list[bytes]) -> CodedFrames:
     return CodedFrames(sequence, CODEC, BitstreamFile(file.getvalue(), JOB), WorkPosition())
 
 
-def side_by_side(benchmark: Any, bare: Callable[[], Any], engine: Callable[[], Any]) -> None:
+def side_by_side(
+    benchmark: Any,
+    bare: Callable[[], Any],
+    engine: Callable[[], Any],
+    clock: Callable[[], float] = time.process_time,
+) -> None:
     """Times of the process for one frame, and the median of what the engine adds in each round, in percent.
 
     Who is first changes with each round.
@@ -87,9 +96,9 @@ def side_by_side(benchmark: Any, bare: Callable[[], Any], engine: Callable[[], A
     def both() -> None:
         order = (bare, engine) if len(taken[bare]) % 2 else (engine, bare)
         for work in order:
-            begun = time.process_time()
+            begun = clock()
             work()
-            taken[work].append(time.process_time() - begun)
+            taken[work].append(clock() - begun)
 
     benchmark.pedantic(both, rounds=ROUNDS, warmup_rounds=2)
     added = [100 * (ours / theirs - 1) for ours, theirs in zip(taken[engine], taken[bare], strict=True)]
@@ -120,3 +129,22 @@ def test_cell(benchmark: Any, sequence: MemorySequence, tmp_path: Path) -> None:
 
     assert engine() == bare()
     side_by_side(benchmark, bare, engine)
+
+
+def test_hosts(benchmark: Any, sequence: MemorySequence, tmp_path: Path) -> None:
+    """A JPEG cell whose codec decodes in a host, as those of other distributions do, by the wall clock."""
+    keep_memory()  # as workers do
+    plugins, file = Plugins(own()), io.BytesIO()
+    params = CODEC.params.model_dump(mode="json")
+    hosted = plugins.create(PluginSetting("codec", "jpeg", Jpeg.version, params, distribution="codecbench"), JOB)
+    packets = [packet.data for packet in encode_sequence(hosted, sequence, WorkPosition())]
+    assert packets == encoded_bare(sequence)
+    write_bitstreams(file, packets, JOB)
+
+    def cell(codec: Any) -> list[Measurement]:
+        coded = CodedFrames(sequence, codec, BitstreamFile(file.getvalue(), JOB), WorkPosition())
+        return list(QUALITY.evaluate(coded, context(tmp_path)))
+
+    assert cell(hosted) == cell(CODEC)
+    side_by_side(benchmark, lambda: cell(CODEC), lambda: cell(hosted), time.perf_counter)
+    plugins.end()

@@ -16,6 +16,7 @@ from codecbench.core.conformance.harness import Shape
 from codecbench.core.contracts.codec import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role
+from codecbench.core.engine.hosting.channel import METHODS
 from codecbench.core.engine.registry import Registry
 
 CORE = Path(codecbench.__file__).parent / "core"
@@ -28,8 +29,9 @@ METRICS = {
     for metric in OURS.load("evaluator", plugin.spec.name).metrics
 }
 VOCABULARY = {word for words in (Role, Shape, Architecture) for word in get_args(words)}
-"""Roles of metrics, shapes of codecs and architectures are words of core; that an evaluator or a metric is called like
-one of them is no dependence."""
+VOCABULARY |= {method for methods in METHODS.values() for method in methods} | {"trace"}
+"""Roles of metrics, shapes of codecs, architectures, and methods and keywords of contracts are words of core; that an
+evaluator or a metric is called like one of them is no dependence."""
 
 
 def quoted_in_python(path: Path) -> Iterator[tuple[int, str]]:
@@ -54,7 +56,7 @@ def named(text: str) -> list[str]:
     """Names of ours that a quoted text is, begins with as a column does, or holds as a metric."""
     whole = (NAMES | METRICS) - VOCABULARY
     columns = [name for name in NAMES if re.match(rf"{name}(\(.*\))?\.\w", text)]
-    compound = {metric for metric in METRICS if "_" in metric}
+    compound = {metric for metric in METRICS - VOCABULARY if "_" in metric}
     return [*columns, *({text} & whole), *(set(re.findall(r"\w+", text)) & compound)]
 
 

@@ -74,7 +74,7 @@ class _Reader:
         try:
             params = self._dataset_params(setting)
             described = describe(registry, "dataset", setting.name, params)
-            company = registry.find("dataset", setting.name).company
+            origin = registry.find("dataset", setting.name).foreign
             asked: list[tuple[Kind, str]] = [("dataset", setting.name)]
             found = registry.ask(sequence_described, setting.name, described.params, of=asked, times=_OPENING)
             if found["fingerprint"] != wanted.fingerprint:
@@ -82,7 +82,7 @@ class _Reader:
         except (CodecbenchError, InvalidParams, OSError) as error:
             self.missing[wanted.fingerprint] = f"dataset {setting.name}: {error}"
             return None
-        dataset = described.setting("dataset", setting.name, company)
+        dataset = described.setting("dataset", setting.name, origin)
         return SequenceEntry(**{**found, "name": wanted.name, "dataset": dataset, "notes": tuple(found["notes"])})
 
     def entry(self, wanted: PluginSetting) -> Entry | None:
@@ -98,7 +98,7 @@ class _Reader:
         except (CodecbenchError, InvalidParams, OSError) as error:
             self.missing[_key(wanted)] = f"{kind} {name}: {error}"
             return None
-        setting = described.setting(kind, name, registry.find(kind, name).company)
+        setting = described.setting(kind, name, registry.find(kind, name).foreign)
         return Entry((), replace(setting, label=wanted.label), description=described, missing=described.missing)
 
     def reason(self, cell: Cell, made: Cell | None) -> str | None:

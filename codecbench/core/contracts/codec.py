@@ -14,7 +14,7 @@ nothing else, so no table, shape or quality may reach it outside the bytes that 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias, cast
 
@@ -185,6 +185,21 @@ def encode({layout}):
         where nothing can be made of them, which for a setting may be whenever anything is missing.
         """
         raise Unsupported(f"{self.name} decodes nothing of a bitstream of which parts are missing")
+
+    def with_params(self, **values: Any) -> Self:
+        """The setting with these parameters in place of its own. Raises pydantic.ValidationError."""
+        return type(self)(type(self).params_type.model_validate({**self.params.model_dump(), **values}))  # type: ignore[arg-type]
+
+    def at_encoder(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What `function(codec, *arguments)` returns in the process that encodes; a function of a module's own.
+
+        A codec of another distribution encodes in a process of its own, where times and operations are measured.
+        """
+        return function(self, *arguments)
+
+    def at_decoder(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """The same in the process that decodes, which never sees a frame that was encoded."""
+        return function(self, *arguments)
 
     def prepared(self, image: Image) -> Self:
         """This setting with all found that `encode` would search for on this image: the rate that reaches a size, say.

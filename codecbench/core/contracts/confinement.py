@@ -1,7 +1,7 @@
 """Confinement of other distributions' code by bubblewrap: no network, and no file written outside one folder.
 
-It is off unless `CODECBENCH_CONFINE` is set, which `codecbench --confine` does. Then the hosts and the workers that
-import such code see the file system as it is, but can write to their own folder of temporary files alone; have a
+It is off unless `CODECBENCH_CONFINE` is set, which `codecbench --confine` does. Then the hosts, which import such
+code, see the file system as it is, but can write to their own folder of temporary files alone; have a
 network without a way out; see no process but their own; and have no capabilities. What is below /run, where sockets of
 services are, is not there for them.
 """
@@ -13,19 +13,12 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Sequence
 from typing import Final
 
 from codecbench.core.contracts.errors import CodecbenchError
 
 VARIABLE: Final = "CODECBENCH_CONFINE"
 """The environment variable that asks for confinement: anything but empty or 0."""
-
-CONFINED_BY: Final = "CODECBENCH_CONFINED_BY"
-"""The environment variable that a confined process has, with the tool and its version."""
-
-CONFINED_PID: Final = "CODECBENCH_CONFINED_PID"
-"""The environment variable that a confined worker has, with the number of the process that confines it."""
 
 _TOOL: Final = "bwrap"
 _WORDS: Final = (
@@ -45,21 +38,6 @@ def wanted() -> bool:
     return os.environ.get(VARIABLE, "") not in ("", "0")
 
 
-def confines(company: Sequence[str]) -> bool:
-    """Whether a process with the code of these distributions, besides codecbench's own, is to be confined."""
-    return bool(company) and wanted()
-
-
-def confined_by() -> str | None:
-    """The tool that confines this process, with its version; None where nothing does."""
-    return os.environ.get(CONFINED_BY)
-
-
-def outer_pid() -> int:
-    """The number of this process, or of what confines it: inside, every confined process counts from 1."""
-    return int(os.environ.get(CONFINED_PID, os.getpid()))
-
-
 @functools.cache
 def confinement() -> str:
     """The tool that confines here, with its version. Raises CodecbenchError where the system does not allow it."""
@@ -76,8 +54,8 @@ def confining_words(folder: str) -> list[str]:
 
     Raises CodecbenchError where the system does not allow it.
     """
-    named = ["--setenv", CONFINED_BY, confinement()]
-    return [_tool(), *_WORDS, "--bind", folder, folder, *named, "--"]
+    confinement()
+    return [_tool(), *_WORDS, "--bind", folder, folder, "--"]
 
 
 def status_inside(status: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, Final, Literal
 
 from codecbench.core.contracts.params import Configured, P
 
@@ -22,9 +22,7 @@ class Task:
 
     function and argument must pickle. timeout_s counts from when the worker starts it. memory_mb caps the
     worker's memory while it runs; None leaves it alone. exclusive: nothing else runs meanwhile, and the
-    worker is pinned to one core. company: the distributions, besides codecbench's, whose code it runs; a worker
-    that has run a task with one company gets no task with another, so that nobody meets what another has changed.
-    confined: only where the worker has no network and can write to no file outside a folder of its own.
+    worker is pinned to one core.
     """
 
     id: str
@@ -33,8 +31,6 @@ class Task:
     timeout_s: float | None = None
     memory_mb: int | None = None
     exclusive: bool = False
-    company: tuple[str, ...] = ()
-    confined: bool = False
 
 
 @dataclass(frozen=True)
@@ -48,27 +44,13 @@ class Finished:
     traceback: str = ""
 
 
-@dataclass
-class Retirement:
-    """Whether this process, a worker, is to get no further task; see `retirement`."""
-
-    asked: bool = False
-
-
-retirement: Final = Retirement()
-"""A task sets `asked` where it finds its process changed in a way that it cannot undo; the executor gives later tasks
-to another process. Where it does not, those tasks fail: each looks for itself."""
-
-
 class Executor(Configured[P]):
     """Runs tasks. The engine submits those whose inputs are ready and takes back whatever has finished.
 
     shares_files: workers see the run folder, so that large inputs and outputs travel by path, not by value.
-    confines: it can do tasks that are to be confined; others are not given any.
     """
 
     shares_files: bool = True
-    confines: ClassVar[bool] = False
 
     @abstractmethod
     def start(self, workers: int, prepare: Callable[[], None]) -> None:

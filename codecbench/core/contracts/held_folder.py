@@ -1,5 +1,5 @@
-"""Folders of temporary files that are locked while somebody uses them: after a kill, the next of their kind removes
-them."""
+"""What processes leave: folders of temporary files that are locked while somebody uses them, so that after a kill the
+next of their kind removes them; and processes that stay."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import shutil
 import tempfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Self, TextIO
+from typing import Final, Self, TextIO
+
+left_running: Final[set[int]] = set()
+"""Processes of this worker that a task leaves for the next one; any other that it left may be killed."""
 
 
 class HeldFolder:

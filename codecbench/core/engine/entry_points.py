@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 
 from codecbench.core.contracts import hooks
 from codecbench.core.engine.plugin import OURS
@@ -27,6 +27,17 @@ def points_by_origin() -> dict[str, list[EntryPoint]]:
         own = point.dist is not None and point.dist.name == OURS
         found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
+
+
+def points_of(origin: str) -> list[EntryPoint]:
+    """The entry points of a distribution, by its name, with its version or without; none where it is not installed."""
+    name, _, version = origin.partition(" ")
+    try:
+        found = distribution(name)
+    except (PackageNotFoundError, ValueError):
+        return []
+    wanted = not version or found.version == version
+    return [point for point in found.entry_points if point.group == hooks.GROUP and wanted]
 
 
 @functools.cache

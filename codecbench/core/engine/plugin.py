@@ -34,7 +34,7 @@ class Plugin:
     absent: str | None = None
 
     @property
-    def company(self) -> str:
+    def foreign(self) -> str:
         """Its distribution with its version; empty for codecbench's own plugins."""
         return "" if self.distribution.startswith(f"{OURS} ") else self.distribution
 
@@ -99,7 +99,8 @@ def spoken(kind: Kind) -> str:
 def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
     """What of a specification nobody could use, or None."""
     if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
-        return f"{kind} name {spec.name!r} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
+        name = f"{kind} name {spec.name!r:.120}"
+        return f"{name} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
     if not (isinstance(spec.target, str) and _TARGET.fullmatch(spec.target)):
         return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
     for field in ("summary", "extra"):

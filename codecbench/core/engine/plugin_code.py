@@ -79,7 +79,7 @@ def _fingerprint(plugin: Plugin) -> str:
 
 def _released(plugin: Plugin) -> Distribution | None:
     """The distribution of a plugin of others whose files were copied when it was installed; None for all others."""
-    if not plugin.company:
+    if not plugin.foreign:
         return None
     try:
         found = distribution(plugin.distribution.partition(" ")[0])
@@ -106,7 +106,7 @@ def _files(plugin: Plugin) -> list[Path]:
     if found is None:
         return []
     place, top = found
-    if not plugin.company:
+    if not plugin.foreign:
         return sorted(_led_to(module, top, _outside_core))
     files = {place} if place.is_file() else set(_files_below(place))
     return sorted(files if top.name in _SHARED_FOLDERS else files | _led_to(module, top, _outside_codecbench))

@@ -13,7 +13,7 @@ import importlib
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.metadata import EntryPoint
 from types import ModuleType
@@ -28,16 +28,18 @@ from codecbench.core.engine.entry_points import origin_of, own_first, points_by_
 from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
+    Host,
     PluginFault,
-    PluginHost,
     PluginLoss,
     PluginTimeout,
-    limit_s,
 )
 from codecbench.core.engine.loading import load_class
 from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, plugins_told, spoken
-from codecbench.core.engine.scouting import Scout
 
+_CALLED = "codecbench.core.engine.serving:called"
+_OFFERS = "codecbench.core.engine.serving:offers"
+_AT_ONCE = os.cpu_count() or 1
+"""So many distributions are asked at once what they offer."""
 _MOST_PLUGINS = 1000
 """Of one kind from one hook."""
 _MOST_LOSSES = 3
@@ -55,15 +57,18 @@ class Registry:
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
         self._classes: dict[tuple[Kind, str], Any] = {}
-        self._losses: Counter[tuple[str, ...]] = Counter()
-        self._given_up: dict[tuple[str, ...], str] = {}
-        self._hosts: dict[tuple[str, ...], PluginHost] = {}
-        with ExitStack() as stack:
-            scout = stack.enter_context(Scout(hosted, limit_s())) if hosted else None
-            for point in sorted(points, key=own_first):
-                self._admit(point)  # while the scout is at work
-            if scout is not None:
-                self._admit_hosted(scout, hosted)
+        self._losses: Counter[str] = Counter()
+        self._given_up: dict[str, str] = {}
+        self._hosts = {origin: Host(origin) for origin in hosted}
+        for host in list(self._hosts.values())[:_AT_ONCE]:
+            host.start()  # while our own are read
+        for point in sorted(points, key=own_first):
+            self._admit(point)
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            for origin, answer in zip(hosted, pool.map(_offers, self._hosts.values()), strict=True):
+                self._admit_hosted(origin, answer)
+        for origin in self._hosts.keys() - {plugin.distribution for plugin in self._plugins.values()}:
+            self._hosts.pop(origin).end()
 
     def plugins(self, kind: Kind) -> list[Plugin]:
         """Plugins of a kind in the order in which they were offered."""
@@ -116,46 +121,40 @@ class Registry:
     def ask(
         self, function: Callable[..., Any], *arguments: Any, of: Sequence[tuple[Kind, str]], times: float = 1
     ) -> Any:
-        """What `function(registry, *arguments)` returns of these plugins: JSON types.
+        """What `function(registry, *arguments)` returns of this plugin: JSON types.
 
-        Where they are of other distributions it is called in a host process and may take `times` the usual limit.
+        Where it is of another distribution it is called in a host process and may take `times` the usual limit.
         Raises what the function raises, and PluginFault, which names the plugin, where a hosted one fails otherwise.
         """
-        plugins = [self.find(kind, name) for kind, name in of]
-        hosted = [plugin for plugin in plugins if plugin.hosted]
-        if not hosted:
+        ((kind, name),) = of
+        plugin = self.find(kind, name)
+        if not plugin.hosted:
             return function(self, *arguments)
-        titles = tuple(plugin.title for plugin in hosted)
-        if titles in self._given_up:
-            raise PluginFault(self._given_up[titles])
-        company = tuple(sorted({plugin.company for plugin in hosted}))
+        title = plugin.title
+        if title in self._given_up:
+            raise PluginFault(self._given_up[title])
+        asked = f"{function.__module__}:{function.__qualname__}"
         try:
-            host = self._hosts.setdefault(company, PluginHost(company))
-            return host.ask(function, arguments, times=times)
+            return self._hosts[plugin.distribution].ask(_CALLED, asked, *arguments, times=times)
         except PluginFault as fault:
             text = str(fault)
-            message = text if titles[0] in text else f"{' and '.join(titles)}: {text}"
+            message = " ".join((text if title in text else f"{title}: {text}").split())
             if isinstance(fault, PluginLoss):
-                self._losses[titles] += _MOST_LOSSES if isinstance(fault, PluginTimeout) else 1
-            if self._losses[titles] >= _MOST_LOSSES:
-                self._given_up[titles] = message
-            raise PluginFault(" ".join(message.split())) from fault
+                self._losses[title] += _MOST_LOSSES if isinstance(fault, PluginTimeout) else 1
+            if self._losses[title] >= _MOST_LOSSES:
+                self._given_up[title] = message
+            raise PluginFault(message) from fault
 
-    def _admit_hosted(self, scout: Scout, hosted: Sequence[str]) -> None:
-        """Take what distributions offer as the scout tells it."""
+    def _admit_hosted(self, origin: str, answer: dict[str, Any]) -> None:
+        """Take what a distribution offers as its host tells it."""
         try:
-            answers = scout.answers()
-        except CodecbenchError:  # one of them may have ended it, which is to cost no other
-            answers = {origin: _offer_alone(origin) for origin in hosted}
-        for origin in hosted:
-            try:
-                plugins, problems = plugins_told(origin, answers.get(origin, {}))
-            except PluginError as fault:
-                reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
-                plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
-            self.problems += problems
-            for plugin, entry_point in plugins:
-                self._take(plugin, entry_point)
+            plugins, problems = plugins_told(origin, answer)
+        except PluginError as fault:
+            reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
+            plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
+        self.problems += problems
+        for plugin, entry_point in plugins:
+            self._take(plugin, entry_point)
 
     def _admit(self, point: EntryPoint) -> None:
         origin = origin_of(point)
@@ -228,15 +227,14 @@ def installed() -> Registry:
 
 
 @functools.cache
-def registry_of(company: tuple[str, ...], ours: bool = True) -> Registry:
-    """A registry of these distributions and codecbench's own plugins, all imported into this process.
+def own() -> Registry:
+    """The registry of codecbench's own plugins, read once a process."""
+    return Registry(points_by_origin().get(OURS, ()))
 
-    For hosts and workers, which read it once. company: distributions with their versions; those that are not installed
-    are left out.
-    """
-    points = points_by_origin()
-    wanted = (*((OURS,) if ours else ()), *company)
-    return Registry(point for origin in wanted for point in points.get(origin, ()))
+
+def everything() -> Registry:
+    """The registry of all that is installed, imported into this process: for who develops a plugin."""
+    return Registry(point for points in points_by_origin().values() for point in points)
 
 
 def loads(registry: Registry, kind: Kind, name: str) -> bool:
@@ -262,11 +260,10 @@ def offered(registry: Registry) -> dict[str, Any]:
     }
 
 
-def _offer_alone(origin: str) -> dict[str, Any]:
-    """What a distribution offers as a scout of its own tells it, or `text`: why it does not."""
+def _offers(host: Host) -> dict[str, Any]:
+    """What a distribution offers as `value`, or `text`: why it is not known."""
     try:
-        with Scout([origin], limit_s()) as scout:
-            return dict(scout.answers()[origin])
+        return {"value": host.ask(_OFFERS)}
     except CodecbenchError as error:
         return {"text": str(error)}
 

@@ -1,10 +1,14 @@
-"""What a host process does: call functions of codecbench on the plugins of its company, and answer with data.
+"""What a host process does: call functions of codecbench on the plugins of its distribution, and answer with data.
 
 It imports as little as it can, because `codecbench list` waits for it.
 """
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
+import functools
+import gc
 import importlib
 import json
 import os
@@ -12,135 +16,90 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from functools import partial
-from importlib.abc import MetaPathFinder
-from importlib.metadata import EntryPoint
 from typing import Any, Final
 
-from codecbench.core.contracts import errors
-from codecbench.core.engine.entry_points import points_by_origin
-from codecbench.core.engine.foreign_errors import describe_error
-from codecbench.core.engine.registry import Registry, offered, registry_of
-from codecbench.core.engine.scouting import answers_of_children
+from codecbench.core.engine.entry_points import points_of
+from codecbench.core.engine.hosting.channel import CRASH_FILE, Channel, Exposed, SharedMemory
+from codecbench.core.engine.plugin import OURS
+from codecbench.core.engine.registry import Registry, offered
 
-_MARGIN_S: Final = 5
-"""A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
+_PR_SET_PDEATHSIG: Final = 1
+_M_TRIM_THRESHOLD: Final = -1
+_M_MMAP_THRESHOLD: Final = -3
+_MALLOC_BYTES: Final = 32 << 20
+"""The most that glibc takes for a block of memory that it does not ask the system for."""
+_state: dict[str, str] = {}
 
 
-def serve(requests: int, answers: int, company: list[str], folder: str) -> None:
-    """Answer one request a line until there are no more, and remove `folder`, whose asker may be gone.
+def serve(descriptors: list[int], distribution: str, folder: str) -> None:
+    """Do what is asked until nobody asks, and remove `folder`, whose asker may be gone.
 
-    requests, answers: descriptors of pipes. A request names a function, its arguments and how long it may take.
-    folder: where this process keeps its temporary files.
+    descriptors: of pipes, to read and to write, and of memory, to write and to read. folder: where this process keeps
+    its temporary files.
     """
+    _state["distribution"] = distribution
+    keep_memory()
     tempfile.tempdir = folder  # also when a plugin has removed it: otherwise the system's would be the next
-    with os.fdopen(requests, "rb") as stream:
-        for line in stream:
-            request = json.loads(line)
-            signal.alarm(request["limit_s"] + _MARGIN_S)
-            content = _answer(partial(_called, request, company), request["number"])
-            signal.alarm(0)
-            _write(answers, content)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    crash = os.open(os.path.join(folder, CRASH_FILE), os.O_WRONLY | os.O_CREAT, 0o600)
+    faulthandler.enable(crash, all_threads=False)
+    reads, writes, sends, receives = descriptors
+    channel = Channel(reads, writes, SharedMemory(sends), SharedMemory(receives), lambda *_: None, obeys=True)
+    channel.serve_forever()
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
 
 
-_SHARED: Final = {"pydantic": "codecbench.core.contracts.params", "numpy": "numpy", "cv2": "cv2"}
-"""Packages that take long to import and that many plugins use, and what is imported of them for all children."""
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-"""Variables that keep these libraries from starting threads, beside which forking would not be safe."""
+@functools.cache
+def registry() -> Registry:
+    """What this host's distribution offers, and codecbench's own plugins."""
+    return Registry([*points_of(OURS), *points_of(_state["distribution"])])
 
 
-def scouted(_: Registry, companies: list[str], limit_s: float) -> dict[str, Any]:
-    """What each of these distributions offers, or `error` and `text`; see `answers_of_children`.
+def called(module_function: str, *arguments: Any) -> Any:
+    """What a function of codecbench, as `module:name`, returns for the registry of this host and arguments, as JSON."""
+    module, _, name = module_function.partition(":")
+    return json.loads(json.dumps(getattr(importlib.import_module(module), name)(registry(), *arguments)))
 
-    Those that turn out to import a shared package are asked a second time, when this process has imported it.
+
+def offers() -> dict[str, Any]:
+    """What the distribution offers, as JSON types."""
+    return offered(Registry(points_of(_state["distribution"])))
+
+
+def created(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
+    """A plugin with these parameters; of a dataset, the sequence, opened. seed: of global generators before that.
+
+    Its version, and the code that it is made of, are told with it.
     """
-    points = points_by_origin()
+    from codecbench.core.engine.plugin_code import code_of  # with pydantic, which takes longer than all else here
 
-    def asked(origins: Sequence[str], question: Callable[[Sequence[EntryPoint]], Any]) -> dict[str, Any]:
-        questions: dict[str, Callable[[], bytes]] = {
-            origin: partial(_answer, partial(question, points[origin])) for origin in origins
-        }
-        return answers_of_children(questions, limit_s)
-
-    answers = asked(companies, _offered_unless_shared)
-    if again := [origin for origin, answer in answers.items() if answer.get("value") == _AGAIN]:
-        _import_shared()
-        answers |= asked(again, _offered)
-    return answers
+    start_afresh(seed)
+    code = code_of(registry().find(kind, name))
+    instance = registry().create(kind, name, params)
+    version = instance.version
+    gc.freeze()  # so that looking for garbage takes no measurement of time long
+    if kind == "dataset":
+        return Exposed("sequence", instance.open(), code=code, of_version=version)
+    return Exposed(kind, instance, code=code, of_version=version)
 
 
-def scouted_line(companies: list[str], limit_s: float) -> bytes:
-    """`scouted` as a line of JSON: `value`, or `error` and `text`."""
-    return _answer(lambda: scouted(Registry(()), companies, limit_s))
+def keep_memory() -> None:
+    """Have memory that is freed reused: new pages from the system for each picture can take as long as decoding it."""
+    for setting in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD) if sys.platform == "linux" else ():
+        ctypes.CDLL(None).mallopt(setting, _MALLOC_BYTES)
 
 
-_AGAIN: Final = "again"
+def start_afresh(seed: int) -> None:
+    """Seed the global generators, so that code of others which draws from them gives the same in every order."""
+    import random
 
+    import cv2
+    import numpy as np
 
-def _offered(points: Sequence[EntryPoint]) -> Any:
-    return offered(Registry(points))
-
-
-def _offered_unless_shared(points: Sequence[EntryPoint]) -> Any:
-    """What is offered, or `_AGAIN` as soon as a shared package is to be imported."""
-    watch = _Watch()
-    sys.meta_path.insert(0, watch)
-    try:
-        value = _offered(points)
-    except _SharedImport:
-        value = _AGAIN
-    return _AGAIN if watch.has_met_one else value
-
-
-class _SharedImport(BaseException):
-    """A shared package is about to be imported; no ImportError, which plugins catch where a package is optional."""
-
-
-class _Watch(MetaPathFinder):
-    has_met_one = False
-
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        if fullname in _SHARED:
-            self.has_met_one = True
-            raise _SharedImport(fullname)
-
-
-def _import_shared() -> None:
-    before = dict(os.environ)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    for name in _SHARED.values():
-        importlib.import_module(name)
-    os.environ.clear()
-    os.environ.update(before)
-
-
-def _called(request: dict[str, Any], company: list[str]) -> Any:
-    module, _, name = request["function"].partition(":")
-    function = getattr(importlib.import_module(module), name)
-    return function(registry_of(tuple(company), ours=request["ours"]), *request["arguments"])
-
-
-def _answer(call: Callable[[], Any], number: int = 0) -> bytes:
-    """The value or what went wrong, as a line of JSON. number: of the request."""
-    process = os.getpid()
-    try:
-        return _line({"number": number, "value": call()})
-    except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
-        known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
-        text = str(error) if known else describe_error(error)
-        return _line({"number": number, "error": known, "text": text[:4000]})
-    finally:
-        if os.getpid() != process:
-            os._exit(0)  # the call came back twice, and one answer is enough
-
-
-def _line(answer: dict[str, Any]) -> bytes:
-    return json.dumps(answer).encode() + b"\n"
-
-
-def _write(descriptor: int, content: bytes) -> None:
-    while content:
-        content = content[os.write(descriptor, content) :]
+    seed %= 1 << 32
+    cv2.setNumThreads(1)
+    cv2.setRNGSeed(seed >> 1)
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - for code of others that draws from the global generator

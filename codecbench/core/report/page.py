@@ -185,10 +185,10 @@ def _companies(run: RunResult) -> list[str]:
     """How many cells ran code of other distributions, which, and what confined it, in words."""
     counts: Counter[tuple[str, str]] = Counter()
     for result in run.results:
-        company = result.worker.get("company")
-        if isinstance(company, list) and company:
+        names = sorted({plugin.distribution for plugin in result.cell.plugins if plugin.distribution})
+        if names and result.worker:
             tool = result.worker.get("confined")
-            counts[" and ".join(map(str, company)), f"confined by {tool}" if tool else "not confined"] += 1
+            counts[" and ".join(names), f"confined by {tool}" if tool else "not confined"] += 1
     return [f"{counted(count, 'cell')} with code of {names}, {how}" for (names, how), count in counts.items()]
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import json
 import logging
 import math
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,18 +17,17 @@ from codecbench.core.analysis.replanning import SAME_PLACE, relocated
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import CodedFrame, Evaluator
-from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image, gray_from_image
-from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.view import Marks
 from codecbench.core.engine.foreign_text import clean_line
-from codecbench.core.engine.identity import canonical_json
+from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
-from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
+from codecbench.core.engine.running.frame_cache import MOST_BYTES
+from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
@@ -91,7 +88,7 @@ def frame_pictures(
     originals: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
-    marker = _marker(run)
+    marker, plugins = _marker(run), Workbench(limit_s)
     first = [(pick.codec, pick.setting) for pick in picked(run)]
     for entry in run.plan.sequences:
         chosen = _chosen(run, entry, first)
@@ -105,7 +102,7 @@ def frame_pictures(
         views = [
             (setting, rate, found)
             for setting, rate in chosen
-            if (found := _views(run, entry, params, setting, shape, marker))
+            if (found := _views(run, entry, params, setting, shape, marker, plugins))
         ]
         places: dict[int, int] = {}
         shown = _thinned(views, share, first)
@@ -132,6 +129,7 @@ def frame_pictures(
                         "note": view.note,
                     }
                 )
+    plugins.end()
     return {"frames": frames, "originals": originals}
 
 
@@ -243,62 +241,26 @@ def _views(
     setting: PluginSetting,
     shape: _Shape,
     marker: PluginSetting | None,
+    plugins: Workbench,
 ) -> list[FrameView]:
     """Frames of a sequence under a setting; none, with a line in the log, where they cannot be made again."""
     job_id = coding_id(entry, setting)
-    path = str(Store(run.folder).coded_path(job_id).absolute())
-    asked: list[tuple[Kind, str]] = [("dataset", entry.dataset.name), ("codec", setting.name)]
-    asked += [("evaluator", marker.name)] if marker else []
-    sequence = entry.dataset.name, params, entry.fingerprint, entry.frames
-    marked = (marker.name, marker.params) if marker else None
-    wanted = shape.indices, list(shape.size), marked
+    found = []
     try:
-        found = installed().ask(views_values, *sequence, setting.name, setting.params, path, job_id, *wanted, of=asked)
+        sequence = plugins.sequence(replace(entry, dataset=replace(entry.dataset, params=params)), MOST_BYTES)
+        bitstreams = BitstreamFile(Store(run.folder).coded_path(job_id).absolute(), job_id)
+        coded = CodedFrames(sequence, plugins.create(setting, job_id), bitstreams, WorkPosition())
+        evaluator = plugins.create(marker, job_id) if marker else None
+        for index in shape.indices:
+            frame = coded.frame(index)
+            found.append(frame_view(frame, index, shape.size, evaluator.marks(frame) if evaluator else None))
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
         where = f"{setting.name} {setting.label} on {entry.name}"
         log.warning("no image of %s: %s", where, clean_line(str(error)))
         return []
-    return [FrameView(**values) for values in found]
-
-
-def views_values(
-    registry: Registry,
-    dataset: str,
-    dataset_params: dict[str, Any],
-    fingerprint: str,
-    frames: int,
-    codec: str,
-    codec_params: dict[str, Any],
-    path: str,
-    job_id: str,
-    indices: list[int],
-    size: list[int],
-    marker: tuple[str, dict[str, Any]] | None,
-) -> list[dict[str, Any]]:
-    """The fields of views of a sequence's frames, whose bitstreams are in the file `path` of the job.
-
-    marker: the evaluator that marks them, and its parameters. Raises DatasetError where the sequence is no longer the
-    one of the fingerprint, and BitstreamDamage where the file is not the job's.
-    """
-    sequence = _opened(registry, dataset, canonical_json(dataset_params).decode(), fingerprint, frames)
-    bitstreams = BitstreamFile(Path(path), job_id)
-    coded = CodedFrames(sequence, registry.create("codec", codec, codec_params), bitstreams, WorkPosition())
-    evaluator: Evaluator[Any] | None = registry.create("evaluator", *marker) if marker else None
-    found = []
-    for index in indices:
-        frame = coded.frame(index)
-        view = frame_view(frame, index, (size[0], size[1]), evaluator.marks(frame) if evaluator else None)
-        found.append(asdict(view))
+    finally:
+        plugins.tidy()
     return found
-
-
-@lru_cache(maxsize=1)
-def _opened(registry: Registry, dataset: str, params: str, fingerprint: str, frames: int) -> FrameSequence:
-    """A sequence, whose frames are read once for all settings. params: as JSON."""
-    sequence: FrameSequence = registry.create("dataset", dataset, json.loads(params)).open()
-    if sequence.fingerprint != fingerprint or len(sequence) != frames:
-        raise DatasetError("its frames are no longer those of the run")
-    return CachedSequence(sequence, sequence.name, FrameCache())
 
 
 _WEBP_QUALITY: Final = 82

@@ -184,8 +184,7 @@ def _variant(codec: C, parameter: str, value: float) -> C:
     if parameter not in values:
         raise Unsupported(f"adapt: {codec.name} has no parameter {parameter!r}; it has {', '.join(values) or 'none'}")
     try:
-        return type(codec)(codec.params_type.model_validate({**values, parameter: value}))
-    except ValidationError as error:
-        raise Unsupported(
-            f"adapt: {codec.name} does not take {parameter}={value}: {error.errors()[0]['msg']}"
-        ) from error
+        return codec.with_params(**{parameter: value})
+    except (ValidationError, PluginError) as error:
+        said = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise Unsupported(f"adapt: {codec.name} does not take {parameter}={value}: {said}") from error

@@ -87,7 +87,6 @@ class DaskExecutor(Executor[DaskParams]):
     name = "dask"
     version = "1"
     params_type: ClassVar[type[Params]] = DaskParams
-    confines = True
 
     def __init__(self, params: DaskParams) -> None:
         super().__init__(params)

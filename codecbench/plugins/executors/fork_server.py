@@ -1,7 +1,7 @@
 """The process that workers are forked from: it has loaded once what each of them would load again.
 
 Loading numpy, numba, scipy and the rest costs a process about two seconds of processor time; a fork of one that has
-them begins in a few milliseconds, which counts where workers die, serve one company each, or live for one task.
+them begins in a few milliseconds, which counts where workers die, or live for one task.
 The server runs nobody's code but these libraries': it only forks.
 """
 

@@ -26,14 +26,13 @@ from typing import Any, Final
 
 import psutil
 
-from codecbench.core.contracts.executor import Task, retirement
+from codecbench.core.contracts.executor import Task
+from codecbench.core.contracts.held_folder import left_running
 from codecbench.plugins.executors.fork_server import Surroundings
-from codecbench.plugins.executors.process_state import ProcessState
-from codecbench.plugins.executors.process_tree import private_mb
+from codecbench.plugins.executors.process_tree import kill_tree, private_mb, tree_mb
 
 RETIRED: Final = 86
-"""Exit status of a worker that declines a task because an earlier one left too much memory in use, or left the process
-other than it found it."""
+"""Exit status of a worker that declines a task because earlier ones left too much memory in use."""
 
 SINGLE_THREADED: Final = dict.fromkeys(
     (
@@ -70,23 +69,20 @@ class WorkerFiles:
 @dataclass
 class _State:
     baseline_mb: float = 0.0
-    retiring: bool = False
     begun: Path | None = None
 
 
 _state = _State()
 
 
-def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings | None) -> None:
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings) -> None:
     """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
 
-    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`. surroundings:
-    None for a confined worker, which was executed with its own; its identity, output and end are seen to from outside.
+    Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
     """
-    if surroundings is not None:
-        os.setpgid(0, 0)
-        surroundings.enter()
-        _redirect_output(files.output)
+    os.setpgid(0, 0)
+    surroundings.enter()
+    _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
     _state.begun = files.begun
     for name in {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys():
@@ -95,12 +91,9 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: 
     tempfile.tempdir = os.environ["TMPDIR"] = str(files.scratch)
     faulthandler.enable(sys.stderr, all_threads=False)
     _adopt_orphans()
-    if surroundings is not None:
-        _die_with_parent()
+    _die_with_parent()
     prepare()
     _state.baseline_mb = private_mb(os.getpid())
-    if surroundings is None:
-        return
     content = json.dumps({"pid": os.getpid(), "baseline_mb": _state.baseline_mb})
     temporary = files.identity.with_suffix(".new")
     temporary.write_text(content)
@@ -110,17 +103,17 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: 
 def perform(task: Task) -> Any:
     """Call the task's function under its limits and return its value; whatever it raises is passed on.
 
-    What the task changed of the process is changed back. A worker where that failed, or in which earlier tasks left
-    more than half of this one's cap in use, exits with RETIRED instead, and the pool gives the task to a fresh one.
+    A worker in which earlier tasks left more than half of this one's cap in use exits with RETIRED instead, and the
+    pool gives the task to a fresh one.
     """
-    if _state.retiring or _is_crowded(task.memory_mb):
+    if _is_crowded(task.memory_mb):
         os._exit(RETIRED)
     if _state.begun is not None:
         begin(_state.begun, task)
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
-    cores, state, process = os.sched_getaffinity(0), ProcessState.now(), os.getpid()
+    cores, process = os.sched_getaffinity(0), os.getpid()
     try:
         if task.exclusive:
             os.sched_setaffinity(0, {max(cores)})
@@ -134,12 +127,14 @@ def perform(task: Task) -> Any:
         os.sched_setaffinity(0, cores)
         faulthandler.cancel_dump_traceback_later()
         _end_children()
-        _state.retiring = not state.restore() or retirement.asked
 
 
 def _is_crowded(memory_mb: int | None) -> bool:
-    """Whether earlier tasks, such as compiling kernels, left so much that a task with this cap would suffer."""
-    return memory_mb is not None and private_mb(os.getpid()) > _state.baseline_mb + memory_mb / 2
+    """Whether earlier tasks, such as compiling kernels, left so much that a task with this cap would suffer.
+
+    In this process, or in those that they left running.
+    """
+    return memory_mb is not None and tree_mb(os.getpid()) > _state.baseline_mb + memory_mb / 2
 
 
 def begin(file: Path, task: Task) -> None:
@@ -204,11 +199,12 @@ def _limit_memory(memory_mb: int | None) -> None:
 
 
 def _end_children() -> None:
-    """Kill and reap every process that the task left behind."""
+    """Kill and reap every process that the task left behind, but those that it left for the next one."""
     with suppress(ChildProcessError):
         os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # raises at once where there are none
-        for child in psutil.Process().children(recursive=True):
-            with suppress(psutil.NoSuchProcess):
-                child.kill()
-        while True:
-            os.waitpid(-1, 0)
+        while left := [child for child in psutil.Process().children() if child.pid not in left_running]:
+            for child in left:
+                kill_tree(child.pid)
+                with suppress(psutil.NoSuchProcess):
+                    child.kill()  # one of this process's own group
+                os.waitpid(child.pid, 0)  # its own children are this process's by now

@@ -24,7 +24,6 @@ class LocalExecutor(Executor[NoParams]):
     name = "local"
     version = "1"
     params_type: ClassVar[type[Params]] = NoParams
-    confines = True
 
     def __init__(self, params: NoParams | None = None) -> None:
         super().__init__(params or NoParams())

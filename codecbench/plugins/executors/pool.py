@@ -17,15 +17,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from pebble import ProcessExpired, ProcessPool
 
-from codecbench.core.contracts.confinement import confinement, status_inside
 from codecbench.core.contracts.executor import Finished, Status, Task
-from codecbench.plugins.executors.confined_context import ConfinedContext
 from codecbench.plugins.executors.fork_server import Surroundings, server_pid, worker_context
 from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform
 from codecbench.plugins.executors.process_tree import kill_tree, runs, tree_mb
@@ -44,8 +42,6 @@ _UNKNOWN: Final = 255
 _LOST: Final = "its worker was lost with the process that starts workers, which some plugin or the system ended"
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
-_PARKED: Final = 3
-"""So many idle workers are kept for when a task of their company comes, beyond those that can be busy at once."""
 
 
 @dataclass
@@ -53,10 +49,7 @@ class _Slot:
     """One worker and the task it has in hand."""
 
     files: WorkerFiles
-    company: tuple[str, ...] = ()
-    confined: bool = False
     pool: ProcessPool | None = None
-    confining: ConfinedContext | None = None
     task: Task | None = None
     future: Future[Any] | None = None
     launched: float = 0.0
@@ -65,11 +58,11 @@ class _Slot:
     baseline_mb: float = 0.0
     gone_since: float | None = None
     server: int | None = None
-    launches: int = field(default=0)
+    launches: int = 0
 
 
 class WorkerPool:
-    """Up to `workers` busy processes, each with one task at a time and one company. To be used from one thread.
+    """Up to `workers` busy processes, each with one task at a time. To be used from one thread.
 
     Their files are in a folder of their own in `folder`, by default the system's for temporary files.
     """
@@ -87,16 +80,12 @@ class WorkerPool:
         return sum(slot.task is not None for slot in self._slots)
 
     def start(self, task: Task) -> bool:
-        """Give the task to a free worker of its company, preferring one that has started; False where all are busy.
-
-        Raises CodecbenchError where the task is to be confined and the system does not allow that.
-        """
-        if self.running >= self._workers:
+        """Give the task to a free worker, preferring one that has started; False where all are busy."""
+        free = [slot for slot in self._slots if slot.task is None]
+        if not free:
             return False
-        if task.confined:
-            confinement()
-        slot = self._slot_for(task)
-        slot.task, slot.company, slot.confined, slot.launches = task, task.company, task.confined, 0
+        slot = next((slot for slot in free if slot.pool is not None), free[0])
+        slot.task, slot.launches = task, 0
         self._launch(slot)
         return True
 
@@ -131,20 +120,6 @@ class WorkerPool:
             with suppress(OSError, ValueError):
                 kill_tree(json.loads(slot.files.identity.read_text())["pid"])
 
-    def _slot_for(self, task: Task) -> _Slot:
-        """A free worker of the task's company, else one that has not started, else another company's that has to go."""
-        free = [slot for slot in self._slots if slot.task is None]
-        wanted = task.company, task.confined
-        known = next((slot for slot in free if slot.pool is not None and (slot.company, slot.confined) == wanted), None)
-        slot = known or next((slot for slot in free if slot.pool is None), None)
-        if slot is None and len(self._slots) < self._workers + _PARKED:
-            slot = _Slot(self._folder.files(len(self._slots)))
-            self._slots.append(slot)
-        if slot is None:
-            slot = min(free, key=lambda slot: slot.launched)
-            self._discard(slot)
-        return slot
-
     def _launch(self, slot: _Slot) -> None:
         """Start the slot's task, in a new worker where the old one is gone."""
         assert slot.task is not None
@@ -152,12 +127,11 @@ class WorkerPool:
         slot.launched, slot.started, slot.gone_since = time.monotonic(), None, None
         if slot.pool is None or not slot.pool.active:
             self._discard(slot)
-            slot.confining = ConfinedContext(slot.files) if slot.confined else None
             slot.pool = ProcessPool(
                 max_workers=1,
                 initializer=enter_worker,
-                initargs=(slot.files, self._prepare, None if slot.confined else Surroundings.now()),
-                context=slot.confining or self._context,
+                initargs=(slot.files, self._prepare, Surroundings.now()),
+                context=self._context,
             )
         future: Future[Any]
         try:
@@ -177,12 +151,12 @@ class WorkerPool:
         if error is None:
             return self._end(slot, "ok", value=future.result())
         if isinstance(error, ProcessExpired):
-            exitcode = status_inside(error.exitcode) if slot.confined else error.exitcode
+            exitcode = error.exitcode
             if exitcode == RETIRED and slot.launches < _LAUNCHES:
                 self._discard(slot)
                 self._launch(slot)
                 return None
-            unknown = exitcode == _UNKNOWN and not slot.confined
+            unknown = exitcode == _UNKNOWN
             if unknown and slot.server is not None and not runs(slot.server):
                 return self._end(slot, "crashed", _LOST, discard=True)
             if (
@@ -270,8 +244,6 @@ class WorkerPool:
         pool, slot.pool = slot.pool, None
         if pool is None:
             return
-        if slot.confining is not None:
-            slot.confining.close()
         pool.stop()  # type: ignore[no-untyped-call]
         with suppress(OSError, ValueError):
             kill_tree(json.loads(slot.files.identity.read_text())["pid"])

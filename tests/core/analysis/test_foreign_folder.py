@@ -288,7 +288,7 @@ def spoil(run: Path) -> None:
     for path in run.glob("records/*/*/record.json"):
         record = json.loads(path.read_text())
         del record["checksum"]
-        record["worker"] = {"company": [EVIL], "confined": EVIL}
+        record["worker"] = {"host": EVIL, "confined": EVIL}
         record["summaries"].append([f"{EVIL} metric", EVIL, "mean", 2.0])
         if record["cell"]["codec"]["name"] == "jpeg":
             record |= {"status": "failed", "reason": EVIL + "A" * 5_000_000, "traceback": EVIL}

@@ -98,39 +98,15 @@ def test_bad_distributions_are_reported_and_the_rest_works(tmp_path: Path) -> No
     assert next(row for row in rows["codecs"] if row["name"] == "raw")["distribution"].startswith("codecbench ")
 
 
-@pytest.mark.parametrize(
-    ("imports", "times"),
-    [
-        ("", 1),
-        ("import numpy, cv2, pydantic", 2),
-        *(
-            pytest.param(program, 2, marks=pytest.mark.thorough)
-            for program in (
-                "try:\n    import numpy\nexcept:\n    numpy = None\nassert numpy is not None",
-                "try:\n    import numpy\nexcept Exception:\n    numpy = None\nassert numpy is not None",
-                "import sys\nimport numpy\nsys.modules.pop('numpy')\nimport numpy.linalg",
-            )
-        ),
-    ],
-)
-def test_a_plugin_that_imports_a_shared_package_is_asked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imports: str, times: int
-) -> None:
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+def test_a_distribution_is_imported_once_and_where_no_other_is(tmp_path: Path) -> None:
     log = tmp_path / "imported"
-    told = f"import os\nopen({str(log)!r}, 'a').write(os.environ.get('OPENBLAS_NUM_THREADS', 'as it was') + '\\n')\n"
-    install_source(tmp_path, "mine", "1", told + imports + hook_module())
-    install_posterize(tmp_path)
-    rows = listed(tmp_path)
-    assert rows["problems"] == []
-    assert {"mine", "posterize"} <= set(names(rows["codecs"]))
-    assert log.read_text().splitlines() == ["as it was"] * times
-
-
-def test_a_plugin_is_forked_where_no_other_thread_runs(tmp_path: Path) -> None:
-    source = "import os\nimport cv2\nassert len(os.listdir('/proc/self/task')) == 1, os.listdir('/proc/self/task')\n"
-    install_source(tmp_path, "mine", "1", source + hook_module())
+    told = f"import os\nopen({str(log)!r}, 'a').write(f'{{__name__}} {{os.getpid()}}\\n')\n"
+    for name in ("mine", "other"):
+        install_source(tmp_path, name, "1", told + hook_module(name=name))
     assert listed(tmp_path)["problems"] == []
+    imported = dict(line.split() for line in log.read_text().splitlines())
+    assert sorted(imported) == ["mine", "other"]
+    assert len(log.read_text().splitlines()) == len(set(imported.values())) == 2
 
 
 def test_a_plugin_that_needs_more_says_what_to_install(tmp_path: Path) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
-import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -23,9 +21,9 @@ from pebble import ProcessPool
 from pebble.pool.process import PoolManager
 
 from codecbench.core.contracts.executor import Finished, Task
+from codecbench.core.contracts.held_folder import left_running
 from codecbench.plugins.executors import pool
 from codecbench.plugins.executors.local import LocalExecutor
-from codecbench.plugins.executors.process_state import ProcessState
 from codecbench.plugins.executors.process_tree import runs
 
 
@@ -93,6 +91,12 @@ def fork_and_hang(note: str) -> None:
 
 def fork_and_return(_: object) -> int:
     return subprocess.Popen(["sleep", "3600"]).pid
+
+
+def leave_for_the_next(_: object) -> int:
+    left = subprocess.Popen(["sleep", "3600"]).pid
+    left_running.add(left)
+    return left
 
 
 def leave_files_and_hang(note: str) -> None:
@@ -252,6 +256,14 @@ def test_children_left_behind_are_ended(executor: LocalExecutor) -> None:
     _expect_gone(found.value)
 
 
+def test_a_process_that_a_task_leaves_for_the_next_one_is_not_ended(executor: LocalExecutor) -> None:
+    left = outcomes(executor, Task("leave", leave_for_the_next, None))["leave"].value
+    found = outcomes(executor, *(Task(str(n), fork_and_return, None) for n in range(4)))
+    _expect_gone(*(one.value for one in found.values()))
+    assert runs(left)
+    os.kill(left, signal.SIGKILL)
+
+
 def _expect_gone(*pids: int) -> None:
     while any(map(runs, pids)):
         time.sleep(0.02)
@@ -346,47 +358,8 @@ def test_what_a_killed_coordinator_left_is_swept_and_what_is_in_use_is_not(
     assert not rests(tmp_path)
 
 
-def in_company(name: str, number: int) -> Task:
-    return Task(f"{name} {number}", pid, None, exclusive=True, company=(name,) if name else ())
-
-
-@pytest.mark.thorough
-def test_a_worker_serves_one_company(executor) -> None:  # type: ignore[no-untyped-def]
-    names = ["", "a", "", "a", "b", "c", "d", "e", "", "a"]  # one more than there are places for workers
-    tasks = [in_company(name, number) for number, name in enumerate(names)]
-    done = outcomes(executor, *tasks)
-    served: dict[int, set[str]] = {}
-    for task in tasks:
-        served.setdefault(done[task.id].value, set()).add(task.company[0] if task.company else "")
-    assert all(len(companies) == 1 for companies in served.values()), served
-    assert done[tasks[0].id].value == done[tasks[2].id].value
-
-
-def alone(name: str, function: Callable[[object], object]) -> Task:
-    """A task that one and the same worker gets."""
-    return Task(name, function, None, exclusive=True)
-
-
 def working_folder(_: object) -> str:
     return os.getcwd()
-
-
-def disturb(_: object) -> None:
-    os.environ["CODECBENCH_DISTURBED"] = "1"
-    os.umask(0o7)
-    os.chdir("/")
-    signal.signal(signal.SIGUSR1, signal.SIG_IGN)
-    warnings.simplefilter("error")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (64, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-
-
-def state(_: object) -> tuple[int, ProcessState]:
-    return os.getpid(), ProcessState.now()
-
-
-def lower_for_good(_: object) -> int:
-    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
-    return os.getpid()
 
 
 def test_workers_are_in_a_folder_of_their_own(executor) -> None:  # type: ignore[no-untyped-def]
@@ -395,28 +368,16 @@ def test_workers_are_in_a_folder_of_their_own(executor) -> None:  # type: ignore
     assert "codecbench-workers-" in folder
 
 
-def test_what_a_task_changes_of_its_process_is_changed_back(executor) -> None:  # type: ignore[no-untyped-def]
-    tasks = [alone("before", state), alone("disturb", disturb), alone("after", state)]
-    done = outcomes(executor, *tasks)
-    assert done["before"].value == done["after"].value
-
-
-def test_a_worker_that_cannot_be_restored_ends(executor) -> None:  # type: ignore[no-untyped-def]
-    done = outcomes(executor, alone("lower", lower_for_good), alone("after", state))
-    (pid_after, state_after), pid_before = done["after"].value, done["lower"].value
-    assert pid_after != pid_before
-    assert state_after.limits[resource.RLIMIT_NOFILE] != (64, 64)
-
-
 @pytest.mark.thorough
 def test_a_worker_that_ends_unseen_before_it_begins_a_task_is_replaced(
     executor: LocalExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a busy machine, where pebble looks after its workers late."""
     monkeypatch.setattr(PoolManager, "update_workers", lambda _: None)
-    done = outcomes(executor, alone("lower", lower_for_good), alone("after", pid))
-    assert done["after"].status == "ok", done["after"].reason
-    assert done["after"].value != done["lower"].value
+    tasks = [Task(name, leak, mb, memory_mb=300, exclusive=True) for name, mb in {"crowd": 200, "next": 1}.items()]
+    done = outcomes(executor, *tasks)
+    assert done["next"].status == "ok", done["next"].reason
+    assert done["next"].value != done["crowd"].value
 
 
 @pytest.mark.thorough

@@ -65,14 +65,23 @@ DOORS: dict[str, tuple[str, str]] = {
         "    except OSError:\n        pass\nos._exit(0)",
         "it answered nonsense",
     ),
-    "slams": ("import os\nos.closerange(0, 1024)", "it ended its process with status 0"),
-    "orphans": ("import os, signal\nos.kill(os.getppid(), signal.SIGKILL)", "it ended its process by SIGKILL"),
+    "slams": ("import os\nos.closerange(0, 1024)", "it ended its process with status 1"),
+    "trickles": (
+        "import os, signal, time\nsignal.signal(signal.SIGALRM, signal.SIG_IGN)\nwhile time.sleep(1e-3) is None:\n"
+        "    for fd in range(3, 16):\n        try:\n            os.write(fd, b' ')\n"
+        "        except OSError:\n            pass",
+        "no answer within ",
+    ),
+    "orphans": (
+        "import os, signal\nos.kill(os.getppid(), signal.SIGKILL)\nsignal.pause()",
+        "it ended its process by SIGKILL",
+    ),
     "forks": ("import os\nos.fork()", ""),
     "breeds": ("import os\nfor _ in range(4):\n    os.fork()", ""),
     "prints": ("print('hello from a door\\n' * 10**6)\nimport sys\nprint('hello from a door', file=sys.stderr)", ""),
     "patches": (
         "import builtins, json, numpy\njson.dumps = builtins.open = numpy.mean = lambda *_, **__: 42.0",
-        "it ended its process with status 0",
+        "it ended its process with status 1",
     ),
     "lingers": (
         "import atexit, threading, time\natexit.register(time.sleep, 3600)\n"

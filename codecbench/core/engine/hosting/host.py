@@ -1,33 +1,45 @@
-"""A host: a process in which the plugins of a company of distributions are imported, constructed and asked.
+"""A host: a process in which the plugins of one distribution are imported, constructed and asked, in one role.
 
-What comes back is JSON and nothing else, so that no answer can make this process import anything. A host that exits,
-is killed, hangs or answers nonsense costs the question that it was asked; the next one starts another host.
+Plugins of other distributions than codecbench's run in hosts and nowhere else. What comes back is JSON and bytes, so
+that no answer can make this process import or call anything. A host that exits, is killed, hangs or answers nonsense
+costs what it was asked. Its roles keep apart what must not know of each other: who decodes never saw what was encoded.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import select
-import signal
 import subprocess
 import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, Literal
 
-from codecbench.core.contracts import errors
 from codecbench.core.contracts.confinement import confining_words, status_inside, wanted
-from codecbench.core.contracts.errors import PluginError
-from codecbench.core.contracts.held_folder import HeldFolder
+from codecbench.core.contracts.held_folder import HeldFolder, left_running
 from codecbench.core.engine.foreign_errors import ended
+from codecbench.core.engine.hosting.channel import (
+    CRASH_FILE,
+    LONGEST_TRACE,
+    Channel,
+    PluginFault,
+    PluginLoss,
+    PluginNonsense,
+    PluginTimeout,
+    SharedMemory,
+)
+
+__all__ = ["Host", "PluginFault", "PluginLoss", "PluginTimeout"]
+
+Role = Literal["describe", "read", "encode", "decode", "evaluate"]
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
-"""The environment variable that says how long a plugin may take to be imported, constructed or asked."""
+"""The environment variable that says how long a plugin may take to be imported, constructed or described."""
 
 HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
 """Set in hosts, so that a plugin which calls codecbench when it is imported is not imported again and again."""
@@ -36,139 +48,184 @@ FOLDER_PREFIX: Final = "codecbench-host-"
 """How the names of folders begin in which plugins of others are asked."""
 
 _LIMIT_S: Final = 60.0
-_MOST_BYTES: Final = 64 << 20
-_POLL_S: Final = 0.1
+_POLL_MS: Final = 100
+_PATIENCE_S: Final = 1.0
+_MOST_LATE: Final = 1000
+"""So often is something read of an answer that is late."""
 _PROGRAM: Final = """
-import json, sys
-paths, requests, answers, company, folder = json.loads(sys.argv[1])
+import json, os, sys
+paths, dies, *rest = json.loads(sys.argv[1])
+if dies and sys.platform == "linux":
+    import ctypes
+    ctypes.CDLL(None).prctl(1, 9)
+if child := os.fork():
+    import signal
+    signal.signal(signal.SIGTERM, lambda *_: os.killpg(child, 9))
+    os.closerange(3, max(rest[0]) + 1)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    os._exit(status if status >= 0 else 128 - status)
+os.setsid()
 sys.path[:] = paths
 from codecbench.core.engine.serving import serve
-serve(requests, answers, company, folder)
+serve(*rest)
 """
-
-
-class PluginFault(PluginError):
-    """A plugin of another distribution exits, hangs, raises or breaks the contract; it costs that plugin's rows."""
-
-
-class PluginLoss(PluginFault):
-    """Its process ended, or had to be ended."""
-
-
-class PluginTimeout(PluginLoss):
-    """It did not answer in time."""
+"""The host has a parent that waits for it and ends it, because a plugin may end its parent. The host dies with that,
+and it, where it may take for ever, with the thread that started it."""
 
 
 def limit_s() -> float:
-    """How long a host may take for one answer, in seconds."""
+    """How long a host may take for one description, in seconds."""
     with suppress(ValueError):
         return max(0.1, float(os.environ.get(LIMIT_VARIABLE, _LIMIT_S)))
     return _LIMIT_S
 
 
-class PluginHost:
-    """The process of one company; it is started by the first question, or earlier by `start`."""
+class Host:
+    """The process of one distribution, by its name with its version, in one role; started by the first question.
 
-    def __init__(self, company: Sequence[str]) -> None:
-        self.company = tuple(company)
+    limit_s: how long an answer may take, None where whoever asks is watched itself. prints: what its plugins print goes
+    where this process prints, and not nowhere.
+    """
+
+    def __init__(
+        self,
+        distribution: str,
+        role: Role = "describe",
+        limit_s: Callable[[], float] | None = limit_s,
+        *,
+        prints: bool = False,
+    ) -> None:
+        self.distribution, self.role, self._limit_s, self._prints = distribution, role, limit_s, prints
         self._process: subprocess.Popen[bytes] | None = None
         self._end: Callable[[], Any] = lambda: None
-        self._requests = self._answers = -1
+        self._channel: _Asking | None = None
         self._lock = threading.Lock()
-        self._number = 0
+        self._deadline: float | None = None
+        self._late = 0
+        self._folder = Path()
+
+    @property
+    def lives(self) -> bool:
+        """Whether it was started and has not ended."""
+        return self._process is not None and self._process.poll() is None
 
     def start(self) -> None:
         """Start the process without waiting for it."""
         if self._process is not None:
             return
         held = HeldFolder(FOLDER_PREFIX)
+        self._folder = held.path
         folder = str(held.path)
         confining = confining_words(folder) if wanted() else []
-        taken, self._requests = os.pipe()
-        self._answers, given = os.pipe()
+        taken, writes = os.pipe()
+        reads, given = os.pipe()
+        sends, receives = SharedMemory(), SharedMemory()
+        descriptors = (taken, given, receives.descriptor, sends.descriptor)
         paths = [os.path.abspath(path) for path in sys.path]
+        told = json.dumps([paths, self._limit_s is None, descriptors, self.distribution, folder])
+        printed = None if self._prints else subprocess.DEVNULL
         self._process = subprocess.Popen(
-            [*confining, sys.executable, "-c", _PROGRAM, json.dumps([paths, taken, given, self.company, folder])],
+            [*confining, sys.executable, "-c", _PROGRAM, told],
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(taken, given),
+            stdout=printed,
+            stderr=printed,
+            pass_fds=descriptors,
             cwd=folder,
             env={**os.environ, **cache_variable(), "TMPDIR": folder, HOSTED_VARIABLE: "1"},
             start_new_session=True,
         )
         os.close(taken)
         os.close(given)
-        self._end = weakref.finalize(self, _end, self._process, (self._requests, self._answers), held)
+        left_running.add(self._process.pid)
+        self._channel = _Asking(self, reads, writes, sends, receives)
+        self._end = weakref.finalize(self, _end, self._process, (reads, writes), (sends, receives), held)
 
-    def ask(
-        self, function: Callable[..., Any] | str, arguments: Sequence[Any], *, ours: bool = True, times: float = 1
-    ) -> Any:
-        """What `function(registry, *arguments)` returns in the host, where `registry` has the company's plugins.
+    def ask(self, function: Callable[..., Any] | str, *arguments: Any, times: float = 1) -> Any:
+        """What `function(*arguments)` returns there. function: of codecbench, also as `module:name`.
 
-        function: also as `module:name`. ours: codecbench's own plugins are in that registry too. times: how many times
-        the usual limit it may take.
-        Raises the CodecbenchError that the function raised, PluginTimeout, or PluginFault for anything else that
-        happened.
+        times: how many times the usual limit it may take. Raises the CodecbenchError that the function raised,
+        PluginTimeout, or PluginFault for anything else that happened.
         """
-        request = {
-            "function": function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}",
-            "arguments": arguments,
-            "ours": ours,
-            "limit_s": math.ceil(times * limit_s()),
-        }
+        name = function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}"
         with self._lock:
-            self._number += 1
-            request["number"] = self._number
-            try:
-                self.start()
-                answer = self._exchange(json.dumps(request, default=str).encode() + b"\n", times * limit_s())
-            except BaseException:
-                self.end()
-                raise
-        if "value" in answer:
-            return answer["value"]
-        known = getattr(errors, str(answer.get("error") or ""), None)
-        if known is None or known is PluginError:
-            raise PluginFault(str(answer.get("text", "it answered nonsense")))
-        raise known(str(answer["text"]))
+            self.start()
+            assert self._channel is not None
+            self._channel.limit_s = None if self._limit_s is None else times * self._limit_s()
+            return self._channel.call(None, name, *arguments)
 
     def end(self) -> None:
-        """End the process; the next question starts another."""
+        """End the process with all that it started; the next question starts another."""
+        if self._process is not None:
+            left_running.discard(self._process.pid)
         self._end()
-        self._process, self._end = None, lambda: None
+        self._process, self._channel, self._end = None, None, lambda: None
 
-    def _exchange(self, request: bytes, limit_s: float) -> dict[str, Any]:
-        deadline = time.monotonic() + limit_s
-        with suppress(BrokenPipeError):  # then it has died, which reading finds
-            while request:
-                _, ready, _ = select.select([], [self._requests], [], max(0.0, deadline - time.monotonic()))
-                if not ready:
-                    raise PluginTimeout(f"no answer within {limit_s:g} s")
-                request = request[os.write(self._requests, request[: select.PIPE_BUF]) :]
-        content = bytearray()
-        while not content.endswith(b"\n"):
-            content += self._read(deadline, limit_s)
-            if len(content) > _MOST_BYTES:
-                raise PluginFault(f"answered with more than {_MOST_BYTES >> 20} MB")
-        with suppress(ValueError):
-            answer = json.loads(content)
-            if isinstance(answer, dict) and answer.get("number") == self._number:
-                return answer
-        raise PluginFault("it answered nonsense")
+    @contextmanager
+    def answering(self, channel: _Asking) -> Iterator[None]:
+        """Until when an answer has to come, and what becomes of this host where none comes."""
+        if self._channel is not channel:
+            raise PluginLoss("its process has ended")
+        if channel.depth == 0:
+            channel.forget()
+            self._deadline = None if channel.limit_s is None else time.monotonic() + channel.limit_s
+            self._late = 0
+        try:
+            yield
+        except (EOFError, BrokenPipeError, ConnectionError) as error:
+            loss = self._loss()
+            self.end()
+            raise loss from error
+        except (PluginLoss, PluginNonsense, KeyboardInterrupt):
+            self.end()
+            raise
 
-    def _read(self, deadline: float, limit_s: float) -> bytes:
-        """What the host has written since; waits for it. Raises PluginFault where it is gone or late."""
+    def wait(self, descriptor: int, event: int) -> None:
+        """Return when there is something to read or room to write. Raises PluginLoss where the process is gone or late.
+
+        What is there in time is read, also by who comes late, but not what goes on coming.
+        """
         assert self._process is not None
+        assert self._channel is not None
+        poll = select.poll()
+        poll.register(descriptor, event)
         while True:
-            gone = self._process.poll()
-            ready, _, _ = select.select([self._answers], [], [], 0 if gone is not None else _POLL_S)
-            if ready and (part := os.read(self._answers, 1 << 16)):
-                return part
-            if ready or gone is not None:
-                raise PluginLoss(_death(self._process))
-            if time.monotonic() > deadline:
-                raise PluginTimeout(f"no answer within {limit_s:g} s")
+            gone = self._process.poll() is not None
+            late = self._deadline is not None and time.monotonic() > self._deadline
+            self._late += late
+            if poll.poll(0 if gone or late else _POLL_MS) and self._late < _MOST_LATE:
+                return
+            if late:
+                raise PluginTimeout(f"no answer within {self._channel.limit_s:g} s")
+            if gone:
+                raise self._loss()
+
+    def _loss(self) -> PluginLoss:
+        """How the process ended, and where it was then."""
+        assert self._process is not None
+        try:
+            loss = PluginLoss(ended(status_inside(self._process.wait(1.0))))
+        except subprocess.TimeoutExpired:
+            return PluginLoss("it closed the connection of its process")
+        with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace") as file:
+            if trace := file.read(LONGEST_TRACE):
+                loss.add_note(f"in its host:\n{trace}")
+        return loss
+
+
+class _Asking(Channel):
+    """The end of a conversation that asks a host."""
+
+    def __init__(self, host: Host, reads: int, writes: int, sends: SharedMemory, receives: SharedMemory) -> None:
+        super().__init__(reads, writes, sends, receives, host.wait)
+        self._host = host  # which lives as long as an object of its process is known
+
+    def call(self, target: Any, name: str, *arguments: Any, **words: Any) -> Any:
+        with self._host.answering(self):
+            self.depth += 1
+            try:
+                return super().call(target, name, *arguments, **words)
+            finally:
+                self.depth -= 1
 
 
 def cache_variable() -> dict[str, str]:
@@ -177,20 +234,18 @@ def cache_variable() -> dict[str, str]:
     return {name: os.path.abspath(os.path.expanduser(os.environ[name])) for name in names}
 
 
-def _death(process: subprocess.Popen[bytes]) -> str:
-    try:
-        status = process.wait(1.0)
-    except subprocess.TimeoutExpired:
-        return "it closed the connection of its process"
-    return ended(status_inside(status) if wanted() else status)
-
-
-def _end(process: subprocess.Popen[bytes], pipes: tuple[int, ...], folder: HeldFolder) -> None:
-    """Kill a host with its process group and remove what it left."""
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
+def _end(
+    process: subprocess.Popen[bytes], pipes: tuple[int, ...], memory: tuple[SharedMemory, ...], folder: HeldFolder
+) -> None:
+    """End a host with its process group and remove what it left."""
+    process.terminate()  # its parent ends it, and reaps it
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_PATIENCE_S)
+    process.kill()
     process.wait()
     for pipe in pipes:
         with suppress(OSError):
             os.close(pipe)
+    for part in memory:
+        part.close()
     folder.remove()

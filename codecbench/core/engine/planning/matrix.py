@@ -190,7 +190,7 @@ class _Reader:
                 return replace(unusable, missing=str(error) if named else f"{plugin.title}: {error}", faulty=True)
             self.problems.add((*where, "use"), str(error))
             return None
-        setting = description.setting(kind, name, plugin.company)
+        setting = description.setting(kind, name, plugin.foreign)
         return Entry(where, setting, written, description=description)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:

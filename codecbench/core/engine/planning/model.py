@@ -81,11 +81,6 @@ class CodingJob:
         """Those whose code runs."""
         return self.sequence.dataset, self.codec
 
-    @property
-    def company(self) -> tuple[str, ...]:
-        """The distributions, besides codecbench's, whose code runs."""
-        return _company(*self.plugins)
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -111,11 +106,6 @@ class Cell:
     def plugins(self) -> tuple[PluginSetting, ...]:
         """Those whose code runs."""
         return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
-
-    @property
-    def company(self) -> tuple[str, ...]:
-        """The distributions, besides codecbench's, whose code runs."""
-        return _company(*self.plugins)
 
     def tail(self) -> tuple[Any, ...]:
         """What is the cell's own: its fields after the settings, in order, but what it awaited."""
@@ -275,7 +265,3 @@ def _shown(setting: PluginSetting) -> PluginSetting:
 def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
     """The fields of a setting, without the copies that `asdict` makes of each value: plans have 100,000 of them."""
     return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}
-
-
-def _company(*settings: PluginSetting) -> tuple[str, ...]:
-    return tuple(sorted({setting.distribution for setting in settings if setting.distribution}))

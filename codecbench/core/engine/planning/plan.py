@@ -227,7 +227,7 @@ def _used(
         plugin, description = registry.find(kind, name), describe(registry, kind, name, params)
     except (Unsupported, PluginError, InvalidParams) as error:
         return PluginSetting(kind, name, "", params), [kind, name, None, params], str(error)
-    setting = description.setting(kind, name, plugin.company)
+    setting = description.setting(kind, name, plugin.foreign)
     return setting, [kind, name, description.version, description.identities[0]], description.missing
 
 

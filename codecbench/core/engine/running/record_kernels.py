@@ -12,8 +12,10 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import CodingJob, Plan
 from codecbench.core.engine.planning.plan import make_sampled_plan
+from codecbench.core.engine.registry import everything
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.work import BITSTREAMS, Order, perform
+from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.kernels import manifest
@@ -31,26 +33,28 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
     Raises RecordingError where something of a matrix fails, MatrixError and ManifestError as their names say, and
     OSError where a file cannot be written, which then is as it was.
     """
+    bench = Workbench(registry=everything())
+    bench.hosts_none = True
     with _empty_cache(), manifest.recording() as recorder:
         for recorder.stage, matrix in enumerate(matrices):
-            _perform(make_sampled_plan(read_matrix(matrix)))
+            _perform(make_sampled_plan(read_matrix(matrix)), bench)
     files = dict(manifest.recorded(package, recorder.entries) for package in packages)
     for path, content in files.items():
         write_file(path, content)
     return list(files)
 
 
-def _perform(plan: Plan) -> None:
+def _perform(plan: Plan, bench: Workbench) -> None:
     coded: dict[str | None, bytes | None] = {None: None}
     for job in plan.jobs:
-        coded[job.id] = _done(Order(job, None, MOST_BYTES)).contents[BITSTREAMS]
+        coded[job.id] = _done(Order(job, None, MOST_BYTES), bench).contents[BITSTREAMS]
     for cell in plan.cells:
-        _done(Order(cell, coded[cell.job_id], MOST_BYTES))
+        _done(Order(cell, coded[cell.job_id], MOST_BYTES), bench)
 
 
-def _done(order: Order) -> Record:
+def _done(order: Order, bench: Workbench) -> Record:
     """The record of work that was done. Raises RecordingError where it failed."""
-    outcome = perform(order)
+    outcome = perform(order, bench)
     if isinstance(outcome, Record) and outcome.status == "ok":
         return outcome
     work, reason = order.work, outcome.reason if isinstance(outcome, Record) else outcome

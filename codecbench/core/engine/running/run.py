@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from codecbench.core.contracts.confinement import confinement, wanted
-from codecbench.core.contracts.errors import CodecbenchError, StoreError
+from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status
 from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
@@ -18,9 +18,7 @@ from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.answer import outcome_of
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
-from codecbench.core.engine.running.distrust import beside_notice, made_beside
 from codecbench.core.engine.running.interruption import Interruption
-from codecbench.core.engine.running.mending import mend_environments
 from codecbench.core.engine.running.progress import Pace, Progress, measured_words
 from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
@@ -66,7 +64,7 @@ def run_plan(
     with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
         executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
         if wanted():
-            _require_confinement(executor)
+            confinement()
         found = resume(plan, store, registry, recompute)
         workers, listener = workers or plan.run.workers, listener or (lambda _: None)
         run = _Run(plan, store, executor, registry, workers, listener, grows=growth is not None)
@@ -75,24 +73,12 @@ def run_plan(
             run.perform(interruption)
             while growth is not None and not interruption.requested and run.grow(growth(run.plan)):
                 run.perform(interruption)
-            if not run.started and not interruption.requested:
-                mend_environments(store, executor, plan.run.timeout_s)
         except StoreError as error:
             log.error("%s", error)
             raise
         finally:
             executor.stop()
         return run.summary(interruption.signal_name)
-
-
-def _require_confinement(executor: Executor[Any]) -> None:
-    """Raise CodecbenchError where this system or the executor does not confine."""
-    confinement()
-    if not executor.confines:
-        message = (
-            f"the executor {executor.name} does not confine plugins; choose local or dask, or run without --confine"
-        )
-        raise CodecbenchError(message)
 
 
 class _Run:
@@ -119,7 +105,6 @@ class _Run:
         self.jobs_total, self.jobs_done, self.not_ok = 0, 0, 0
         self.under_way: dict[str, Work] = {}
         self.recoded: Counter[str] = Counter()
-        self.redone: set[str] = set()
 
     def grow(self, plan: Plan) -> bool:
         """Go on with a plan that has grown; whether it has."""
@@ -228,8 +213,6 @@ class _Run:
         outcome = outcome_of(work, finished)
         if isinstance(outcome, OSError):
             raise self.store.refusal(outcome) from outcome
-        if isinstance(outcome, Record) and outcome.worker and not outcome.worker["checked"]:
-            self._distrust(outcome.worker, work.company)
         if isinstance(work, CodingJob):
             assert isinstance(outcome, Record)
             self._coded(work, outcome)
@@ -250,8 +233,6 @@ class _Run:
             self.schedule.ended(job)
             self._tell()
             return
-        if self.store.coded_path(job.id).exists():  # written before its worker was found changed
-            self.store.drop_coded(job.id, record.reason)
         for cell in self.schedule.failed(job):
             self._record(cell, Record(cell.id, record.status, f"coding failed: {record.reason}", record.traceback))
 
@@ -262,24 +243,6 @@ class _Run:
         self.store.drop_coded(cell.job_id, damage)
         self.damaged[cell.id] = damage
         self.jobs_total += self.schedule.encode_again(cell)
-
-    def _distrust(self, worker: dict[str, Any], company: tuple[str, ...]) -> None:
-        """A worker was found changed by the code that it ran: compute again what was made beside that code."""
-        done = [cell for cell in self.plan.cells if self.statuses.get(cell.id) == "ok" and cell.id not in self.redone]
-        again = list(made_beside(company, worker, done, self.store))
-        for cell, encode in again:
-            self.redone.add(cell.id)
-            self.store.drop_record(cell.id)
-            self.kept.pop(cell.id, None)
-            del self.statuses[cell.id]
-            self.pace.again(cell)
-            if self.schedule.compute_again(cell, encode):
-                self.jobs_total += 1
-                self.pace.again(self.schedule.jobs[cell.job_id or ""])
-        if again:
-            notice = beside_notice(len(again), company)
-            log.warning("%s", notice)
-            self._tell(notice=notice)
 
     def _record(self, cell: Cell, record: Record) -> None:
         """Keep what became of a cell; a record that no worker made still says which cell it is of."""

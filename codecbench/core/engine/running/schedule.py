@@ -24,8 +24,7 @@ class Schedule:
     """The work that is left of a plan.
 
     Sequence by sequence, so that a worker reads each frame once for many settings; within one, the cells of a
-    setting as soon as it is encoded. Work that runs other distributions' code comes after the rest, company by company,
-    because a worker serves one. Exclusive cells come when all else is done, ordered by repeat and then by
+    setting as soon as it is encoded. Exclusive cells come when all else is done, ordered by repeat and then by
     codec, so that whatever drifts meanwhile (temperature, clock) falls on all codecs alike.
     """
 
@@ -42,11 +41,9 @@ class Schedule:
         self._sequences = {entry.fingerprint: place for place, entry in enumerate(plan.sequences)}
         self._codecs: dict[PluginSetting, int] = {}
         self._evaluators: dict[PluginSetting, int] = {}
-        self._companies: dict[tuple[str, ...], int] = {(): 0}
         for cell in plan.cells:
             self._codecs.setdefault(cell.codec, len(self._codecs))
             self._evaluators.setdefault(cell.evaluator, len(self._evaluators))
-            self._companies.setdefault(cell.company, len(self._companies))
         self.needed_jobs = {cell.job_id for cell in todo if cell.job_id is not None} - self._coded
         self._left = len(todo)
         for job_id in self.needed_jobs:
@@ -104,15 +101,6 @@ class Schedule:
         self._waiting[cell.job_id].append(cell)
         return self._encode(cell.job_id)
 
-    def compute_again(self, cell: Cell, encode: bool) -> bool:
-        """A cell that has ended is to be computed once more; whether its bitstreams are, too, and were not due."""
-        self.cells[cell.id] = cell
-        self._left += 1
-        if encode and cell.job_id is not None:
-            return self.encode_again(cell)
-        self._push(cell)
-        return False
-
     def _encode(self, job_id: str) -> bool:
         if job_id in self._uncoded:
             return False
@@ -135,13 +123,12 @@ class Schedule:
     def _rank(self, work: Work) -> _Rank:
         sequence = self._sequences[work.sequence.fingerprint]
         codec = self._codecs[work.codec]
-        company = self._companies.setdefault(work.company, len(self._companies))
         if isinstance(work, CodingJob):
-            return company, sequence, 0, codec, 0, 0
+            return sequence, 0, codec, 0, 0
         evaluator = self._evaluators[work.evaluator]
         if work.exclusive:
             return sequence, evaluator, work.repeat, codec
-        return company, sequence, int(work.job_id is None), codec, 1 + evaluator, work.repeat
+        return sequence, int(work.job_id is None), codec, 1 + evaluator, work.repeat
 
     def _runs_alone(self, id_: str) -> bool:
         return id_ in self.cells and self.cells[id_].exclusive

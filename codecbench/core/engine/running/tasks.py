@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from codecbench.core.contracts.confinement import confines
+from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.executor import Task
 from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
@@ -15,10 +15,10 @@ from codecbench.core.engine.storage.store import Store
 
 def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
     """A job or cell as a task. shares_files: the executor's workers see the run folder."""
-    order = Order(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb))
+    order = Order(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), wanted())
     exclusive = isinstance(work, Cell) and work.exclusive
     limits = settings.timeout_s, settings.memory_mb
-    return Task(work.id, perform, order, *limits, exclusive, work.company, confines(work.company))
+    return Task(work.id, perform, order, *limits, exclusive)
 
 
 def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | None:
@@ -27,7 +27,6 @@ def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | 
     if job_id is None:
         return None
     path = store.coded_path(job_id).absolute()
-    writes = isinstance(work, CodingJob)
-    if shares_files and not (writes and confines(work.company)):
+    if shares_files:
         return path
-    return None if writes else path.read_bytes()
+    return None if isinstance(work, CodingJob) else path.read_bytes()

@@ -8,15 +8,17 @@ from __future__ import annotations
 import functools
 import itertools
 import logging
+import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from codecbench.core.contracts.confinement import confines
+from codecbench.core.contracts.confinement import VARIABLE, wanted
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry
 
@@ -27,14 +29,14 @@ log = logging.getLogger("codecbench.run")
 
 _Call: TypeAlias = tuple[Kind, str, str]
 """Kind and name of a plugin, and a package, module or function whose kernels it calls."""
-_Kernels: TypeAlias = "dict[Entry, tuple[str, ...]]"
-"""Kernels with the distributions that are imported to compile each."""
+_Kernels: TypeAlias = "dict[Entry, str]"
+"""Kernels with the distribution that each is of, empty for codecbench."""
 
 
 class WarmUp:
     """Kernels that are not in the cache, and the work that waits for them.
 
-    wanted: in the order in which they are compiled, with the distributions that are imported to compile each; those
+    wanted: in the order in which they are compiled, with the distribution that each is of, empty for our own; those
     that only longer work comes to follow once all others are compiled, beside the first cells. needs: by the id of a
     coding job or cell, what it calls. out: a folder that gets a copy of what is compiled.
     """
@@ -45,8 +47,8 @@ class WarmUp:
         needs: Mapping[str, frozenset[Entry]] | None = None,
         out: Path | None = None,
     ) -> None:
-        self._companies, self._needs, self._out = wanted or {}, needs or {}, out
-        self._waiting = sorted(self._companies, key=lambda entry: entry.stage > 0)
+        self._origins, self._needs, self._out = wanted or {}, needs or {}, out
+        self._waiting = sorted(self._origins, key=lambda entry: entry.stage > 0)
         self._missing = {entry for entry in self._waiting if entry.stage == 0}
         self._under_way: dict[str, Entry] = {}
         self.total = len(self._waiting)
@@ -63,7 +65,7 @@ class WarmUp:
     @property
     def seconds(self) -> float:
         """What compiling them takes one worker, as it did where their lists were made."""
-        return sum(entry.seconds for entry in self._companies)
+        return sum(entry.seconds for entry in self._origins)
 
     @property
     def progress(self) -> str:
@@ -81,8 +83,7 @@ class WarmUp:
         entry = self._waiting.pop(0)
         id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
         self._under_way[id_] = entry
-        company = self._companies[entry]
-        return Task(id_, compile_entry, (entry, self._out), company=company, confined=confines(company))
+        return Task(id_, compile_entry, (entry, self._out, self._origins[entry], wanted()))
 
     def took(self, finished: Finished) -> bool:
         """Whether a task that has ended was one of these. However it ended, the run goes on."""
@@ -97,12 +98,20 @@ class WarmUp:
         return True
 
 
-def compile_entry(work: tuple[Entry, Path | None]) -> None:
-    """Compile a kernel into the cache, and copy it into a folder where there is one."""
-    entry, out = work
+def compile_entry(work: tuple[Entry, Path | str | None, str, bool]) -> None:
+    """Compile a kernel into the cache, and copy it into a folder where there is one; of others, in a host."""
+    entry, out, origin, confines = work
+    if origin:
+        os.environ[VARIABLE] = "1" if confines else "0"
+        host = Host(origin, "encode", None, prints=True)
+        try:
+            return host.ask(compile_entry, (entry, out and str(out), "", confines))  # type: ignore[no-any-return]
+        finally:
+            host.end()
     entry.compile()
     if out is not None:
-        entry.copy_to(out)
+        entry.copy_to(Path(out))
+    return None
 
 
 def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | None = None) -> WarmUp:
@@ -123,7 +132,7 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | No
 
     def of(*settings: PluginSetting, build: str = "fast") -> _Kernels:
         found = (listed_for(setting.kind, setting.name, described(setting)[0], build) for setting in settings)
-        return {entry: company for kernels in found for entry, company in kernels.items()}
+        return {entry: origin for kernels in found for entry, origin in kernels.items()}
 
     cells = list(cells)
     work = {cell.id: (cell.sequence.dataset, cell.codec, cell.evaluator) for cell in cells}
@@ -148,7 +157,7 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | No
 
 
 def _largest_first(groups: Iterable[_Kernels]) -> _Kernels:
-    entries = {entry: company for group in groups for entry, company in group.items()}
+    entries = {entry: origin for group in groups for entry, origin in group.items()}
     return dict(sorted(entries.items(), key=lambda item: -item[0].seconds))
 
 
@@ -175,7 +184,7 @@ def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bo
         by_plugin.setdefault((kind, name), []).append(kernels)
     entries: _Kernels = {}
     for asked, names in by_plugin.items():
-        company = registry.find(*asked).company
+        origin = registry.find(*asked).foreign
         try:
             answer = registry.ask(entries_missing, names, builds, kept, of=[asked])
         except CodecbenchError as error:
@@ -184,7 +193,7 @@ def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bo
         for problem in answer["problems"]:
             log.warning("%s", problem)
         found = [Entry(**values) for values in answer["entries"]]
-        entries |= {e: (company,) if company and not e.kernel.startswith("codecbench.") else () for e in found}
+        entries |= {e: "" if e.kernel.startswith("codecbench.") else origin for e in found}
     return entries
 
 

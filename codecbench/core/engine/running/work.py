@@ -5,43 +5,33 @@ from __future__ import annotations
 import errno
 import functools
 import gc
+import os
 import platform
-import random
-import tempfile
 import time
 import traceback
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-import numpy as np
-
 from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.confinement import confined_by, outer_pid
+from codecbench.core.contracts.confinement import VARIABLE, confinement, wanted
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
-from codecbench.core.contracts.evaluator import (
-    CodecEvaluator,
-    Context,
-    Evaluator,
-    FrameEvaluator,
-    Measurement,
-    SequenceEvaluator,
-)
-from codecbench.core.contracts.executor import Status, retirement
+from codecbench.core.contracts.executor import Status
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.hosting.host import PluginLoss
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
+from codecbench.core.engine.running.measuring import measure, measured_in_host
 from codecbench.core.engine.running.schedule import Work
-from codecbench.core.engine.running.sentinel import Tampering
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
+from codecbench.core.engine.serving import keep_memory, start_afresh
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import (
     BitstreamDamage,
@@ -49,15 +39,8 @@ from codecbench.core.engine.storage.bitstream_file import (
     write_bitstreams,
     write_stream,
 )
-from codecbench.core.engine.storage.record import (
-    RECORD_FILE,
-    SAMPLES_FILE,
-    Record,
-    bytes_from_record,
-    cell_description,
-    record_from_bytes,
-)
-from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError, parquet_from_samples
+from codecbench.core.engine.storage.record import SAMPLES_FILE, Record, cell_description
+from codecbench.core.engine.storage.samples import parquet_from_samples
 
 BITSTREAMS: Final = "bitstreams"
 """The name of a coding job's file among the contents of its record, where it was not written by the worker."""
@@ -70,12 +53,14 @@ class Order:
     """A coding job to do or a cell to compute.
 
     bitstreams: of a job, the file to write, or None to send them back; of a cell, the file to read or its content, or
-    None where it reads none. cache_bytes: for frames kept in the worker.
+    None where it reads none. cache_bytes: for frames kept in the worker. confines: hosts of other distributions are
+    to be confined, also on another machine.
     """
 
     work: Work
     bitstreams: Path | bytes | None = field(repr=False)
     cache_bytes: int
+    confines: bool = False
 
 
 def prepare_worker() -> None:
@@ -88,64 +73,64 @@ def prepare_worker() -> None:
 
     pyarrow.set_cpu_count(1)
     pyarrow.set_io_thread_count(1)
-    _workbench()
+    keep_memory()
+    _ = _workbench().environment
     gc.freeze()
 
 
-def tell_environment(_: object) -> tuple[str, dict[str, Any]]:
-    """The id and the description of this worker's environment."""
-    return _workbench().environment, _workbench().environment_description
-
-
-def perform(order: Order) -> Record | BitstreamDamage | OSError:
+def perform(order: Order, bench: Workbench | None = None) -> Record | BitstreamDamage | OSError:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read.
 
-    An OSError is a full disk where the bitstreams were to be written, which no plugin is to blame for.
+    An OSError is a full disk where the bitstreams were to be written, which no plugin is to blame for. bench: by
+    default, the one of this worker.
     """
     begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, position, checked = order.work, _workbench(), WorkPosition(titles=_titles(order.work)), True
-    code: dict[str, str] = {}
-    _start_afresh(work.id)
+    work, bench, position = order.work, bench or _workbench(), WorkPosition(titles=_titles(order.work))
+    start_afresh(_seed(work))
+    os.environ[VARIABLE] = "1" if order.confines else "0"
     try:
-        bench.join(work.company)
-        code = bench.code(work.plugins)
-        record = _encode(work, order, position) if isinstance(work, CodingJob) else _evaluate(work, order, position)
-        position.at("check")
-        bench.check(work.company)
-        record = _as_kept(record)
+        do = _encode if isinstance(work, CodingJob) else _evaluate
+        record = do(work, order, bench, position)  # type: ignore[arg-type]
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
     except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
         if isinstance(error, OSError) and error.errno in _FULL and position.stage == WRITE:
             return error
         record = _failure(work, error, position)
-        checked = not isinstance(error, Tampering) and bench.is_sound(work.company)
-        retirement.asked = not checked
+    finally:
+        bench.tidy(_decoded(work))
     return replace(
         record,
         environment=bench.environment,
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
         duration_s=time.monotonic() - begun,
-        worker=_worker(work, checked),
-        code=code,
+        worker=_worker(work),
+        code=bench.code(work.plugins),
         cell=cell_description(work) if isinstance(work, Cell) else {},
     )
 
 
-def _worker(work: Work, checked: bool) -> dict[str, Any]:
-    """Where and in whose company the work was done, what confined it, if anything did, and whether it was sound after.
+def _worker(work: Work) -> dict[str, Any]:
+    """Where the work was done, and what confined other distributions' code, if anything did."""
+    is_confined = wanted() and any(plugin.distribution for plugin in work.plugins)
+    return {"host": platform.node(), "pid": os.getpid(), **({"confined": confinement()} if is_confined else {})}
 
-    The process has the number that it is known by outside of its confinement, which no other worker has.
-    """
-    tool = confined_by()
-    confined = {} if tool is None else {"confined": tool}
-    company = list(work.company)
-    return {"host": platform.node(), "pid": outer_pid(), "company": company, "checked": checked, **confined}
+
+def _decoded(work: Work) -> str:
+    """The coding job whose host the next cell may decode in, too; empty where it may not."""
+    return "" if isinstance(work, CodingJob) or work.exclusive else work.job_id or ""
+
+
+def _seed(work: Work) -> int:
+    """Of global random generators, so that results do not depend on what was done before."""
+    return int(work.id[:8], 16)
 
 
 def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record:
-    status: Status = "unsupported" if isinstance(error, Unsupported) else "failed"
+    status: Status = (
+        "unsupported" if isinstance(error, Unsupported) else "crashed" if isinstance(error, PluginLoss) else "failed"
+    )
     try:
         trace = clean_text("".join(traceback.format_exception(error)))
     except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
@@ -172,33 +157,16 @@ def _titles(work: Work) -> dict[str, str]:
     return {stage: setting.full_name for stage, setting in settings.items() if setting.distribution}
 
 
-def _as_kept(record: Record) -> Record:
-    """The record as it will be read again, so that nothing leaves the worker which only looks like text and numbers."""
-    return replace(record_from_bytes(bytes_from_record(record)), contents=record.contents)
-
-
-def _start_afresh(identity: str) -> None:
-    """Undo what an earlier task may have done to the process, so that results do not depend on the order."""
-    import cv2
-
-    seed = int(identity[:8], 16)
-    cv2.setNumThreads(1)
-    cv2.setRNGSeed(seed >> 1)
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - for code of others that draws from the global generator
-
-
 @functools.cache
 def _workbench() -> Workbench:
     return Workbench()
 
 
-def _encode(job: CodingJob, order: Order, position: WorkPosition) -> Record:
+def _encode(job: CodingJob, order: Order, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
-    bench = _workbench()
     sequence = bench.sequence(job.sequence, order.cache_bytes)
     position.at("construct codec")
-    codec: AnyCodec[Any] = bench.create(job.codec)
+    codec: AnyCodec[Any] = bench.create(job.codec, job.id, _seed(job), "encode")
     if isinstance(order.bitstreams, Path):
         position.at(WRITE)
         with open_whole(order.bitstreams) as file:
@@ -220,65 +188,43 @@ def _write_coded(
         write_stream(file, packets, job_id)
 
 
-def _evaluate(cell: Cell, order: Order, position: WorkPosition) -> Record:
+def _evaluate(cell: Cell, order: Order, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
-    bench = _workbench()
     sequence = bench.sequence(cell.sequence, order.cache_bytes)
     position.at("construct codec")
-    codec: AnyCodec[Any] = bench.create(cell.codec)
+    codec: AnyCodec[Any] = bench.create(cell.codec, _decoded(cell) or cell.id, _seed(cell))
+    coded: CodedFrames | None = None
+    if cell.job_id is not None:
+        assert order.bitstreams is not None
+        file = BitstreamFile(order.bitstreams, cell.job_id)
+        coded = CodedFrames(sequence, codec, file, position, bench.pictures(file, order.cache_bytes))
     position.at("construct evaluator")
-    evaluator: Evaluator[Any] = bench.create(cell.evaluator)
-    check = MeasurementCheck(evaluator, len(sequence))
-    with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
-        rng, plugins = np.random.default_rng(cell.seed), DeclaredPlugins(bench.registry, evaluator.uses)
-        context = Context(rng, cell.repeat, Path(folder), plugins, cell.awaited)
-        if isinstance(evaluator, CodecEvaluator):
-            position.at("evaluate")
-            found = list(check.checked(evaluator.evaluate(codec, sequence, context)))
-            noted: tuple[str, ...] = ()
-        else:
-            assert order.bitstreams is not None
-            assert cell.job_id is not None
-            file = BitstreamFile(order.bitstreams, cell.job_id)
-            coded = CodedFrames(sequence, codec, file, position, bench.pictures(file, order.cache_bytes))
-            found = list(_of_coded(evaluator, coded, context, check, position))
-            noted = coded.notes
-        position.at("remark")
-        notes = (*_remarks(codec), *noted)
-        position.at("artifacts")
-        contents = _artifacts(Path(folder))
+    plugins = DeclaredPlugins(bench, cell)
+    measured = (
+        measured_in_host(bench, cell, coded or codec, sequence, plugins, position)
+        if bench.is_hosted(cell.evaluator)
+        else measure(bench.create(cell.evaluator, cell.id), coded or codec, sequence, cell, plugins, position)
+    )
+    if coded is not None:
+        position.at("decode")
+        coded.check(lambda: bench.create(cell.codec, f"{cell.id} alone", _seed(cell)))
+    position.at("remark")
+    notes = (*_remarks(codec), *(() if coded is None else coded.notes))
     position.at("libraries")
     libraries = _libraries(codec)
-    samples = [measurement for measurement in found if measurement.frame is not None]
+    contents, samples = measured.artifacts, [m for m in measured.measurements if m.frame is not None]
     if samples:
         contents[SAMPLES_FILE] = parquet_from_samples(samples)
     return Record(
         cell.id,
         "ok",
-        measurements=tuple(measurement for measurement in found if measurement.frame is None),
-        summaries=summarise(samples, evaluator.metrics),
-        metrics=tuple(metric.name for metric in evaluator.metrics),
+        measurements=tuple(measurement for measurement in measured.measurements if measurement.frame is None),
+        summaries=summarise(samples, measured.metrics),
+        metrics=tuple(metric.name for metric in measured.metrics),
         libraries=libraries,
         notes=notes,
         contents=contents,
     )
-
-
-def _of_coded(
-    evaluator: Evaluator[Any], coded: CodedFrames, context: Context, check: MeasurementCheck, position: WorkPosition
-) -> Iterator[Measurement]:
-    """The measurements of an evaluator that looks at coded frames."""
-    position.at("evaluate")
-    if isinstance(evaluator, SequenceEvaluator):
-        yield from check.checked(evaluator.evaluate(coded, context))
-    elif isinstance(evaluator, FrameEvaluator):
-        for index in range(len(coded)):
-            frame = coded.frame(index)
-            position.at("evaluate", index)
-            yield from check.checked(evaluator.evaluate(frame), index)
-    else:
-        kinds = "FrameEvaluator, SequenceEvaluator or CodecEvaluator"
-        raise PluginError(f"{type(evaluator).__name__} is not a {kinds}; subclass one of them")
 
 
 def _remarks(codec: AnyCodec[Any]) -> tuple[str, ...]:
@@ -293,14 +239,3 @@ def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
     if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
         raise PluginError(f"libraries returned {clean_line(repr(found))}; it returns names with their versions")
     return {clean_line(name): clean_line(version) for name, version in found.items()}
-
-
-def _artifacts(folder: Path) -> dict[str, bytes]:
-    files = {}
-    for path in sorted(folder.iterdir()):
-        if not path.is_file() or path.name in (RECORD_FILE, SAMPLES_FILE) or path.name.startswith("."):
-            raise MeasurementError(f"artifact {path.name!r} is a folder or takes a name that the engine uses")
-        if path.is_symlink() or not path.name.isprintable():
-            raise MeasurementError(f"artifact {path.name!r} is a link or has a name that cannot be printed")
-        files[path.name] = path.read_bytes()
-    return files

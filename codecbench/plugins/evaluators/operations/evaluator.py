@@ -28,6 +28,7 @@ from codecbench.plugins.evaluators.operations import codec_models, machine
 from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
 from codecbench.plugins.evaluators.sampling import evenly_spread
 
+_OTHERWISE = "{}: the counting build gives other results than the fast build"
 Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 
@@ -138,10 +139,11 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     def _count(self, family: Family, codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
-            return _with_totals(*source_counts(codec.prepared(image), image))
+            return _with_totals(*source_counts(codec, image))
         if family == "model":
             return _with_totals(*self._modelled(codec, image))
-        return machine.executed(codec, image)
+        counts: dict[str, OperationCounts] = codec.at_encoder(machine.executed, image)
+        return counts
 
     def _modelled(self, codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
         values = codec.params.model_dump()
@@ -159,12 +161,25 @@ def source_counts(codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
 
     Raises RuntimeError where counting changes the bitstream or the decoded image.
     """
-    encoding, decoding = CountingTrace(), CountingTrace()
-    bitstream = codec.encode(image, trace=encoding)
-    decoded = codec.decode(bitstream, trace=decoding)
-    if bitstream != codec.encode(image) or not np.array_equal(decoded, codec.decode(bitstream)):
-        raise RuntimeError(f"{codec.name}: the counting build gives other results than the fast build")
-    return encoding.counts, decoding.counts
+    bitstream, encoding = codec.at_encoder(counted_encoding, image)
+    return encoding, codec.at_decoder(counted_decoding, bitstream)
+
+
+def counted_encoding(codec: AnyCodec[Any], image: Image) -> tuple[bytes, Stages]:
+    """The bitstream of an image, and what encoding it takes."""
+    trace, prepared = CountingTrace(), codec.prepared(image)
+    bitstream = prepared.encode(image, trace=trace)
+    if bitstream != prepared.encode(image):
+        raise RuntimeError(_OTHERWISE.format(codec.name))
+    return bitstream, trace.counts
+
+
+def counted_decoding(codec: AnyCodec[Any], bitstream: bytes) -> Stages:
+    """What decoding takes."""
+    trace = CountingTrace()
+    if not np.array_equal(codec.decode(bitstream, trace=trace), codec.decode(bitstream)):
+        raise RuntimeError(_OTHERWISE.format(codec.name))
+    return trace.counts
 
 
 def _with_totals(encoding: Stages, decoding: Stages) -> Stages:

@@ -1,16 +1,16 @@
 """The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
 
 What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
-Reading frames, checks and garbage collection are outside what is timed. The first frame is coded before the
-first measurement, so that compilation, caches and clocks have settled; a codec with memory or of features is timed in
-order over the first frames instead, each call once. One repeat is one cell; the engine interleaves the repeats of all
-settings, so that a slow spell of the machine hits none of them alone.
+Reading frames, checks and garbage collection are outside what is timed; a codec of another distribution is timed in the
+processes in which it encodes and decodes. The first frame is coded before the first measurement, so that compilation,
+caches and clocks have settled; a codec with memory or of features is timed in order over the first frames instead, each
+call once. One repeat is one cell; the engine interleaves the repeats of all settings, so that a slow spell of the
+machine hits none of them alone.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final
@@ -18,20 +18,24 @@ from typing import Annotated, Any, ClassVar, Final
 import cv2
 from pydantic import Field
 
-from codecbench.core.contracts.codec import AnyCodec, FeatureCodec
+from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Need
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
-from codecbench.plugins.evaluators.timing.clock import Duration, no_collection, repeated, yardstick
-from codecbench.plugins.evaluators.timing.in_order import feature_times_in_order, times_in_order
+from codecbench.plugins.evaluators.timing.clock import Duration
+from codecbench.plugins.evaluators.timing.in_order import (
+    decoded_in_order,
+    encoded_in_order,
+    features_encoded_in_order,
+    times_of_decoding,
+    times_of_encoding,
+)
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
-_WARM_UP_S: Final = 0.1
-"""A codec that takes longer has settled after one coding: what it loads and compiles is a small part of it."""
 _NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
 
@@ -116,58 +120,47 @@ class Timing(CodecEvaluator[TimingParams]):
 
     def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         cv2.setNumThreads(1)
-        if isinstance(codec, FeatureCodec):
+        if codec.carries == "features":
             yield from self._of_features(codec, sequence)
-            return
-        if not codec.stateless:
+        elif codec.stateless:
+            yield from self._alone(codec, sequence)
+        else:
             yield from self._in_order(codec, sequence)
-            return
+
+    def _alone(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
-        for index in list(images)[:1]:
-            end = time.monotonic() + _WARM_UP_S
-            for _ in range(self.params.warmup):
-                codec.decode(codec.encode(images[index]))
-                if time.monotonic() > end:
-                    break
-        with no_collection():
-            taken = {index: self._durations(codec, image) for index, image in images.items()}
-        for index, durations in taken.items():
-            yield from _measured(
-                durations, images[index], index, f"{codec.name} searches for nothing with this setting"
-            )
+        limits = self.params.warmup, self.params.min_ms
+        coded = codec.at_encoder(times_of_encoding, images, *limits)
+        decodings = codec.at_decoder(times_of_decoding, [bitstream for _, bitstream, *_ in coded], *limits)
+        unprepared = f"{codec.name} searches for nothing with this setting"
+        for (index, _, preparing, encoding, beside), decoding in zip(coded, decodings, strict=True):
+            searched = None if preparing is None else Duration(*preparing)
+            durations = _Durations(Duration(*encoding), Duration(*decoding), searched, Duration(*beside))
+            yield from _measured(durations, images[index], index, unprepared)
 
     def _in_order(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
-        times_in_order(codec, sequence.frame_rate_hz, images[: self.params.warmup], lambda: None)
-        yardsticks: list[Duration] = []
-        with no_collection():
-            times = times_in_order(codec, sequence.frame_rate_hz, images, lambda: yardsticks.append(yardstick()))
-        for index, (encoding, decoding, beside) in enumerate(zip(*times, yardsticks, strict=True)):
-            durations = _Durations(encoding, decoding, None, beside)
-            yield from _measured(
-                durations, images[index], index, f"{codec.name} has memory and prepares no frame alone"
-            )
+        packets, encoding, yardsticks = codec.at_encoder(
+            encoded_in_order, sequence.frame_rate_hz, images, self.params.warmup
+        )
+        decoding = codec.at_decoder(decoded_in_order, packets, self.params.warmup)
+        for index, image in enumerate(images):
+            coded, decoded, beside = (Duration(*part[index]) for part in (encoding, decoding, yardsticks))
+            durations = _Durations(coded, decoded, None, beside)
+            yield from _measured(durations, image, index, f"{codec.name} has memory and prepares no frame alone")
 
-    def _of_features(self, codec: FeatureCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
+    def _of_features(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         """Encoding is all that the device does; what finding the features takes of it is a stage."""
         unprepared = f"{codec.name} finds features, and searches for nothing else"
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
-        feature_times_in_order(codec, images[: self.params.warmup], lambda: None)
-        yardsticks: list[Duration] = []
-        with no_collection():
-            times = feature_times_in_order(codec, images, lambda: yardsticks.append(yardstick()))
-        for index, (finding, coding, decoding, beside) in enumerate(zip(*times, yardsticks, strict=True)):
+        packets, *times = codec.at_encoder(features_encoded_in_order, images, self.params.warmup)
+        times.append(codec.at_decoder(decoded_in_order, packets, self.params.warmup))
+        for index, image in enumerate(images):
+            finding, coding, beside, decoding = (Duration(*part[index]) for part in times)
             durations = _Durations(finding + coding, decoding, None, beside)
-            yield from _measured(durations, images[index], index, unprepared)
+            yield from _measured(durations, image, index, unprepared)
             yield Measurement("encode_wall_ms", finding.wall_ms, index, "encode/extract")
             yield Measurement("encode_cpu_ms", finding.cpu_ms, index, "encode/extract")
-
-    def _durations(self, codec: AnyCodec[Any], image: Image) -> _Durations:
-        least_ms = self.params.min_ms
-        prepared, preparing = repeated(lambda: codec.prepared(image), least_ms)
-        bitstream, encoding = repeated(lambda: prepared.encode(image), least_ms)
-        _, decoding = repeated(lambda: codec.decode(bitstream), least_ms)
-        return _Durations(encoding, decoding, None if prepared is codec else preparing, yardstick())
 
 
 def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:

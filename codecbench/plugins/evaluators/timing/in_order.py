@@ -1,48 +1,118 @@
-"""Timing codecs with memory and of features: calls have a past, so that each is made once, in order, and not again."""
+"""What is timed of a codec, in the process in which it encodes or decodes: frames are handed over before.
+
+Times are (wall, processor) in milliseconds. A codec with memory, or of features, has calls with a past, so that each is
+made once, in order, and not again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 from codecbench.core.contracts.codec import AnyCodec, Decoded, FeatureCodec
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.stream import Packet
-from codecbench.plugins.evaluators.timing.clock import Duration, timed
+from codecbench.plugins.evaluators.timing.clock import Duration, no_collection, repeated, timed, yardstick
 
 _Made = TypeVar("_Made", Packet, Decoded)
+Time: TypeAlias = tuple[float, float]
+_WARM_UP_S: Final = 0.1
+"""A codec that takes longer has settled after one coding: what it loads and compiles is a small part of it."""
 
 
-def times_in_order(
-    codec: AnyCodec[Any], frame_rate_hz: float, images: list[Image], beside: Callable[[], object]
-) -> tuple[list[Duration], list[Duration]]:
-    """What each of these frames, the first of a sequence, takes to encode and to decode.
+def times_of_encoding(
+    codec: AnyCodec[Any], images: dict[int, Image], warmup: int, least_ms: float
+) -> list[tuple[int, bytes, Time | None, Time, Time]]:
+    """Of each frame its index, its bitstream, and what preparing, encoding and the yardstick take.
 
-    beside: is called after each frame was encoded, and not timed.
+    Preparing is None where there is nothing to prepare. warmup: codings of the first frame before, fewer where they
+    take long. least_ms: calls that are faster are repeated until this much has passed, and share it.
     """
-    encoder, decoder = codec.open_encoder(frame_rate_hz), codec.open_decoder()
-    pushed = ((frame, partial(encoder.push, image)) for frame, image in enumerate(images))
-    packets, encoding = _timed_session(pushed, encoder.flush, beside)
-    fed = ((packet.frame, partial(decoder.push, packet)) for packet in packets)
-    _, decoding = _timed_session(fed, decoder.flush, lambda: None)
-    return [encoding[frame] for frame in range(len(images))], [decoding[frame] for frame in range(len(images))]
+    first = next(iter(images.values()))
+    _warm(warmup, lambda: codec.encode(first))
+    found = []
+    with no_collection():
+        for index, image in images.items():
+            prepared, preparing = repeated(partial(codec.prepared, image), least_ms)
+            bitstream, encoding = repeated(partial(prepared.encode, image), least_ms)
+            searched = None if prepared is codec else _plain(preparing)
+            found.append((index, bitstream, searched, _plain(encoding), _plain(yardstick())))
+    return found
 
 
-def feature_times_in_order(
-    codec: FeatureCodec[Any], images: list[Image], beside: Callable[[], object]
-) -> tuple[list[Duration], list[Duration], list[Duration]]:
-    """What these frames take: to extract their features, to encode these, and to decode them; `beside` as above."""
-    encoder, decoder = codec.encoder(), codec.decoder()
-    times: tuple[list[Duration], list[Duration], list[Duration]] = ([], [], [])
-    for image in images:
-        features, extracting = timed(partial(codec.extract, image))
-        packet, coding = timed(partial(encoder.push, features))
-        _, decoding = timed(partial(decoder.push, packet))
-        for direction, taken in zip(times, (extracting, coding, decoding), strict=True):
-            direction.append(taken)
-        beside()
-    return times
+def times_of_decoding(codec: AnyCodec[Any], bitstreams: list[bytes], warmup: int, least_ms: float) -> list[Time]:
+    """What decoding each of these takes."""
+    _warm(warmup, lambda: codec.decode(bitstreams[0]))
+    with no_collection():
+        return [_plain(repeated(partial(codec.decode, bitstream), least_ms)[1]) for bitstream in bitstreams]
+
+
+def encoded_in_order(
+    codec: AnyCodec[Any], frame_rate_hz: float, images: list[Image], warmup: int
+) -> tuple[list[Packet], list[Time], list[Time]]:
+    """The packets of the first frames of a sequence, and what encoding and the yardstick take of each frame."""
+
+    def session(frames: list[Image], beside: Callable[[], object]) -> tuple[list[Packet], dict[int, Duration]]:
+        encoder = codec.open_encoder(frame_rate_hz)
+        pushed = ((frame, partial(encoder.push, image)) for frame, image in enumerate(frames))
+        return _timed_session(pushed, encoder.flush, beside)
+
+    session(images[:warmup], lambda: None)
+    yardsticks: list[Time] = []
+    with no_collection():
+        packets, taken = session(images, lambda: yardsticks.append(_plain(yardstick())))
+    return packets, [_plain(taken[frame]) for frame in range(len(images))], yardsticks
+
+
+def decoded_in_order(codec: AnyCodec[Any], packets: list[Packet], warmup: int) -> list[Time]:
+    """What decoding takes of each frame, in order of frames. warmup: how many packets are decoded before, not timed."""
+
+    def session(sent: list[Packet], flush: Callable[[Any], Callable[[], Any]]) -> dict[int, Duration]:
+        decoder = codec.open_decoder()
+        fed = ((packet.frame, partial(decoder.push, packet)) for packet in sent)
+        return _timed_session(fed, flush(decoder), lambda: None)[1]
+
+    session(packets[:warmup], lambda _: list)
+    with no_collection():
+        taken = session(packets, _flush)
+    return [_plain(taken[frame]) for frame in range(len(packets))]
+
+
+def features_encoded_in_order(
+    codec: AnyCodec[Any], images: list[Image], warmup: int
+) -> tuple[list[Packet], list[Time], list[Time], list[Time]]:
+    """The packets of these frames, and what finding their features, encoding these and the yardstick take of each."""
+    source: FeatureCodec[Any] = codec  # type: ignore[assignment]
+
+    def session(frames: list[Image]) -> Iterator[tuple[Packet, Time, Time, Time]]:
+        encoder = source.encoder()
+        for image in frames:
+            features, finding = timed(partial(source.extract, image))
+            packet, coding = timed(partial(encoder.push, features))
+            yield packet, _plain(finding), _plain(coding), _plain(yardstick())
+
+    list(session(images[:warmup]))
+    with no_collection():
+        packets, finding, coding, beside = map(list, zip(*session(images), strict=True))
+    return packets, finding, coding, beside
+
+
+def _warm(codings: int, call: Callable[[], object]) -> None:
+    end = time.monotonic() + _WARM_UP_S
+    for _ in range(codings):
+        call()
+        if time.monotonic() > end:
+            break
+
+
+def _flush(decoder: Any) -> Callable[[], Any]:
+    return getattr(decoder, "flush", list)  # type: ignore[no-any-return]
+
+
+def _plain(taken: Duration) -> Time:
+    return taken.wall_ms, taken.cpu_ms
 
 
 def _timed_session(

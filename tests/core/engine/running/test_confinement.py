@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-import multiprocessing.spawn
 import os
-import pickle
-import threading
-import time
 from pathlib import Path
 
 import cv2
@@ -20,8 +16,6 @@ from installed_command import Done, Place
 from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.confinement import VARIABLE, confinement, status_inside
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.plugins.executors.confined_context import ConfinedContext
-from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 pytestmark = pytest.mark.thorough
 
@@ -45,15 +39,16 @@ except OSError:
     pass
 
 
-class Planted:
-    def __reduce__(self):
-        return os.system, (f"touch {HOME}/called",)
+ORDER = '[0, {"dict": [["number", 1], ["call", "os:mkdir"], ["with", {"list": ["%s/made"]}]]}]\\n'
+OBJECT = '[0, {"record": "subprocess:Popen", "fields": {"args": {"list": ["touch", "%s/called"]}}}]\\n'
 
 
-def channel():
-    import gc
-    from pebble.pool.channel import WorkerChannel
-    return next(found for found in gc.get_objects() if isinstance(found, WorkerChannel))
+def write_everywhere(line):
+    for descriptor in range(3, 64):
+        try:
+            os.write(descriptor, line)
+        except OSError:
+            continue
 
 
 class PryingParams(Params):
@@ -100,20 +95,12 @@ class Prying(Codec[PryingParams]):
     def do_hang(self):
         signal.pause()
 
-    def do_plant(self):
-        channel().writer.send(Planted())
+    def do_nonsense(self):
+        write_everywhere(b"nonsense\\n")
 
     def do_forge(self):
-        pipe = channel()
-        real = pipe.send
-
-        def forged(message):
-            answer = getattr(getattr(message, "result", None), "value", None)
-            if answer is not None:
-                object.__setattr__(answer, "contents", {"../../../../written": b"mine now"})
-            real(message)
-
-        pipe.send = forged
+        write_everywhere((ORDER % HOME).encode())
+        write_everywhere((OBJECT % HOME).encode())
 
 
 @hookimpl
@@ -126,10 +113,10 @@ DEEDS = {
     "network": "[Errno 111] Connection refused",
     "datagram": "OSError: [Errno 101] Network is unreachable",
     "kill": "ProcessLookupError: [Errno 3] No such process",
-    "crash": "its worker died of SIGSEGV",
-    "exit": "its worker exited with status 3",
-    "plant": "its worker could not start or answer: Unpicklable object from worker",
-    "forge": "its worker answered what is no record of it: '../../../../written' is no name of a file",
+    "crash": "it ended its process by SIGSEGV",
+    "exit": "it ended its process with status 3",
+    "nonsense": "it answered nonsense",
+    "forge": "it answered nonsense",
 }
 
 
@@ -207,9 +194,16 @@ def test_confined_plugins_reach_neither_files_nor_network_nor_processes(place: P
     told = workers(place)
     assert "confined" not in told["png"]
     assert told["none"]["confined"] == confinement()
-    assert told["none"]["company"] == ["prying 1"]
-    assert told["none"]["checked"] is True
-    assert told["none"]["pid"] not in (1, 2, 3), "within, the processes of every confined worker have these numbers"
+    assert set(told["none"]) == {"host", "pid", "confined"}
+
+
+def test_what_plugins_do_to_their_process_costs_their_rows_unconfined(place: Place) -> None:
+    deeds = ("none", "crash", "exit", "nonsense", "forge")
+    assert run(place, *deeds, confine=False).status == 1
+    found = reasons(place)
+    assert (found.pop("png"), found.pop("none")) == (("ok", ""), ("ok", ""))
+    assert {deed: DEEDS[deed] in reason for deed, (_, reason) in found.items()} == dict.fromkeys(deeds[1:], True), found
+    assert [path.name for path in (place.folder / "victim").iterdir()] == ["imported"]
 
 
 @pytest.mark.skipif(bool(impossible()), reason=impossible())
@@ -222,7 +216,7 @@ def test_listing_imports_plugins_where_they_are_confined(place: Place) -> None:
 
 
 @pytest.mark.skipif(bool(impossible()), reason=impossible())
-def test_a_confined_worker_that_hangs_is_given_up_and_its_processes_end(place: Place) -> None:
+def test_a_confined_host_that_hangs_is_given_up_and_its_processes_end(place: Place) -> None:
     text = MATRIX.replace("timeout_s: 60", "timeout_s: 3")
     assert text != MATRIX
     (place.folder / "hang.yaml").write_text(text.replace("DEEDS", "hang").replace("EXECUTOR", "local"))
@@ -283,56 +277,3 @@ def test_where_nothing_confines_nothing_runs(place: Place) -> None:
 
 def test_the_status_of_a_confined_command() -> None:
     assert [status_inside(status) for status in (0, 1, 86, 139, 137)] == [0, 1, 86, -11, -9]
-
-
-def test_what_a_confined_worker_answers_calls_nothing(tmp_path: Path) -> None:
-    from codecbench.core.engine.storage.record import Record
-    from codecbench.plugins.executors.confined_context import _Answer
-
-    class Planted:
-        def __reduce__(self) -> object:
-            return os.system, (f"touch {tmp_path}/called",)
-
-    record = Record("ab", "ok", contents={"file": b"content"})
-    assert _Answer.read(pickle.dumps([record, 1.5]))[0] == record
-    for planted in (Planted(), subclass_of_a_call(), np.float64):
-        with pytest.raises(pickle.PicklingError, match=r"which is not data|cannot be read"):
-            _Answer.read(pickle.dumps(planted))
-    assert not (tmp_path / "called").exists()
-
-
-def subclass_of_a_call() -> object:
-    import subprocess
-
-    return subprocess.Popen
-
-
-@pytest.mark.skipif(bool(impossible()), reason=impossible())
-def test_workers_that_start_at_once_are_not_confined_in_each_other(tmp_path: Path) -> None:
-    contexts = []
-    for number in range(2):
-        (tmp_path / str(number)).mkdir()
-        contexts.append(ConfinedContext(WorkerFolder(str(tmp_path / str(number))).files(0)))
-    interpreter = multiprocessing.spawn.get_executable()
-    started = []
-
-    entered = threading.Event()
-
-    def start() -> int:
-        started.append(Path(os.fsdecode(multiprocessing.spawn.get_executable())).read_text())
-        entered.set()
-        time.sleep(0.5)  # for the other to come in between
-        return 1
-
-    threads = [threading.Thread(target=context._begin, args=(start,)) for context in contexts]
-    for thread in threads:
-        thread.start()
-        assert entered.wait(30)
-    for thread in threads:
-        thread.join()
-    assert len(set(started)) == 2
-    assert all(f"-- {os.fsdecode(interpreter)} " in script for script in started), started
-    assert multiprocessing.spawn.get_executable() == interpreter
-    contexts[0].close()
-    with pytest.raises(OSError, match="place is taken"):
-        contexts[0]._begin(start)

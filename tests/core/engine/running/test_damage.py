@@ -222,11 +222,12 @@ def test_every_flipped_bit_of_a_note_of_who_encoded_is_noticed(folder: Path, pla
     "kind", [pytest.param(kind, marks=pytest.mark.thorough if kind == "record" else pytest.mark.slow) for kind in KINDS]
 )
 def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Path, plan: Plan, site: Path) -> None:
+    """The environment where something is computed in it."""
     expected = table(whole)
     path = sorted(folder.glob(KINDS[kind]))[0]
     for bit in flips(path, 1, 7):
         before = command(site, "table", folder)
-        again = ["--recompute", "error"] if kind in CODED else []
+        again = ["--recompute", "error"] if kind in (*CODED, "environment") else []
         done = command(site, "run", "small.yaml", "--out", folder, "--quiet", *again)
         assert done.returncode == 0, done.stderr
         assert sound(folder, plan), (kind, bit)

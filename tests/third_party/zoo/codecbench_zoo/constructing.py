@@ -30,6 +30,11 @@ class Raises(TameCodec):
         raise KeyboardInterrupt("as if somebody had pressed it")
 
 
+class StopsIterating(TameCodec):
+    def __init__(self, params: NoParams) -> None:
+        raise StopIteration
+
+
 class Dies(TameCodec):
     def __init__(self, params: NoParams) -> None:
         os.kill(os.getpid(), signal.SIGKILL)

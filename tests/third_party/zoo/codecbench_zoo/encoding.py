@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,12 @@ class Segfaults(_Encoder):
 class KillsItself(_Encoder):
     def made(self, image: Image, bitstream: bytes) -> Any:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+class KillsItsParent(_Encoder):
+    def made(self, image: Image, bitstream: bytes) -> Any:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(3600)
 
 
 class Terminates(_Encoder):
@@ -64,6 +71,15 @@ class LeavesLikeOurs(_Encoder):
 
     def made(self, image: Image, bitstream: bytes) -> Any:
         os._exit(86)
+
+
+class LeavesAnHeir(_Encoder):
+    """Leaves while another process holds all that it held."""
+
+    def made(self, image: Image, bitstream: bytes) -> Any:
+        if os.fork() == 0:
+            time.sleep(3600)
+        os._exit(3)
 
 
 class ExitsLate(_Encoder):
@@ -143,7 +159,7 @@ class HogsInChildren(_Encoder):
     def made(self, image: Image, bitstream: bytes) -> Any:
         for _ in range(4):
             if os.fork() == 0:
-                room = np.ones(40 << 20, np.uint8)
+                room = np.ones(120 << 20, np.uint8)
                 time.sleep(3600)
                 os._exit(int(room[0]))
         time.sleep(3600)
@@ -200,19 +216,27 @@ class ClosesEverything(_Encoder):
         return bitstream
 
 
+class ClosesAndStays(_Encoder):
+    def made(self, image: Image, bitstream: bytes) -> Any:
+        os.closerange(3, 4096)
+        time.sleep(3600)
+
+
 class AnswersForUs(_Encoder):
-    """Writes into every descriptor that it finds, but that on which Python counts shared memory."""
+    """Writes into every descriptor that it finds."""
+
+    times = 1
 
     def made(self, image: Image, bitstream: bytes) -> Any:
-        from multiprocessing import resource_tracker
-
-        for descriptor in set(range(3, 256)) - {resource_tracker._resource_tracker._fd}:  # type: ignore[attr-defined]
-            try:
-                os.set_blocking(descriptor, False)
-                os.write(descriptor, b"not what you are waiting for\n" * 10)
-            except OSError:
-                continue
+        for _ in range(self.times):
+            for descriptor in range(3, 32):
+                with suppress(OSError):
+                    os.write(descriptor, b"not what you are waiting for" * 2000 + b"\n" * (self.times == 1))
         return bitstream
+
+
+class AnswersWithoutEnd(AnswersForUs):
+    times = 1300
 
 
 class FillsThePipe(_Encoder):

@@ -1,23 +1,16 @@
-"""Codecs that leave their process other than they found it. After each comes an innocent that must not notice."""
+"""Codecs that leave their process other than they found it."""
 
 from __future__ import annotations
 
-import ctypes
-import gc
-import locale
 import os
-import random
 import resource
 import shutil
 import signal
 import sys
 import threading
 import time
-import warnings
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from codecbench import NULL_TRACE, Image, Trace
 from codecbench_zoo.tame import TameCodec
@@ -30,16 +23,6 @@ class _Lingering(TameCodec):
 
     def leave(self) -> None:
         raise NotImplementedError
-
-
-class Rounds(_Lingering):
-    """Leaves the processor rounding upwards, and the folder, umask and environment as it likes them."""
-
-    def leave(self) -> None:
-        ctypes.CDLL(None).fesetround(0x800)
-        os.chdir("/")
-        os.umask(0)
-        os.environ["OMP_NUM_THREADS"] = "64"
 
 
 class Cleans(_Lingering):
@@ -58,16 +41,6 @@ class Scribbles(_Lingering):
         bitstream = TameCodec.encode(self, image)
         image[:] = 0
         return bitstream
-
-
-class RaisesNumpysErrors(_Lingering):
-    def leave(self) -> None:
-        np.seterr(all="raise")
-
-
-class WarnsOfEverything(_Lingering):
-    def leave(self) -> None:
-        warnings.simplefilter("error")
 
 
 class LowersTheStack(_Lingering):
@@ -103,29 +76,6 @@ class ClosesOutput(_Lingering):
         os.closerange(0, 3)
 
 
-class SpeaksTurkish(_Lingering):
-    def leave(self) -> None:
-        for name in ("tr_TR.UTF-8", "C"):
-            try:
-                locale.setlocale(locale.LC_ALL, name)
-            except locale.Error:
-                continue
-
-
-class Seeds(_Lingering):
-    def leave(self) -> None:
-        random.seed(0)
-        np.random.seed(0)  # noqa: NPY002 - that is what it does
-        gc.disable()
-
-
-class Traces(_Lingering):
-    """Watches every call in its process."""
-
-    def leave(self) -> None:
-        sys.setprofile(lambda *_: None)
-
-
 class LeavesThreads(_Lingering):
     def leave(self) -> None:
         for _ in range(3):
@@ -141,6 +91,11 @@ class LeavesChildren(_Lingering):
             if os.fork() == 0:
                 time.sleep(3600)
             os._exit(0)
+
+
+class LeavesItsGroup(_Lingering):
+    def leave(self) -> None:
+        os.setpgid(0, 0)
 
 
 class LeavesAHook(_Lingering):

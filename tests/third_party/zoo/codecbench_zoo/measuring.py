@@ -64,6 +64,16 @@ class MeasuresTheUndeclared(TameEvaluator):
         yield from measurements("speed", 1.0)
 
 
+class MeasuresUnchecked(TameEvaluator):
+    """Has every measurement pass where it is."""
+
+    def evaluate(self, coded: CodedFrame) -> Any:
+        from codecbench.core.engine.storage.samples import MeasurementCheck
+
+        MeasurementCheck._checked = lambda self, found, frame: found  # type: ignore[assignment,method-assign]
+        yield from measurements("speed", 1.0)
+
+
 class MeasuresNothing(TameEvaluator):
     """Which is allowed."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from codecbench.core.contracts.codec import (
@@ -14,7 +14,13 @@ from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPac
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.running.coding.decoding import SharedPictures, StreamPictures, checked_decoding
+from codecbench.core.engine.hosting.remote import RemoteCodec
+from codecbench.core.engine.running.coding.decoding import (
+    SharedPictures,
+    ShuffledPictures,
+    StreamPictures,
+    checked_decoding,
+)
 from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.running.coding.sending import LiveSender, StoredSender
@@ -49,6 +55,11 @@ class CodedFrames:
         self._stream = (
             StreamPictures(codec, bitstreams.packets, bitstreams.read, position, shared=shared)
             if codec.carries == "pictures" and not codec.stateless
+            else None
+        )
+        self._shuffled = (
+            ShuffledPictures(codec, bitstreams.read, len(sequence), position)
+            if codec.stateless and isinstance(codec, RemoteCodec)
             else None
         )
         self._features = (
@@ -107,6 +118,14 @@ class CodedFrames:
         self._position.at(outer, index)
         return found
 
+    def check(self, alone: Callable[[], AnyCodec[Any]]) -> None:
+        """Raise CodingError where pictures that are coded on their own are others when they are decoded on their own.
+
+        alone: gives the codec in a process that has decoded nothing; for codecs of other distributions.
+        """
+        if self._shuffled is not None:
+            self._shuffled.check(alone)
+
     def size_bytes(self, index: int) -> int:
         return self._bitstreams.size_bytes(index)
 
@@ -124,6 +143,8 @@ class CodedFrames:
     def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
         if self._stream is not None:
             return self._stream.picture(index, original)
+        if self._shuffled is not None:
+            return self._shuffled.picture(index, original)
         decoded = checked_decoding(self.codec.decode(bitstream), original)
         self._position.came_back()
         return decoded

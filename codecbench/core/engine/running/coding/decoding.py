@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import random
+import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Container, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 
 from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.stream import Packet, Picture
+from codecbench.core.engine.hosting.host import PluginLoss
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 
+_TOGETHER: Final = range(4, 9)
+_TOGETHER_BYTES: Final = 4 << 20
+_CHECKED: Final = 4
 KEPT_BYTES: Final = 64 << 20
 """Of decoded pictures that are kept for who looks back a little: 72 colour frames of 640x480."""
+
+
+def together(size_bytes: int) -> int:
+    """How many frames of this size go to a host, or come, at once: to wait for each would take longer, and pages of
+    memory that nobody has used before do for many."""
+    return min(max(_TOGETHER_BYTES // size_bytes, _TOGETHER.start), _TOGETHER.stop - 1)
 
 
 class StreamPictures:
@@ -130,6 +144,88 @@ class SharedPictures:
         if frame not in self._pictures and self._used_bytes + image.nbytes <= self._limit_bytes:
             self._pictures[frame] = image
             self._used_bytes += image.nbytes
+
+
+class ShuffledPictures:
+    """Pictures of a codec of others that codes each on its own, decoded in an order that it cannot foretell.
+
+    Frames are decoded before they are asked for, some neighbors together; an error is raised when its frame is asked
+    for. read: the bytes of a frame.
+    """
+
+    def __init__(self, codec: AnyCodec[Any], read: Callable[[int], bytes], frames: int, position: WorkPosition) -> None:
+        self._codec, self._read, self._frames, self._position = codec, read, frames, position
+        self._ready: dict[int, Any] = {}
+        self._asked: set[int] = set()
+        self._chosen: list[tuple[int, int]] = []
+        """Frames that were asked for, with digests of their pictures, to be decoded once more in the end."""
+        self._chance = random.SystemRandom()
+
+    def picture(self, frame: int, original: Image) -> Image:
+        """The picture of a frame. Raises CodingError for what is no image of the original's shape."""
+        if frame not in self._ready:
+            is_again = frame in self._asked
+            self._decode([frame] if is_again else self._around(frame, original.nbytes))
+        found = self._ready.pop(frame)
+        self._position.at("decode", frame)
+        if isinstance(found, BaseException):
+            raise found
+        image = checked_decoding(found, original)
+        if frame not in self._asked:
+            self._asked.add(frame)
+            place = len(self._chosen) if len(self._chosen) < _CHECKED else self._chance.randrange(len(self._asked))
+            if place < _CHECKED:  # each of the frames so far is as likely to be among the chosen
+                self._chosen[place:] = [(frame, zlib.crc32(image.data)), *self._chosen[place + 1 :]]
+        return image
+
+    def check(self, alone: Callable[[], AnyCodec[Any]]) -> None:
+        """Raise CodingError where some of the pictures are others when `alone`, in a process of its own, decodes them.
+
+        Which ones nobody can foretell. So a decoder that keeps pictures for later bitstreams is found out.
+        """
+        codec = alone() if self._chosen else self._codec
+        for frame, digest in self._chosen:
+            self._position.at("decode", frame)
+            decoded = codec.decode(self._read(frame))
+            if zlib.crc32(np.ascontiguousarray(decoded).data) != digest:
+                raise CodingError(
+                    "decode makes another picture of the same bytes in a process that has decoded nothing else; a "
+                    "picture is decoded from its bitstream alone, or its codec is a StreamCodec"
+                )
+
+    def _around(self, frame: int, size_bytes: int) -> list[int]:
+        """A frame and some of its neighbors in an order of chance."""
+        count = together(size_bytes)
+        begin = frame // count * count
+        frames = list(range(begin, min(begin + count, self._frames)))
+        self._chance.shuffle(frames)
+        return frames
+
+    def _decode(self, left: list[int]) -> None:
+        """Have these frames ready, or the errors of those that cannot be decoded."""
+        self._ready = {}
+        bitstreams = {index: self._read(index) for index in left}
+        while left:
+            self._position.at("decode")
+            pictures = self._codec.at_decoder(decoded_until_one_fails, [bitstreams[index] for index in left])
+            self._ready |= zip(left, pictures, strict=False)
+            if failed := left[len(pictures) :][:1]:
+                self._position.at("decode", *failed)
+                try:
+                    self._ready[failed[0]] = self._codec.decode(bitstreams[failed[0]])
+                except PluginLoss:
+                    raise
+                except CodecbenchError as error:
+                    self._ready[failed[0]] = error
+            left = left[len(pictures) + 1 :]
+
+
+def decoded_until_one_fails(codec: AnyCodec[Any], bitstreams: list[bytes]) -> list[Any]:
+    """The pictures of single bitstreams up to the first that cannot be decoded; for the process that decodes."""
+    pictures: list[Any] = []
+    with suppress(Exception):
+        pictures.extend(codec.decode(bitstream) for bitstream in bitstreams)
+    return pictures
 
 
 class CheckedDecoder:

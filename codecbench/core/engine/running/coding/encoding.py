@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 from codecbench.core.contracts.codec import AnyCodec, encoder_of
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
+from codecbench.core.engine.hosting.remote import RemoteCodec
+from codecbench.core.engine.running.coding.decoding import together
 from codecbench.core.engine.running.coding.position import WRITE, CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -20,17 +23,42 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
     """
     position.at("encode")
     encoder = CheckedEncoder(codec, sequence.frame_rate_hz, position)
+    is_hosted = codec.stateless and isinstance(codec, RemoteCodec)
+    images: dict[int, Image] = {}
     for index in range(len(sequence)):
-        position.at("read", index)
-        image = sequence.read(index).image
+        if index not in images:
+            images, ahead = _read(sequence, index, position, alone=not is_hosted), {}
+            position.at("encode", index)
+            if is_hosted:
+                ahead = dict(enumerate(codec.at_encoder(encoded_until_one_fails, [*images.values()]), index))
         position.at("encode", index)
-        packets = encoder.push(image)
+        packets = encoder.push(images[index], ahead.get(index))
         position.at(WRITE, index)
         yield from packets
     position.at("encode")
     packets = encoder.flush()
     position.at(WRITE)
     yield from packets
+
+
+def _read(sequence: FrameSequence, begin: int, position: WorkPosition, *, alone: bool) -> dict[int, Image]:
+    """A frame by its index, and, unless it is to be alone, those after it that go to a host with it."""
+    images: dict[int, Image] = {}
+    for index in range(begin, len(sequence)):
+        position.at("read", index)
+        images[index] = sequence.read(index).image
+        if alone or len(images) == together(images[begin].nbytes):
+            break
+    return images
+
+
+def encoded_until_one_fails(codec: AnyCodec[Any], images: list[Image]) -> list[Any]:
+    """The bitstreams of single images up to the first that cannot be encoded; for the process that encodes, because to
+    hand over each alone can take as long as to encode it."""
+    bitstreams: list[Any] = []
+    with suppress(Exception):
+        bitstreams.extend(codec.encode(image) for image in images)
+    return bitstreams
 
 
 class CheckedEncoder:
@@ -44,8 +72,9 @@ class CheckedEncoder:
         self._pushed = 0
         self._sent: set[int] = set()
 
-    def push(self, image: Image) -> list[CodedPacket]:
-        packets = self._encoder.push(image)
+    def push(self, image: Image, bitstream: Any = None) -> list[CodedPacket]:
+        """The packets after this image. bitstream: of a codec without memory, where it was encoded before."""
+        packets = self._encoder.push(image) if bitstream is None else [Packet(bitstream, self._pushed, starts=True)]
         self._position.came_back()
         self._pushed += 1
         return self._checked(packets, "push")

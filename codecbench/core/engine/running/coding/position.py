@@ -30,7 +30,7 @@ class WorkPosition:
     process: int = field(default_factory=os.getpid)
 
     def at(self, stage: str, frame: int | None = None) -> None:
-        self.stage, self.frame = stage, frame
+        self.stage, self.frame = str(stage), frame  # a host may have said so
 
     def came_back(self) -> None:
         """End this process where a codec forked and came back in it too: it would write what the first one writes."""

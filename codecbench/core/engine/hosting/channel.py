@@ -1,0 +1,344 @@
+"""A conversation between two processes: each asks the other for methods of objects that stay where they are.
+
+A line of JSON each, and memory that both see for what is large (`wire`). Only one side works at a time: the other waits
+for its answer, and meanwhile does what it is asked itself: a host that evaluates asks for frames.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import importlib
+import json
+import math
+import mmap
+import os
+import select
+import signal
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from types import FunctionType, MethodType
+from typing import Any, Final
+from weakref import WeakValueDictionary
+
+from codecbench.core.contracts import errors
+from codecbench.core.engine.foreign_errors import describe_error
+from codecbench.core.engine.hosting.wire import Payload, WireError, pack, unpack
+
+_REMOTE: Final = "codecbench.core.engine.hosting.remote"
+_MOST_BYTES: Final = 64 << 20
+"""Of a line."""
+_MOST_CALLS: Final = 20
+"""That wait for each other."""
+_MARGIN_S: Final = 5
+"""A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
+_SEALS: Final = getattr(fcntl, "F_SEAL_SHRINK", 0) | getattr(fcntl, "F_SEAL_SEAL", 0)
+"""Of memory: who reads what is gone dies of SIGBUS, and nobody else is to seal it against growing."""
+_LONGEST_TEXT: Final = 4000
+LONGEST_TRACE: Final = 20_000
+CRASH_FILE: Final = "crash"
+"""In the folder of a host: where it was when a signal ended it."""
+
+METHODS: Final[dict[str, dict[str, str]]] = {
+    "evaluator": {"marks": ""},
+    "codec": {
+        "open_encoder": "encoder", "open_decoder": "decoder", "encoder": "encoder", "decoder": "decoder",
+        "prepared": "codec", "with_params": "codec",
+        **dict.fromkeys(("encode", "decode", "decode_partial", "extract", "is_lossless", "is_low_delay", "remark",
+                         "libraries", "recipes"), ""),
+    },
+    "encoder": {"push": "", "flush": ""},
+    "decoder": {"push": "", "flush": ""},
+    "sequence": {"read": ""},
+    "coded": {"frame": "", "features": "", "size_bytes": "", "sender": "sender"},
+    "sender": {"send": ""},
+    "slam_backend": {"run": "", "run_features": ""},
+    "link": {"open": "channel"},
+    "channel": {"carry": ""},
+    "iterator": {"__next__": ""},
+    "function": {"__call__": ""},
+    "position": {"at": ""},
+    "plugins": {"create": "created"},
+}  # fmt: skip
+"""What may be asked of an object of each kind, and of which kind the object is that comes back; empty for a value."""
+
+FACTS: Final[dict[str, tuple[str, ...]]] = {
+    "codec": ("name", "version", "capabilities", "carries", "stateless"),
+    "sequence": ("name", "timestamps_s", "frame_rate_hz", "channels", "camera", "ground_truth", "fingerprint", "notes",
+                 "origin", "as_calibrated"),
+    "coded": ("packets",),
+    "slam_backend": ("name", "architectures"),
+    "link": ("name", "delay_s", "keeps_order", "queue"),
+}  # fmt: skip
+"""Attributes that are told with an object."""
+
+
+class PluginFault(errors.PluginError):
+    """A plugin of another distribution raises, exits or breaks the contract; it costs what was asked of it."""
+
+
+class PluginLoss(PluginFault):
+    """Its process ended, or had to be ended."""
+
+
+class PluginTimeout(PluginLoss):
+    """It did not answer in time."""
+
+
+class PluginNonsense(PluginFault):
+    """It answered what nobody of ours writes, so that nothing after it can be understood."""
+
+
+class Exposed:
+    """An object that the other side is to get a reference to."""
+
+    def __init__(self, kind: str, value: Any, **facts: Any) -> None:
+        self.kind, self.value, self.facts = kind, value, facts
+
+
+class SharedMemory:
+    """Memory behind a descriptor, which one side writes and both see. It grows, and cannot be made smaller."""
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self.descriptor = _new_memory() if descriptor is None else descriptor
+        self._map: mmap.mmap | None = None
+
+    def write(self, parts: Payload) -> int:
+        """Write these after each other, from the beginning; how many bytes that are."""
+        size = sum(map(len, parts))
+        view = self.view(size)
+        at = 0
+        for part in parts:
+            view[at : at + len(part)] = part
+            at += len(part)
+        return size
+
+    def view(self, size: int, *, grows: bool = True) -> memoryview:
+        """Its first bytes. Raises WireError where the other side has written less."""
+        if self._map is None or len(self._map) < size:
+            length = os.fstat(self.descriptor).st_size
+            if length < size:
+                if not grows:
+                    raise WireError(f"{size} bytes in memory of {length}")
+                os.ftruncate(self.descriptor, length := max(size, 2 * length))
+            if not size:
+                return memoryview(bytearray())
+            self._map = mmap.mmap(self.descriptor, length)
+        return memoryview(self._map)[:size]
+
+    def close(self) -> None:
+        self._map = None
+        with suppress(OSError):
+            os.close(self.descriptor)
+
+
+def _new_memory() -> int:
+    if not hasattr(os, "memfd_create"):
+        with tempfile.TemporaryFile() as file:
+            return os.dup(file.fileno())
+    descriptor = os.memfd_create("codecbench", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
+    return descriptor
+
+
+class Channel:
+    """One end of a conversation. Who asks may hand over functions and iterators too.
+
+    reads, writes: descriptors of pipes. sends, receives: memory. wait: is called with `select.POLLIN` or `POLLOUT`
+    before each read and write, and raises where nothing will come or be taken. obeys: the other end may have functions
+    of codecbench called here, which only who has started this process may. limit_s: how long the other end may take for
+    a call; it ends itself when that is long over. depth: how many calls of this side wait for an answer.
+    """
+
+    def __init__(
+        self,
+        reads: int,
+        writes: int,
+        sends: SharedMemory,
+        receives: SharedMemory,
+        wait: Callable[[int, int], None],
+        *,
+        obeys: bool = False,
+    ) -> None:
+        self._reads, self._writes, self._sends, self._receives = reads, writes, sends, receives
+        self._wait, self.obeys = wait, obeys
+        self.limit_s: float | None = None
+        self.depth = 0
+        self._left = b""
+        self._number = self._calls = 0
+        self._mine: list[Exposed | None] = []
+        self._theirs: WeakValueDictionary[int, Any] = WeakValueDictionary()
+        self.dropped: list[int] = []
+        """Numbers of objects of the other side that nobody here knows any more, which it is told with the next call."""
+        self._raised: list[BaseException] = []
+        """Errors that the other side was told while it works on a call, and may pass on."""
+
+    def call(self, target: Any, name: str, *arguments: Any, **words: Any) -> Any:
+        """What a method of an object of the other side returns, or a function of codecbench: `module:name`.
+
+        Raises what it raises, if that is an error of codecbench, and PluginFault for anything else.
+        """
+        self._number += 1
+        number, asked = self._number, {"call": name, "on": target, "with": list(arguments), "words": words}
+        dropped, self.dropped = self.dropped, []
+        self._send({"number": number, "limit_s": self.limit_s, "dropped": dropped, **asked})
+        while True:
+            message = self._received()
+            if "call" in message:
+                self._serve(message)
+                continue
+            if message.get("number") != number:
+                raise PluginNonsense("it answered nonsense")
+            if "value" in message:
+                return message["value"]
+            raise self._error(message, name)
+
+    def forget(self) -> None:
+        """Another call begins, and what an earlier one raised comes back no more."""
+        self._raised.clear()
+
+    def serve_forever(self) -> None:
+        """Do what is asked until nobody asks."""
+        with suppress(EOFError):
+            while True:
+                self._serve(self._received())
+
+    def _serve(self, message: dict[str, Any]) -> None:
+        number, process = message.get("number"), os.getpid()
+        for dropped in {*(message.get("dropped") or ())} & {*range(len(self._mine))}:
+            self._mine[dropped] = None
+        if self.obeys and message.get("limit_s"):
+            signal.alarm(math.ceil(message["limit_s"]) + _MARGIN_S)
+        self._calls += 1
+        try:
+            if self._calls > _MOST_CALLS:
+                raise RecursionError(f"{_MOST_CALLS} calls wait for each other")
+            answer = {"number": number, "value": self._called(message)}
+        except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
+            answer = {"number": number, **self._told(error)}
+        finally:
+            self._calls -= 1
+            if os.getpid() != process:
+                os._exit(0)  # the call came back twice, and one answer is enough
+        if self.obeys:
+            signal.alarm(0)
+        try:
+            self._send(answer)
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            self._send({"number": number, **self._told(error)})
+
+    def _called(self, message: dict[str, Any]) -> Any:
+        name, target, words = str(message.get("call")), message.get("on"), message.get("words") or {}
+        arguments = [part.value if isinstance(part, Exposed) else part for part in message.get("with") or ()]
+        module, _, function = name.partition(":")
+        if function:
+            if not self.obeys:
+                raise WireError("it may not ask for that")
+            subject = () if target is None else (target.value if isinstance(target, Exposed) else target,)
+            return getattr(importlib.import_module(module), function)(*subject, *arguments, **words)
+        if not isinstance(target, Exposed) or name not in METHODS[target.kind]:
+            raise WireError(f"there is no {name} to call")
+        value, kind = getattr(target.value, name)(*arguments, **words), METHODS[target.kind][name]
+        kind = str(arguments[0]) if kind == "created" else kind
+        return Exposed(kind, value) if kind in METHODS else value
+
+    def _told(self, error: BaseException) -> dict[str, Any]:
+        """An error as a message. raised: its number here, by which it is known when it comes back as `returned`."""
+        known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
+        try:
+            text = str(error) if known else describe_error(error)
+            trace = "".join(traceback.format_exception(error))
+        except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
+            text = trace = describe_error(second)
+        if isinstance(error, StopIteration):
+            known = "StopIteration"
+        told = {"error": known, "text": text[:_LONGEST_TEXT], "trace": trace[-LONGEST_TRACE:]}
+        if self.obeys:
+            channel, number = getattr(error, "_raised_by", (None, None))
+            return {**told, "returned": number if channel is self else None}
+        self._raised.append(error)
+        return {**told, "raised": len(self._raised) - 1}
+
+    def _error(self, message: dict[str, Any], called: str) -> BaseException:
+        """The error that an answer tells of: our own where it has only passed through the other side."""
+        returned = message.get("returned")
+        if isinstance(returned, int) and 0 <= returned < len(self._raised):
+            return self._raised[returned]
+        name, text = str(message.get("error") or ""), str(message.get("text", "it answered nonsense"))
+        if name == "StopIteration" and called == "__next__":  # anywhere else it would end a loop of ours
+            return StopIteration()
+        kind: Any = vars(errors).get(name)
+        known = isinstance(kind, type) and issubclass(kind, errors.CodecbenchError)
+        error: Any = kind(text) if known and kind is not errors.PluginError else PluginFault(text)
+        error._raised_by = self, message.get("raised")
+        if trace := message.get("trace"):
+            error.add_note(f"in its host:\n{trace}")
+        return error  # type: ignore[no-any-return]
+
+    def refer(self, value: object) -> dict[str, Any] | None:
+        """See `wire.Objects`."""
+        place = getattr(value, "place", None) if type(value).__module__ == _REMOTE else None
+        if place is not None and place[0] is self:
+            return {"object": place[1], "owner": "receiver"}
+        exposed = value if isinstance(value, Exposed) else None
+        if not self.obeys and isinstance(value, Iterator):
+            exposed = Exposed("iterator", value)
+        elif not self.obeys and isinstance(value, FunctionType | MethodType | partial):
+            exposed = Exposed("function", value)
+        if exposed is None:
+            return None
+        named = exposed.kind, id(exposed.value)
+        same = (n for n, known in enumerate(self._mine) if known and (known.kind, id(known.value)) == named)
+        if (number := next(same, len(self._mine))) == len(self._mine):
+            self._mine.append(exposed)
+        facts = {name: getattr(exposed.value, name) for name in FACTS.get(exposed.kind, ())} | exposed.facts
+        if exposed.kind == "codec":
+            facts["params"] = exposed.value.params.model_dump(mode="json")
+        return {"object": number, "owner": "sender", "kind": exposed.kind, "facts": facts}
+
+    def resolve(self, named: dict[str, Any]) -> Any:
+        """See `wire.Objects`."""
+        number = named["object"]
+        if named.get("owner") == "receiver":
+            if not (isinstance(number, int) and 0 <= number < len(self._mine) and self._mine[number]):
+                raise WireError("an object that it was not given")
+            return self._mine[number]
+        if (found := self._theirs.get(number)) is None:
+            remote = importlib.import_module(_REMOTE).remote  # which loads all contracts
+            found = self._theirs[number] = remote(self, number, named["kind"], named["facts"])
+        return found
+
+    def _send(self, message: dict[str, Any]) -> None:
+        payload: Payload = []
+        packed = pack(message, self, payload)
+        size = self._sends.write(payload)
+        content = json.dumps([size, packed]).encode() + b"\n"
+        while content:
+            self._wait(self._writes, select.POLLOUT)
+            content = content[os.write(self._writes, content[: select.PIPE_BUF]) :]
+
+    def _received(self) -> dict[str, Any]:
+        """The next message. Raises PluginNonsense, and EOFError where there is no more."""
+        content = bytearray(self._left)
+        while b"\n" not in content[-(1 << 16) :]:
+            self._wait(self._reads, select.POLLIN)
+            part = os.read(self._reads, 1 << 16)
+            if not part:
+                raise EOFError("the conversation is over")
+            content += part
+            if len(content) > _MOST_BYTES:
+                raise PluginNonsense(f"it answered with more than {_MOST_BYTES >> 20} MB")
+        line, _, rest = bytes(content).partition(b"\n")
+        self._left = rest
+        try:
+            size, packed = json.loads(line)
+            message = unpack(packed, self, self._receives.view(size, grows=False))
+        except PluginFault:
+            raise
+        except Exception as error:
+            raise PluginNonsense("it answered nonsense") from error
+        if not isinstance(message, dict):
+            raise PluginNonsense("it answered nonsense")
+        return message
