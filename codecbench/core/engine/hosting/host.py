@@ -60,11 +60,11 @@ if dies and sys.platform == "linux":
     ctypes.CDLL(None).prctl(1, 9)
 if child := os.fork():
     import signal
-    signal.signal(signal.SIGTERM, lambda *_: os.killpg(child, 9))
+    signal.signal(signal.SIGTERM, lambda *_: (os.kill(child, 9), os.killpg(child, 9)))
     os.closerange(3, max(rest[0]) + 1)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     os._exit(status if status >= 0 else 128 - status)
-os.setsid()
+os.setpgid(0, 0)
 sys.path[:] = paths
 from codecbench.core.engine.serving import serve
 serve(*rest)

@@ -223,7 +223,7 @@ class ShuffledPictures:
 def decoded_until_one_fails(codec: AnyCodec[Any], bitstreams: list[bytes]) -> list[Any]:
     """The pictures of single bitstreams up to the first that cannot be decoded; for the process that decodes."""
     pictures: list[Any] = []
-    with suppress(Exception):
+    with suppress(BaseException):  # the call that shows what is wrong comes after
         pictures.extend(codec.decode(bitstream) for bitstream in bitstreams)
     return pictures
 

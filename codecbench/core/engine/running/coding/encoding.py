@@ -56,7 +56,7 @@ def encoded_until_one_fails(codec: AnyCodec[Any], images: list[Image]) -> list[A
     """The bitstreams of single images up to the first that cannot be encoded; for the process that encodes, because to
     hand over each alone can take as long as to encode it."""
     bitstreams: list[Any] = []
-    with suppress(Exception):
+    with suppress(BaseException):  # the call that shows what is wrong comes after
         bitstreams.extend(codec.encode(image) for image in images)
     return bitstreams
 
