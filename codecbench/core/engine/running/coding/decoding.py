@@ -164,8 +164,11 @@ class ShuffledPictures:
     def picture(self, frame: int, original: Image) -> Image:
         """The picture of a frame. Raises CodingError for what is no image of the original's shape."""
         if frame not in self._ready:
-            is_again = frame in self._asked
-            self._decode([frame] if is_again else self._around(frame, original.nbytes))
+            if frame in self._asked:  # who looks back does not lose what lies ahead
+                self._decode([frame])
+            else:
+                self._ready = {}
+                self._decode(self._around(frame, original.nbytes))
         found = self._ready.pop(frame)
         self._position.at("decode", frame)
         if isinstance(found, BaseException):
@@ -203,7 +206,6 @@ class ShuffledPictures:
 
     def _decode(self, left: list[int]) -> None:
         """Have these frames ready, or the errors of those that cannot be decoded."""
-        self._ready = {}
         bitstreams = {index: self._read(index) for index in left}
         while left:
             self._position.at("decode")

@@ -13,9 +13,10 @@ from bitstream_files import JOB, read_all, require_damage_noticed
 from hypothesis import given
 from hypothesis import strategies as st
 
+from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
-from codecbench.core.engine.running.coding.decoding import checked_decoding
+from codecbench.core.engine.running.coding.decoding import ShuffledPictures, checked_decoding
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES, CachedSequence, FrameCache, cache_limit_bytes
@@ -144,3 +145,22 @@ def test_writing_into_a_frame_harms_nobody_else(monkeypatch: pytest.MonkeyPatch)
     assert second.image.any()
     monkeypatch.setattr("codecbench.core.contracts.sequence.png_bytes", None)  # counted once, not again
     assert second.png_size_bytes == size
+
+
+def test_who_looks_back_at_shuffled_pictures_has_each_decoded_twice_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each picture holds its number; pairs of neighbors are asked for, as those who follow a motion do."""
+    codec = plain_plugins.Shift.create()
+    images = [np.full((8, 8), number, np.uint8) for number in range(20)]
+    bitstreams = [codec.encode(image) for image in images]
+    decoded, decode = [], plain_plugins.Shift.decode
+
+    def counted(self: plain_plugins.Shift, bitstream: bytes) -> Image:
+        decoded.append(bitstream)
+        return decode(self, bitstream)
+
+    monkeypatch.setattr(plain_plugins.Shift, "decode", counted)
+    pictures = ShuffledPictures(codec, bitstreams.__getitem__, len(images), WorkPosition())
+    for number in range(len(images) - 1):
+        for frame in (number, number + 1):
+            assert (pictures.picture(frame, images[frame]) == decode(codec, bitstreams[frame])).all()
+    assert len(decoded) <= 2 * len(images)
