@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 
 import click
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 
@@ -37,6 +36,8 @@ def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None,
 
 def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table without lines, that breaks no word as long as its longest words stand beside each other."""
+    from rich.table import Table  # which `codecbench list` needs not wait for
+
     console = Screen()
     rows = list(rows)
     table = Table(show_edge=False, header_style="dim", box=None, pad_edge=False, padding=(0, 2, 0, 0))

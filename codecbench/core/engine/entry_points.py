@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, distribution, entry_points
 
 from codecbench.core.contracts import hooks
 from codecbench.core.engine.plugin import OURS
@@ -17,14 +17,14 @@ def origins() -> list[str]:
 
 def origin_of(point: EntryPoint) -> str:
     """The distribution of an entry point with its version; where it has none, what it names."""
-    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+    return " ".join(_named(point.dist)) if point.dist else point.value
 
 
 def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
     for point in _points(tuple(sys.path)):
-        own = point.dist is not None and point.dist.name == OURS
+        own = point.dist is not None and _named(point.dist)[0] == OURS
         found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
 
@@ -41,6 +41,13 @@ def points_of(origin: str) -> list[EntryPoint]:
 
 
 @functools.cache
+def _named(distribution: Distribution) -> tuple[str, str]:
+    """Name and version, for which a file is read and parsed whenever they are asked for."""
+    metadata = distribution.metadata
+    return metadata["Name"], metadata["Version"]
+
+
+@functools.cache
 def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     """All entry points on this path, looked for once: it means reading a file of every distribution."""
     return tuple(entry_points(group=hooks.GROUP))
@@ -48,5 +55,5 @@ def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
 
 def own_first(point: EntryPoint) -> tuple[bool, str, str]:
     """Codecbench's own plugins come first, so that nobody can take one of their names."""
-    distribution = point.dist.name if point.dist else ""
+    distribution = _named(point.dist)[0] if point.dist else ""
     return (distribution != OURS, distribution, point.name)

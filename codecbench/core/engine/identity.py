@@ -7,10 +7,6 @@ import json
 import math
 from typing import Any, NoReturn
 
-from pydantic import ValidationError
-
-from codecbench.core.contracts.params import Params
-
 DIGEST_BYTES = 16
 
 
@@ -44,34 +40,6 @@ def digest(value: Any) -> str:
 def seed_from(identity: str, seed: int) -> int:
     """A 63-bit seed for one cell: the run's seed mixed with the cell's identity, so that no two cells share one."""
     return int(digest([identity, seed])[:16], 16) >> 1
-
-
-def without_defaults(identity: dict[str, Any], params: Params) -> dict[str, Any]:
-    """What a plugin says distinguishes a setting, less the parameters that are at their default.
-
-    A parameter that is added with a default so changes no identity. Entries that are not a parameter's value as it
-    stands stay, and so does everything where the rest would not validate to the same parameters (a union told apart
-    by a default).
-    """
-    full = params.model_dump(mode="json")
-    brief = params.model_dump(mode="json", exclude_defaults=True)
-    if not _means(brief, params):
-        return identity
-    kept = {}
-    for name, value in identity.items():
-        if name not in full or value != full[name]:
-            kept[name] = value
-        elif name in brief:
-            kept[name] = brief[name]
-    return kept
-
-
-def _means(values: dict[str, Any], params: Params) -> bool:
-    """Whether these values validate to the very parameters."""
-    try:
-        return type(params).model_validate(values) == params
-    except ValidationError:
-        return False
 
 
 def _no_number(literal: str) -> NoReturn:

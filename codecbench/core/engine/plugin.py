@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import importlib.util
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final
+from importlib.machinery import ModuleSpec, PathFinder
+from typing import TYPE_CHECKING, Final
 
-from codecbench.core.contracts.errors import PluginError
-from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
+from codecbench.core.contracts.hooks import Kind, PluginSpec
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 OURS = "codecbench"
 """The distribution whose plugins ship with the program."""
@@ -24,14 +28,13 @@ _TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 class Plugin:
     """What a distribution offers: the specification of a plugin, and where it came from.
 
-    hosted: it is imported in a host process. absent: what it needs and is not installed, as its host found.
+    hosted: it is imported in a host process.
     """
 
     kind: Kind
     spec: PluginSpec
     distribution: str
     hosted: bool = False
-    absent: str | None = None
 
     @property
     def foreign(self) -> str:
@@ -46,10 +49,8 @@ class Plugin:
     @property
     def missing(self) -> str | None:
         """Why this plugin cannot be used here and the command that installs it, or None. Imports nothing of its own."""
-        if self.hosted:
-            return self.absent
         what = f"{self.kind} {self.spec.name} needs"
-        absent = [name for name in self.spec.requires if importlib.util.find_spec(name) is None]
+        absent = [name for name in self.spec.requires if module_spec(name) is None]
         if absent:
             command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
             return f"{what} {', '.join(absent)}, which is not installed; run: {command}"
@@ -79,16 +80,21 @@ class Problem:
 
 def _refused_versions(distribution: str, libraries: tuple[str, ...]) -> list[str]:
     """Each of these libraries whose installed version is not one that the distribution's metadata asks for."""
-    from packaging.requirements import Requirement
-
     refused = []
     with suppress(importlib.metadata.PackageNotFoundError):  # without metadata nothing is asked for
-        for requirement in map(Requirement, (importlib.metadata.requires(distribution) or ()) if libraries else ()):
+        for requirement in _requirements(distribution) if libraries else ():
             if requirement.name.replace("-", "_") in libraries:
                 version = importlib.metadata.version(requirement.name)
                 if not requirement.specifier.contains(version, prereleases=True):
                     refused.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
     return refused
+
+
+@functools.cache
+def _requirements(distribution: str) -> tuple[Requirement, ...]:
+    from packaging.requirements import Requirement
+
+    return tuple(map(Requirement, importlib.metadata.requires(distribution) or ()))
 
 
 def spoken(kind: Kind) -> str:
@@ -111,26 +117,17 @@ def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
     return None
 
 
-def plugins_told(origin: str, answer: dict[str, Any]) -> tuple[list[tuple[Plugin, str]], list[Problem]]:
-    """What `offered` told of a distribution: its plugins with their entry points, and its problems.
+def module_spec(module: str, *, to_first_file: bool = False) -> ModuleSpec | None:
+    """How a module would be imported, or None; nothing is imported, not even the packages that it is in.
 
-    Raises PluginError where it told nothing, or something that it never tells: the distribution's code ran there, too.
+    to_first_file: of the first of those that is no namespace package.
     """
-    if "value" not in answer:
-        raise PluginError(str(answer.get("text", "it answered nonsense")))
-    plugins: list[tuple[Plugin, str]] = []
-    try:
-        value = answer["value"]
-        problems = [
-            Problem(origin, str(problem["entry_point"]), str(problem["reason"]), bool(problem["nameless"]))
-            for problem in value["problems"]
-        ]
-        for values in value["plugins"]:
-            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
-            missing = None if values["missing"] is None else str(values["missing"])
-            if values["kind"] not in KINDS or fault_of(values["kind"], spec) is not None:
-                raise ValueError(spec)
-            plugins.append((Plugin(values["kind"], spec, origin, True, missing), str(values["entry_point"])))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        raise PluginError("it answered nonsense") from None
-    return plugins, problems
+    parts = module.split(".")
+    with suppress(ImportError, ValueError, AttributeError):
+        spec = importlib.util.find_spec(parts[0])
+        for depth in range(2, len(parts) + 1):
+            if spec is None or (to_first_file and spec.origin is not None):
+                break
+            spec = PathFinder.find_spec(".".join(parts[:depth]), list(spec.submodule_search_locations or ()))
+        return spec
+    return None

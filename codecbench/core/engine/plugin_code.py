@@ -16,16 +16,15 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
-from importlib.util import find_spec, resolve_name
+from importlib.util import resolve_name
 from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.identity import digest
-from codecbench.core.engine.plugin import OURS, Plugin
+from codecbench.core.engine.plugin import OURS, Plugin, module_spec
 
 _CORE: Final = f"{OURS}.core"
 _COMPILED: Final = (".pyc", ".pyo", ".nbi", ".nbc")
@@ -44,8 +43,8 @@ def code_label(kind: Kind, name: str) -> str:
 
 def code_of(plugin: Plugin) -> str:
     """The plugin's distribution with its version, and the fingerprint; empty where its code is not found."""
-    fingerprint = _fingerprint(plugin)
-    return f"{plugin.distribution} {fingerprint}" if fingerprint else ""
+    found = fingerprint(plugin.foreign, _module(plugin))
+    return f"{plugin.distribution} {found}" if found else ""
 
 
 def code_digest(code: dict[str, str]) -> str:
@@ -56,20 +55,21 @@ def code_digest(code: dict[str, str]) -> str:
 def files_since(plugin: Plugin, time_s: float) -> list[str]:
     """Names of the plugin's files that were written after `time_s`, in seconds since 1970."""
     found = []
-    for path in () if _released(plugin) else _files(plugin):
+    for path in () if _released(plugin.foreign) else _files(plugin.foreign, _module(plugin)):
         with suppress(OSError):
             if path.stat().st_mtime > time_s:
                 found.append(path.name)
     return sorted(found)
 
 
-def _fingerprint(plugin: Plugin) -> str:
-    installed = _released(plugin)
+def fingerprint(foreign: str, module: str) -> str:
+    """That of the code of a module; empty where it is not found. foreign: its distribution, empty for codecbench."""
+    installed = _released(foreign)
     if installed is not None:
         return digest([installed.version, sorted(_recorded(installed))])[:16]
     content = hashlib.blake2b(digest_size=8)
     found = False
-    for path in _files(plugin):
+    for path in _files(foreign, module):
         with suppress(OSError):  # it is being replaced; the next look finds it
             state = path.stat()
             content.update(f"{path.name} {_file_digest(path, state.st_size, state.st_mtime_ns)}\n".encode())
@@ -77,12 +77,16 @@ def _fingerprint(plugin: Plugin) -> str:
     return content.hexdigest() if found else ""
 
 
-def _released(plugin: Plugin) -> Distribution | None:
-    """The distribution of a plugin of others whose files were copied when it was installed; None for all others."""
-    if not plugin.foreign:
+def _module(plugin: Plugin) -> str:
+    return plugin.spec.target.partition(":")[0]
+
+
+def _released(foreign: str) -> Distribution | None:
+    """A distribution of others whose files were copied when it was installed; None for all others."""
+    if not foreign:
         return None
     try:
-        found = distribution(plugin.distribution.partition(" ")[0])
+        found = distribution(foreign.partition(" ")[0])
     except (PackageNotFoundError, ValueError):
         return None
     with suppress(ValueError, AttributeError):
@@ -99,14 +103,13 @@ def _recorded(installed: Distribution) -> Iterator[str]:
             yield line
 
 
-def _files(plugin: Plugin) -> list[Path]:
-    """The files that the plugin's code is in, in order."""
-    module = plugin.spec.target.partition(":")[0]
+def _files(foreign: str, module: str) -> list[Path]:
+    """The files that the code of a module is in, in order."""
     found = _place(module)
     if found is None:
         return []
     place, top = found
-    if not plugin.foreign:
+    if not foreign:
         return sorted(_led_to(module, top, _outside_core))
     files = {place} if place.is_file() else set(_files_below(place))
     return sorted(files if top.name in _SHARED_FOLDERS else files | _led_to(module, top, _outside_codecbench))
@@ -115,13 +118,8 @@ def _files(plugin: Plugin) -> list[Path]:
 def _place(module: str) -> tuple[Path, Path] | None:
     """The folder or file of the package that a module is in, the first below those that distributions share, and the
     folder on the path that it was found in."""
-    parts = module.split(".")
-    with suppress(ImportError, ValueError, AttributeError, IndexError):
-        spec = find_spec(parts[0])
-        for depth in range(2, len(parts) + 1):
-            if spec is None or spec.origin is not None:
-                break
-            spec = PathFinder.find_spec(".".join(parts[:depth]), list(spec.submodule_search_locations or ()))
+    with suppress(IndexError):
+        spec = module_spec(module, to_first_file=True)
         if spec is not None:
             place = Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
             return place, place.parents[spec.name.count(".")]

@@ -12,17 +12,15 @@ import functools
 import importlib
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import EntryPoint
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 import pluggy
 
 from codecbench.core.contracts import hooks
-from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
+from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
 from codecbench.core.engine.foreign_errors import describe_error
@@ -34,10 +32,10 @@ from codecbench.core.engine.hosting.host import (
     PluginTimeout,
 )
 from codecbench.core.engine.loading import load_class
-from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, plugins_told, spoken
+from codecbench.core.engine.offers import Offers, asked_offers, remembered_offers
+from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, spoken
 
 _CALLED = "codecbench.core.engine.serving:called"
-_OFFERS = "codecbench.core.engine.serving:offers"
 _AT_ONCE = os.cpu_count() or 1
 """So many distributions are asked at once what they offer."""
 _MOST_PLUGINS = 1000
@@ -49,10 +47,12 @@ _MOST_LOSSES = 3
 class Registry:
     """All plugins that were found, by kind and name; `problems` lists those that were not taken.
 
-    points: imported in this process. hosted: other distributions, whose plugins are imported in hosts.
+    points: imported in this process. hosted: those of other distributions, whose plugins are imported in hosts.
     """
 
-    def __init__(self, points: Iterable[EntryPoint], hosted: Sequence[str] = ()) -> None:
+    def __init__(
+        self, points: Iterable[EntryPoint], hosted: Mapping[str, list[EntryPoint]] = MappingProxyType({})
+    ) -> None:
         self.problems: list[Problem] = []
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
@@ -60,13 +60,20 @@ class Registry:
         self._losses: Counter[str] = Counter()
         self._given_up: dict[str, str] = {}
         self._hosts = {origin: Host(origin) for origin in hosted}
-        for host in list(self._hosts.values())[:_AT_ONCE]:
+        known = {origin: remembered_offers(origin, hosted[origin]) for origin in sorted(hosted)}
+        asked = [self._hosts[origin] for origin, offers in known.items() if offers is None]
+        for host in asked[:_AT_ONCE]:
             host.start()  # while our own are read
         for point in sorted(points, key=own_first):
             self._admit(point)
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
-            for origin, answer in zip(hosted, pool.map(_offers, self._hosts.values()), strict=True):
-                self._admit_hosted(origin, answer)
+        if asked:
+            from concurrent.futures import ThreadPoolExecutor  # which takes some milliseconds
+
+            with ThreadPoolExecutor(_AT_ONCE) as pool:
+                answers = pool.map(lambda host: asked_offers(host, hosted[host.distribution]), asked)
+                known |= zip((host.distribution for host in asked), answers, strict=True)
+        for offers in filter(None, known.values()):
+            self._admit_hosted(offers)
         for origin in self._hosts.keys() - {plugin.distribution for plugin in self._plugins.values()}:
             self._hosts.pop(origin).end()
 
@@ -145,15 +152,9 @@ class Registry:
                 self._given_up[title] = message
             raise PluginFault(message) from fault
 
-    def _admit_hosted(self, origin: str, answer: dict[str, Any]) -> None:
-        """Take what a distribution offers as its host tells it."""
-        try:
-            plugins, problems = plugins_told(origin, answer)
-        except PluginError as fault:
-            reason = f"its entry points cannot be read: {' '.join(str(fault).split())}"
-            plugins, problems = [], [Problem(origin, hooks.GROUP, reason, nameless=True)]
-        self.problems += problems
-        for plugin, entry_point in plugins:
+    def _admit_hosted(self, offers: Offers) -> None:
+        self.problems += offers.problems
+        for plugin, entry_point in offers.plugins:
             self._take(plugin, entry_point)
 
     def _admit(self, point: EntryPoint) -> None:
@@ -223,7 +224,7 @@ def installed() -> Registry:
     """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
     ours = points.pop(OURS, ())
-    return Registry(ours, hosted=[] if HOSTED_VARIABLE in os.environ else sorted(points))
+    return Registry(ours, hosted={} if HOSTED_VARIABLE in os.environ else points)
 
 
 @functools.cache
@@ -241,31 +242,6 @@ def loads(registry: Registry, kind: Kind, name: str) -> bool:
     """That a plugin's module imports and keeps the contract, found out where it is asked. Raises like `load`."""
     registry.load(kind, name)
     return True
-
-
-def offered(registry: Registry) -> dict[str, Any]:
-    """All plugins of a registry and its problems, as JSON types."""
-    return {
-        "plugins": [
-            {
-                "kind": plugin.kind,
-                "spec": asdict(plugin.spec),
-                "missing": plugin.missing,
-                "entry_point": registry.entry_point(plugin),
-            }
-            for kind in KINDS
-            for plugin in registry.plugins(kind)
-        ],
-        "problems": [asdict(problem) for problem in registry.problems],
-    }
-
-
-def _offers(host: Host) -> dict[str, Any]:
-    """What a distribution offers as `value`, or `text`: why it is not known."""
-    try:
-        return {"value": host.ask(_OFFERS)}
-    except CodecbenchError as error:
-        return {"text": str(error)}
 
 
 def _hook_names(module: ModuleType) -> set[str]:

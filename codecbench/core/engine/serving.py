@@ -16,12 +16,15 @@ import shutil
 import signal
 import sys
 import tempfile
+from dataclasses import asdict
 from typing import Any, Final
 
+from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.entry_points import points_of
 from codecbench.core.engine.hosting.channel import CRASH_FILE, Channel, Exposed, SharedMemory
 from codecbench.core.engine.plugin import OURS
-from codecbench.core.engine.registry import Registry, offered
+from codecbench.core.engine.plugin_code import code_of
+from codecbench.core.engine.registry import Registry
 
 _PR_SET_PDEATHSIG: Final = 1
 _M_TRIM_THRESHOLD: Final = -1
@@ -65,7 +68,13 @@ def called(module_function: str, *arguments: Any) -> Any:
 
 def offers() -> dict[str, Any]:
     """What the distribution offers, as JSON types."""
-    return offered(Registry(points_of(_state["distribution"])))
+    found = Registry(points_of(_state["distribution"]))
+    plugins = [
+        {"kind": kind, "spec": asdict(plugin.spec), "entry_point": found.entry_point(plugin)}
+        for kind in KINDS
+        for plugin in found.plugins(kind)
+    ]
+    return {"plugins": plugins, "problems": [asdict(problem) for problem in found.problems]}
 
 
 def created(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
@@ -73,8 +82,6 @@ def created(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
 
     Its version, and the code that it is made of, are told with it.
     """
-    from codecbench.core.engine.plugin_code import code_of  # with pydantic, which takes longer than all else here
-
     start_afresh(seed)
     code = code_of(registry().find(kind, name))
     instance = registry().create(kind, name, params)

@@ -14,7 +14,8 @@ from distributions import register
 from pydantic import Field
 
 from codecbench import Params
-from codecbench.core.engine.identity import canonical_json, digest, seed_from, without_defaults
+from codecbench.core.engine.identity import canonical_json, digest, seed_from
+from codecbench.core.engine.planning.description import without_defaults
 
 PLUGINS = """
 from codecbench import (

@@ -15,7 +15,7 @@ from memory_sequence import Plugins, context
 from pydantic import ValidationError
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome, SentPacket
-from codecbench.core.engine.identity import without_defaults
+from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator

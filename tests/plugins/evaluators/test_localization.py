@@ -19,7 +19,7 @@ from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
-from codecbench.core.engine.identity import without_defaults
+from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.localization.evaluator import _measured
 from codecbench.plugins.evaluators.localization.survey import Sighting

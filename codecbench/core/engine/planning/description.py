@@ -17,7 +17,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.foreign_text import clean_line, clean_value
 from codecbench.core.engine.hosting.host import PluginFault
-from codecbench.core.engine.identity import canonical_json, without_defaults
+from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import suggest
@@ -224,3 +224,31 @@ def _check_frames(sequence: FrameSequence) -> None:
         raise PluginError(f"{title}.timestamps_s has shape {stamps_s.shape}; there are {frames} frames")
     if not (np.isfinite(stamps_s).all() and (np.diff(stamps_s) > 0).all()):
         raise PluginError(f"{title}.timestamps_s are not finite and strictly increasing")
+
+
+def without_defaults(identity: dict[str, Any], params: Params) -> dict[str, Any]:
+    """What a plugin says distinguishes a setting, less the parameters that are at their default.
+
+    A parameter that is added with a default so changes no identity. Entries that are not a parameter's value as it
+    stands stay, and so does everything where the rest would not validate to the same parameters (a union told apart
+    by a default).
+    """
+    full = params.model_dump(mode="json")
+    brief = params.model_dump(mode="json", exclude_defaults=True)
+    if not _means(brief, params):
+        return identity
+    kept = {}
+    for name, value in identity.items():
+        if name not in full or value != full[name]:
+            kept[name] = value
+        elif name in brief:
+            kept[name] = brief[name]
+    return kept
+
+
+def _means(values: dict[str, Any], params: Params) -> bool:
+    """Whether these values validate to the very parameters."""
+    try:
+        return type(params).model_validate(values) == params
+    except ValidationError:
+        return False

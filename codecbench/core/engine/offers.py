@@ -1,0 +1,92 @@
+"""What distributions offer, as data: told by their hosts, and remembered by what is in their files."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any, Final
+
+from codecbench.core.contracts.errors import CodecbenchError, PluginError
+from codecbench.core.contracts.hooks import GROUP, KINDS, PluginSpec
+from codecbench.core.engine.hosting.host import Host
+from codecbench.core.engine.identity import digest
+from codecbench.core.engine.plugin import Plugin, Problem, fault_of
+from codecbench.core.engine.plugin_code import fingerprint
+from codecbench.core.kernels.cache_folder import cache_folder
+
+_ASKED: Final = "codecbench.core.engine.serving:offers"
+
+
+@dataclass(frozen=True)
+class Offers:
+    """The plugins of a distribution, each with the name of its entry point, and what is wrong with others."""
+
+    plugins: list[tuple[Plugin, str]]
+    problems: list[Problem]
+
+
+def remembered_offers(origin: str, points: list[EntryPoint]) -> Offers | None:
+    """What a distribution offered when its files were what they are now, or None. points: its entry points."""
+    with suppress(OSError, ValueError, LookupError, TypeError, PluginError):
+        kept = json.loads(_file(origin).read_bytes())
+        if kept["files"] == _files(origin, points):
+            return _told(origin, kept["offers"])
+    return None
+
+
+def asked_offers(host: Host, points: list[EntryPoint]) -> Offers:
+    """What a distribution offers as its host tells it, which is remembered where nothing is wrong with it.
+
+    Something that nobody can read is one of its problems.
+    """
+    origin, files = host.distribution, _files(host.distribution, points)
+    try:
+        value = host.ask(_ASKED)
+        offers = _told(origin, value)
+    except CodecbenchError as error:
+        reason = f"its entry points cannot be read: {' '.join(str(error).split())}"
+        return Offers([], [Problem(origin, GROUP, reason, nameless=True)])
+    if files is not None and not offers.problems:
+        _remember(_file(origin), {"files": files, "offers": value})
+    return offers
+
+
+def _told(origin: str, value: Any) -> Offers:
+    """Raises PluginError for what no host of ours tells: the distribution's code ran there, too."""
+    plugins: list[tuple[Plugin, str]] = []
+    try:
+        problems = [
+            Problem(origin, str(problem["entry_point"]), str(problem["reason"]), bool(problem["nameless"]))
+            for problem in value["problems"]
+        ]
+        for values in value["plugins"]:
+            spec = PluginSpec(**{**values["spec"], "requires": tuple(values["spec"]["requires"])})
+            if values["kind"] not in KINDS or fault_of(values["kind"], spec) is not None:
+                raise ValueError(spec)
+            plugins.append((Plugin(values["kind"], spec, origin, hosted=True), str(values["entry_point"])))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise PluginError("it answered nonsense") from None
+    return Offers(plugins, problems)
+
+
+def _files(origin: str, points: list[EntryPoint]) -> str | None:
+    """A digest of what decides what a distribution offers; None where its code is not found."""
+    codes = [(point.name, point.value, fingerprint(origin, point.module)) for point in points]
+    return digest([sys.version, codes]) if all(code for *_, code in codes) else None
+
+
+def _file(origin: str) -> Path:
+    return cache_folder() / "offers" / f"{digest([sys.prefix, origin.partition(' ')[0]])}.json"
+
+
+def _remember(file: Path, value: dict[str, Any]) -> None:
+    with suppress(OSError):  # it is asked again
+        file.parent.mkdir(parents=True, exist_ok=True)
+        new = file.with_suffix(f".{os.getpid()}")
+        new.write_text(json.dumps(value), encoding="utf-8")
+        os.replace(new, file)
