@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -12,9 +12,7 @@ from codecbench.cli.completion import codec_names
 from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:
-    from codecbench.core.contracts.hooks import Kind
     from codecbench.core.engine.planning.model import CodingJob
-    from codecbench.core.engine.registry import Registry
     from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 
 _ENDINGS: Final = {
@@ -32,7 +30,7 @@ _ENDINGS: Final = {
 @click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Which setting, where there are several.")
 @click.option("--sequence", help="Which sequence, where there are several.")
 @click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
-              help="That of the video; the default is that of the sequence, which is opened for it.")  # fmt: skip
+              help="That of the video; the default is that of the sequence.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path),
               help="A video file (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others.")  # fmt: skip
 def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate_hz: float | None, out: Path) -> None:
@@ -48,8 +46,7 @@ def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate
     job = _job(store.read_plan().jobs, codec, setting, sequence)
     bitstreams = BitstreamFile(store.coded_path(job.id), job.id)
     if bitstreams.is_stream:
-        rate_hz = _frame_rate_hz(run, job) if frame_rate_hz is None else frame_rate_hz
-        _write_video(bitstreams, job, rate_hz, out)
+        _write_video(bitstreams, job, frame_rate_hz or job.sequence.frame_rate_hz, out)
     else:
         _write_pictures(bitstreams, job, out)
 
@@ -101,27 +98,11 @@ def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float
         if registry.find("codec", job.codec.name).hosted
         else registry.create("codec", job.codec.name, job.codec.params)
     )
+    if not frame_rate_hz:
+        raise click.UsageError(f"the plan does not know the frame rate of {job.sequence.name}; give --frame-rate")
     if not isinstance(codec, VideoCodec):
         raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
     packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
     content = file_from_packets(codec, packets, frame_rate_hz, out.name)
     write_file(out, content)
     click.echo(f"{out}: {counted(len(packets), 'frame')}, {len(content)} bytes")
-
-
-def _frame_rate_hz(run: Path, job: CodingJob) -> float:
-    """That of the sequence; only a run that was made here says what may be opened."""
-    from codecbench.core.engine.registry import installed
-    from codecbench.core.engine.storage.plan_file import PlanFile
-
-    elsewhere = PlanFile(run).origin_elsewhere()
-    if elsewhere is not None:
-        raise click.UsageError(f"the run was made in {elsewhere}, so its sequence is not opened; give --frame-rate")
-    dataset = job.sequence.dataset
-    asked: list[tuple[Kind, str]] = [("dataset", dataset.name)]
-    return float(installed().ask(sequence_rate_hz, dataset.name, dataset.params, of=asked))
-
-
-def sequence_rate_hz(registry: Registry, dataset: str, params: dict[str, Any]) -> float:
-    """The frame rate of a sequence, asked where its plugin may be loaded."""
-    return float(registry.create("dataset", dataset, params).open().frame_rate_hz)

@@ -34,7 +34,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     store = Store(folder)
     store.refuse_links()
     entries = store.entries() if folder.exists() else {}
-    outdated = outdated_cells(made, entries, store, installed())
+    outdated = outdated_cells(made, entries, store)
     kept = kept_cells(made, {id_: entry for id_, entry in entries.items() if id_ not in outdated})
     done = {id_ for id_, status in kept.items() if status == "ok"}
     unsupported = [cell for cell in made.cells if cell.unsupported is not None]

@@ -175,10 +175,6 @@ def _usual(registry: Registry, recording: Recording) -> list[str]:
 
 def _has_memory(registry: Registry, text: str) -> bool:
     name = text.partition(":")[0]
-    return bool(registry.ask(_is_stream, name, of=[("codec", name)]))
-
-
-def _is_stream(registry: Registry, name: str) -> bool:
     return issubclass(registry.load("codec", name), StreamCodec)
 
 

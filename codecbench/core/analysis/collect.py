@@ -20,7 +20,7 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.engine.foreign_text import clean_value
-from codecbench.core.engine.planning.declared import read_declared, reference_of
+from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
@@ -48,7 +48,7 @@ def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
     """The results of a plan's cells that a run folder holds, whichever plan it was last run with."""
     found = _records(store, plan)
     evaluators = _evaluators(found, registry)
-    meaning = schema_of(plan, evaluators, registry)
+    meaning = schema_of(plan, evaluators)
     baselines: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
     for cell, record in found:
         if cell.codec.name in meaning.baselines and record.status == "ok":
@@ -177,7 +177,7 @@ def _samples(store: Store, record: Record) -> pyarrow.Table:
     return table_from_parquet(parquet_from_samples([]))
 
 
-def schema_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: Registry) -> RunSchema:
+def schema_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator]) -> RunSchema:
     """The meaning of a run. evaluators: instances by title, as far as they are installed.
 
     What the plan says comes first, so that a run folder reads the same wherever it is opened.
@@ -194,28 +194,16 @@ def schema_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator], registry: 
             metrics[title].setdefault(metric.name, metric)
         drawn = [view for value in _listed(stored, "views") if (view := read_declared(View, value))]
         views[title] = tuple(drawn) if stored else tuple(here.views if here else ())
-    references = {name: _reference(name, plan, registry) for name in dict.fromkeys(c.codec.name for c in plan.cells)}
+    codecs = plan.declared.get("codecs", {})
+    names = dict.fromkeys(cell.codec.name for cell in plan.cells)
+    references = {name: codecs[name].get("reference") for name in names if name in codecs}
     return RunSchema(
         metrics,
         views,
         frozenset(name for name, reference in references.items() if reference == "baseline"),
         tuple(name for name, reference in references.items() if reference == "anchor"),
-        {
-            name: bool(stored["stateless"])
-            for name, stored in plan.declared.get("codecs", {}).items()
-            if "stateless" in stored
-        },
+        {name: bool(stored["stateless"]) for name, stored in codecs.items() if "stateless" in stored},
     )
-
-
-def _reference(name: str, plan: Plan, registry: Registry) -> str:
-    stored = plan.declared.get("codecs", {}).get(name)
-    if stored is not None:
-        return str(stored.get("reference", ""))
-    try:
-        return str(registry.ask(reference_of, name, of=[("codec", name)]))
-    except CodecbenchError:
-        return ""
 
 
 def _listed(stored: dict[str, Any], name: str) -> list[dict[str, Any]]:

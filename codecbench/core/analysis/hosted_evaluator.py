@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -16,9 +15,6 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Course, Drawing, Lane, Line, View
 from codecbench.core.engine.foreign_text import clean_line
-from codecbench.core.engine.hosting.host import PluginFault
-from codecbench.core.engine.planning.declared import read_declared
-from codecbench.core.engine.planning.description import describe
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.storage.samples import (
@@ -35,21 +31,13 @@ ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
 
 class HostedEvaluator:
-    """Has the members of an Evaluator that results use. Raises the CodecbenchErrors of `planning.describe`.
+    """Has the members of an Evaluator that results use; what it declares is in the plan of its run."""
 
-    One whose host fails declares nothing, which the plan of its run has done; what it is asked for next says why.
-    """
+    metrics: tuple[Metric, ...] = ()
+    views: tuple[View, ...] = ()
 
     def __init__(self, registry: Registry, setting: PluginSetting) -> None:
         self._registry, self._setting = registry, setting
-        declared: dict[str, Any] = {"metrics": (), "views": ()}
-        with suppress(PluginFault):
-            description = describe(registry, "evaluator", setting.name, setting.params)
-            if description.missing is not None:
-                raise PluginError(description.missing)
-            declared = description.declared
-        self.metrics: tuple[Metric, ...] = tuple(filter(None, (read_declared(Metric, m) for m in declared["metrics"])))
-        self.views: tuple[View, ...] = tuple(filter(None, (read_declared(View, v) for v in declared["views"])))
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
         """What the plugin yields. Raises CodecbenchError where it fails."""

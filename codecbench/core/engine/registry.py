@@ -54,6 +54,8 @@ class Registry:
         self, points: Iterable[EntryPoint], hosted: Mapping[str, list[EntryPoint]] = MappingProxyType({})
     ) -> None:
         self.problems: list[Problem] = []
+        self.told: dict[str, Any] = {}
+        """What hosted plugins said of settings, see `planning.describe`."""
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
         self._classes: dict[tuple[Kind, str], Any] = {}

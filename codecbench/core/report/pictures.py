@@ -16,14 +16,13 @@ import numpy as np
 from codecbench.core.analysis.replanning import SAME_PLACE, relocated
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
-from codecbench.core.contracts.evaluator import CodedFrame, Evaluator
+from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.view import Marks
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
-from codecbench.core.engine.registry import Registry, installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
@@ -156,18 +155,9 @@ def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted
 
 def _marker(run: RunResult) -> PluginSetting | None:
     """The first evaluator of the run that marks frames."""
-    for setting in dict.fromkeys(result.cell.evaluator for result in run.results):
-        try:
-            if installed().ask(offers_marks, setting.name, of=[("evaluator", setting.name)]):
-                return setting
-        except CodecbenchError as error:
-            log.warning("evaluator %s marks nothing: %s", setting.name, clean_line(str(error)))
-    return None
-
-
-def offers_marks(registry: Registry, name: str) -> bool:
-    """Whether an evaluator marks frames."""
-    return bool(registry.load("evaluator", name).marks is not Evaluator.marks)
+    settings = dict.fromkeys(result.cell.evaluator for result in run.results)
+    declared = run.plan.declared.get("evaluators", {})
+    return next((setting for setting in settings if declared.get(setting.title, {}).get("marks")), None)
 
 
 _Names = list[tuple[str, str]]

@@ -112,13 +112,6 @@ def plan_with(meaning: dict[str, object]) -> Plan:
     return Plan("n", "", run, (sequence,), (), (cell,), meaning)
 
 
-class Nothing:
-    """A registry in which nothing is installed."""
-
-    def ask(self, *_: object, of: list[tuple[str, str]]) -> object:
-        raise PluginError(f"none is called {of[0][1]!r}")
-
-
 def test_meaning_travels_with_the_plan() -> None:
     codec = SimpleNamespace(name="plain", reference="anchor", stateless=True)
     meant = {
@@ -126,7 +119,7 @@ def test_meaning_travels_with_the_plan() -> None:
         "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())},
     }
     plan = plan_from_json(json.loads(json.dumps(plan_with(meant).as_json())))
-    meaning = schema_of(plan, {}, Nothing())  # type: ignore[arg-type]
+    meaning = schema_of(plan, {})
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
     assert (meaning.anchors, meaning.baselines, meaning.stateless) == (("plain",), frozenset(), {"plain": True})
@@ -137,17 +130,15 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
     stored = plan_with({}).as_json()
     del stored["declared"]
     plan = plan_from_json(stored)
-    installed = SimpleNamespace(ask=lambda *_, of: "baseline")
-    meaning = schema_of(plan, {"grain(size=2)": Grain.create()}, installed)  # type: ignore[arg-type]
+    meaning = schema_of(plan, {"grain(size=2)": Grain.create()})
     assert meaning.metrics == {"grain(size=2)": {"grain_db": Grain.metrics[0]}}
     assert meaning.views == {"grain(size=2)": Grain.views}
-    assert meaning.baselines == {"plain"}
 
 
 def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> None:
     meant = {"codecs": {}, "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())}}
     meant["evaluators"]["grain(size=2)"]["metrics"][0] |= {"role": "mood", "aura": 1}
-    meaning = schema_of(plan_with(meant), {"grain(size=2)": Grain.create()}, Nothing())  # type: ignore[arg-type]
+    meaning = schema_of(plan_with(meant), {"grain(size=2)": Grain.create()})
     assert meaning.metrics["grain(size=2)"]["grain_db"] == Grain.metrics[0]
 
 

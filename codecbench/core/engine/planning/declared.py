@@ -13,7 +13,6 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
-from codecbench.core.engine.registry import Registry
 
 log = logging.getLogger("codecbench.results")
 
@@ -23,17 +22,13 @@ def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
     return {"reference": codec.reference, "stateless": codec.stateless}
 
 
-def reference_of(registry: Registry, name: str) -> str:
-    """What a codec is to others, where no plan says it; asked in a host, which need not load what reads results."""
-    return str(registry.load("codec", name).reference)
-
-
 def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
     """The meaning of an evaluator's setting."""
     return {
         "metrics": [_json(metric) for metric in evaluator.metrics],
         "views": [_json(view) for view in evaluator.views],
         "typical_ms_per_frame": evaluator.typical_ms_per_frame,
+        "marks": type(evaluator).marks is not Evaluator.marks,
     }
 
 

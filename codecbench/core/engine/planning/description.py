@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -93,7 +94,11 @@ def describe(
 
     Raises InvalidParams, Unsupported where it cannot be used here, and PluginError where it breaks the contract.
     """
-    answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
+    asked = repr((kind, name, values, folder))
+    if (answer := registry.told.get(asked)) is None:
+        answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
+        if registry.find(kind, name).hosted:
+            registry.told[asked] = answer
     if "invalid" in answer:
         raise InvalidParams(answer["invalid"], answer["fields"])
     try:
@@ -202,6 +207,7 @@ def sequence_described(registry: Registry, name: str, params: dict[str, Any]) ->
         "has_ground_truth": sequence.ground_truth is not None,
         "notes": _notes(sequence),
         "as_calibrated": clean_line(str(sequence.as_calibrated)),
+        "frame_rate_hz": rate_hz if math.isfinite(rate_hz := float(sequence.frame_rate_hz)) else 0.0,
     }
 
 

@@ -54,6 +54,7 @@ class SequenceEntry:
 
     missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
     notes: what its dataset says of it, in sentences. as_calibrated: as its dataset declares, see `FrameSequence`.
+    frame_rate_hz: nominal; 0 where it is not known.
     """
 
     name: str
@@ -66,6 +67,7 @@ class SequenceEntry:
     missing: str | None = None
     notes: tuple[str, ...] = ()
     as_calibrated: str = ""
+    frame_rate_hz: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import ValidationError
-
-from codecbench.core.contracts.errors import ParamsError, PluginError, StoreError, Unsupported
+from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.contracts.executor import Status
-from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
 from codecbench.core.engine.registry import Registry
 from codecbench.core.engine.running.code_changes import code_notices
@@ -54,7 +51,7 @@ def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str
     """
     asked = _asked_for(plan, recompute)
     sound, damaged = store.sound_entries(cell.id for cell in plan.cells)
-    outdated = outdated_cells(plan, sound, store, registry) | {id_: why for id_, why in asked.items() if id_ in sound}
+    outdated = outdated_cells(plan, sound, store) | {id_: why for id_, why in asked.items() if id_ in sound}
     for cell_id, reason in damaged.items():
         log.warning("record %s will be computed again: %s", cell_id, reason)
     for reason, count in Counter(outdated.values()).items():
@@ -82,7 +79,7 @@ def kept_cells(plan: Plan, entries: Mapping[str, IndexEntry]) -> dict[str, Statu
     return kept
 
 
-def outdated_cells(plan: Plan, entries: Mapping[str, IndexEntry], store: Store, registry: Registry) -> dict[str, str]:
+def outdated_cells(plan: Plan, entries: Mapping[str, IndexEntry], store: Store) -> dict[str, str]:
     """The cells whose record was made with other values of parameters at their default, and which those are.
 
     A parameter at its default is in no identity, so that plugins can gain parameters; the price is this comparison.
@@ -100,13 +97,13 @@ def outdated_cells(plan: Plan, entries: Mapping[str, IndexEntry], store: Store, 
             digests[settings] = settings_digest(cell_description(cell))
         pair = (entry.settings, digests[settings])
         if pair[0] != pair[1] and pair not in reasons:
-            reasons[pair] = _changed_default(cell, store, registry)
+            reasons[pair] = _changed_default(cell, store)
         if (reason := reasons.get(pair)) is not None:
             found[cell.id] = reason
     return found
 
 
-def _changed_default(cell: Cell, store: Store, registry: Registry) -> str | None:
+def _changed_default(cell: Cell, store: Store) -> str | None:
     """Which parameter of a cell's plugins had another value when its record was made, or None."""
     try:
         then = store.read_record(cell.id).cell
@@ -114,34 +111,18 @@ def _changed_default(cell: Cell, store: Store, registry: Registry) -> str | None
         return None  # damaged or gone, which is another reason
     stored = [then.get("codec"), then.get("evaluator"), *then.get("uses", ())]
     for before, setting in zip(stored, (cell.codec, cell.evaluator, *cell.evaluator.uses), strict=False):
-        reason = _changed_parameter(before["params"], setting, registry) if before else "its record does not say which"
+        reason = _changed_parameter(before["params"], setting) if before else "its record does not say which"
         if reason is not None:
             return f"{setting.kind} {setting.name}: {reason}"
     return None
 
 
-def _changed_parameter(before: dict[str, Any], setting: PluginSetting, registry: Registry) -> str | None:
-    try:
-        asked = setting.kind, setting.name
-        effective = setting.effective_params()
-        return registry.ask(changed_parameter, *asked, before, effective, of=[asked])  # type: ignore[no-any-return]
-    except (PluginError, Unsupported):
-        return None
-
-
-def changed_parameter(
-    registry: Registry, kind: Kind, name: str, before: dict[str, Any], effective: dict[str, Any]
-) -> str | None:
-    """Which of a plugin's effective parameters those of before, completed by today's defaults, differ in, or None."""
-    params_type = registry.load(kind, name).params_type
-    known = {name: value for name, value in before.items() if name in params_type.model_fields}
-    try:
-        then = params_type.model_validate(known).model_dump(mode="json")
-    except ValidationError:
-        return "its parameters of then are no longer valid"
-    for parameter, value in effective.items():
-        if then[parameter] != value:
-            return f"the default of {parameter} was {then[parameter]!r} and is {value!r}"
+def _changed_parameter(before: dict[str, Any], setting: PluginSetting) -> str | None:
+    """Which effective parameter had another value before, or None. Of one that there was not, the default changed
+    nothing."""
+    for parameter, value in setting.effective_params().items():
+        if (then := before.get(parameter, value)) != value:
+            return f"the default of {parameter} was {then!r} and is {value!r}"
     return None
 
 

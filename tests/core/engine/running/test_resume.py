@@ -60,7 +60,7 @@ class Folder:
             return resume(plan, self.store, self.registry, recompute)
 
     def outdated(self, plan: Plan) -> set[str]:
-        return set(outdated_cells(plan, self.store.entries(), self.store, self.registry).values())
+        return set(outdated_cells(plan, self.store.entries(), self.store).values())
 
 
 @pytest.fixture
