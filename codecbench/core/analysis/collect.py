@@ -20,7 +20,7 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.engine.foreign_text import clean_value
-from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.declared import offers_of, read_declared
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.registry import Registry, installed
@@ -47,7 +47,7 @@ def open_run(folder: str | Path, registry: Registry | None = None) -> RunResult:
 def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
     """The results of a plan's cells that a run folder holds, whichever plan it was last run with."""
     found = _records(store, plan)
-    evaluators = _evaluators(found, registry)
+    evaluators = _evaluators(found, plan, registry)
     meaning = schema_of(plan, evaluators)
     baselines: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
     for cell, record in found:
@@ -80,14 +80,14 @@ def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
     return found
 
 
-def _evaluators(found: list[tuple[Cell, Record]], registry: Registry) -> dict[str, ResultsEvaluator]:
+def _evaluators(found: list[tuple[Cell, Record]], plan: Plan, registry: Registry) -> dict[str, ResultsEvaluator]:
     """Evaluators by title; one that is no longer installed is left out, and its comparisons and drawings with it."""
     instances: dict[str, ResultsEvaluator] = {}
     for setting in dict.fromkeys(cell.evaluator for cell, _ in found):
         try:
             hosted = registry.find("evaluator", setting.name).hosted
             instances[setting.title] = (
-                HostedEvaluator(registry, setting)
+                HostedEvaluator(registry, setting, offers_of(plan, setting))
                 if hosted
                 else registry.create("evaluator", setting.name, setting.params)
             )

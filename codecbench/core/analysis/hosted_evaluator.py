@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -31,22 +31,25 @@ ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
 
 class HostedEvaluator:
-    """Has the members of an Evaluator that results use; what it declares is in the plan of its run."""
+    """Has the members of an Evaluator that results use; what it declares is in the plan of its run.
+
+    offers: those of its methods that do something.
+    """
 
     metrics: tuple[Metric, ...] = ()
     views: tuple[View, ...] = ()
 
-    def __init__(self, registry: Registry, setting: PluginSetting) -> None:
-        self._registry, self._setting = registry, setting
+    def __init__(self, registry: Registry, setting: PluginSetting, offers: Collection[str]) -> None:
+        self._registry, self._setting, self._offers = registry, setting, offers
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
         """What the plugin yields. Raises CodecbenchError where it fails."""
-        rows = self._ask(compared, _plain(outcome), [_plain(other) for other in baseline])
-        return iter([measurement_from_json(row) for row in rows])
+        rows = self._ask("compare", compared, _plain(outcome), [_plain(other) for other in baseline])
+        return iter([measurement_from_json(row) for row in rows or ()])
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
         """What the plugin draws of a cell. Raises CodecbenchError where it fails."""
-        answer = self._ask(drawn, _plain(outcome))
+        answer = self._ask("drawing", drawn, _plain(outcome))
         if answer is None:
             return None
         lines = (
@@ -57,7 +60,9 @@ class HostedEvaluator:
         course = answer["course"] and _course(answer["course"])
         return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, course)
 
-    def _ask(self, function: Any, *outcomes: Any) -> Any:
+    def _ask(self, offer: str, function: Any, *outcomes: Any) -> Any:
+        if offer not in self._offers:
+            return None
         asked: tuple[Kind, str] = "evaluator", self._setting.name
         return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[asked])
 

@@ -21,6 +21,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.view import Marks
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.hosting.host import limit_s
+from codecbench.core.engine.planning.declared import offers_of
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
@@ -156,8 +157,7 @@ def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted
 def _marker(run: RunResult) -> PluginSetting | None:
     """The first evaluator of the run that marks frames."""
     settings = dict.fromkeys(result.cell.evaluator for result in run.results)
-    declared = run.plan.declared.get("evaluators", {})
-    return next((setting for setting in settings if declared.get(setting.title, {}).get("marks")), None)
+    return next((setting for setting in settings if "marks" in offers_of(run.plan, setting)), None)
 
 
 _Names = list[tuple[str, str]]

@@ -38,7 +38,9 @@ class Elsewhere(Registry):
 def evaluator(monkeypatch: pytest.MonkeyPatch) -> HostedEvaluator:
     metrics = (Metric("error", "1", "lower", "error"), Metric("ratio", "1", "lower", "error over the baseline's"))
     monkeypatch.setattr(plain_plugins.ErrorEvaluator, "metrics", metrics)
-    return HostedEvaluator(Elsewhere([EntryPoint("plain", "plain_plugins", "codecbench")]), SETTING)
+    return HostedEvaluator(
+        Elsewhere([EntryPoint("plain", "plain_plugins", "codecbench")]), SETTING, ["compare", "drawing"]
+    )
 
 
 def answering(monkeypatch: pytest.MonkeyPatch, name: str, answer: Any) -> None:
@@ -72,7 +74,7 @@ def test_what_breaks_the_contract_is_said(
         evaluator.compare(OUTCOME, BASELINE)
 
 
-def test_a_host_that_ends_costs_comparisons_drawings_and_declarations(
+def test_a_host_that_ends_costs_what_it_has_and_is_not_asked_for_what_it_has_not(
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone(*_: Any, **__: Any) -> None:
@@ -82,8 +84,8 @@ def test_a_host_that_ends_costs_comparisons_drawings_and_declarations(
     for asked in (lambda: evaluator.compare(OUTCOME, BASELINE), lambda: evaluator.drawing(OUTCOME)):
         with pytest.raises(PluginFault, match="it ended its process with status 3"):
             asked()
-    again = HostedEvaluator(evaluator._registry, SETTING)
-    assert (again.metrics, again.views) == ((), ())
+    bare = HostedEvaluator(evaluator._registry, SETTING, [])
+    assert (list(bare.compare(OUTCOME, BASELINE)), bare.drawing(OUTCOME)) == ([], None)
 
 
 def test_a_drawing_arrives_as_it_was_drawn(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:

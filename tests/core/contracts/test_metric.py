@@ -124,6 +124,7 @@ def test_meaning_travels_with_the_plan() -> None:
     assert meaning.views == {"grain(size=2)": Grain.views}
     assert (meaning.anchors, meaning.baselines, meaning.stateless) == (("plain",), frozenset(), {"plain": True})
     assert meant["evaluators"]["grain(size=2)"]["typical_ms_per_frame"] == 7.0
+    assert meant["evaluators"]["grain(size=2)"]["offers"] == []
 
 
 def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, Final
 
 from pydantic import TypeAdapter
 
@@ -13,6 +14,10 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import View
+from codecbench.core.engine.planning.model import Plan, PluginSetting
+
+_OFFERED: Final = ("compare", "drawing", "marks")
+"""What results ask an evaluator for, where it has it."""
 
 log = logging.getLogger("codecbench.results")
 
@@ -28,8 +33,14 @@ def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
         "metrics": [_json(metric) for metric in evaluator.metrics],
         "views": [_json(view) for view in evaluator.views],
         "typical_ms_per_frame": evaluator.typical_ms_per_frame,
-        "marks": type(evaluator).marks is not Evaluator.marks,
+        "offers": [name for name in _OFFERED if getattr(type(evaluator), name) is not getattr(Evaluator, name)],
     }
+
+
+def offers_of(plan: Plan, evaluator: PluginSetting) -> Sequence[str]:
+    """Which of these the plan says that an evaluator has; all, where it does not say."""
+    found = plan.declared.get("evaluators", {}).get(evaluator.title, {}).get("offers")
+    return found if isinstance(found, list) else _OFFERED
 
 
 def _json(part: Metric | View) -> dict[str, Any]:
