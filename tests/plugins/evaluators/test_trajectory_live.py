@@ -16,7 +16,7 @@ from synthetic_path import CAMERA, Told, helix, moved, part
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.sequence import Trajectory
-from codecbench.core.engine.identity import without_defaults
+from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.ideal import Ideal
