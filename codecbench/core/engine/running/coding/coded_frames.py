@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from codecbench.core.contracts.codec import (
-    AnyCodec,
-    sends_no_features,
-    sends_no_picture,
-)
+from codecbench.core.contracts.codec import AnyCodec, sends_no_features, sends_no_picture
 from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image
@@ -145,6 +141,4 @@ class CodedFrames:
             return self._stream.picture(index, original)
         if self._shuffled is not None:
             return self._shuffled.picture(index, original)
-        decoded = checked_decoding(self.codec.decode(bitstream), original)
-        self._position.came_back()
-        return decoded
+        return checked_decoding(self.codec.decode(bitstream), original)

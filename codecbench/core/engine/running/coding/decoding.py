@@ -96,7 +96,7 @@ class StreamPictures:
             return decoder
         self._opened = self._next = start
         owed = {packet.frame for packet in self._packets[start:] if self._start_of(packet.frame) >= start}
-        return CheckedDecoder(self._codec, owed, self._position)
+        return CheckedDecoder(self._codec, owed)
 
     def _start_of(self, frame: int) -> int:
         """The place of the last packet at which decoding can start to have this frame.
@@ -236,23 +236,18 @@ class CheckedDecoder:
     given: the frames whose picture has come. Pictures of other frames, from before decoding started, are left out.
     """
 
-    def __init__(self, codec: AnyCodec[Any], owed: Container[int], position: WorkPosition) -> None:
+    def __init__(self, codec: AnyCodec[Any], owed: Container[int]) -> None:
         self._decoder = codec.open_decoder()
-        position.came_back()
-        self._owed, self._position = owed, position
+        self._owed = owed
         self.given: set[int] = set()
 
     def push(self, packet: Packet, original: Image) -> dict[int, Image]:
         """The pictures that are ready after a packet, by frame. original: an image of their shape."""
-        pictures = self._decoder.push(packet)
-        self._position.came_back()
-        return self._checked(pictures, original)
+        return self._checked(self._decoder.push(packet), original)
 
     def flush(self, original: Image) -> dict[int, Image]:
         """The pictures that were held back."""
-        pictures = self._decoder.flush()
-        self._position.came_back()
-        return self._checked(pictures, original)
+        return self._checked(self._decoder.flush(), original)
 
     def _checked(self, pictures: object, original: Image) -> dict[int, Image]:
         if not isinstance(pictures, list):

@@ -22,7 +22,7 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
     Raises CodingError for what is not a packet, and where a frame has none or two.
     """
     position.at("encode")
-    encoder = CheckedEncoder(codec, sequence.frame_rate_hz, position)
+    encoder = CheckedEncoder(codec, sequence.frame_rate_hz)
     is_hosted = codec.stateless and isinstance(codec, RemoteCodec)
     images: dict[int, Image] = {}
     for index in range(len(sequence)):
@@ -64,25 +64,20 @@ def encoded_until_one_fails(codec: AnyCodec[Any], images: list[Image]) -> list[A
 class CheckedEncoder:
     """A session of a codec that gives each frame exactly one packet, or raises CodingError."""
 
-    def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float, position: WorkPosition) -> None:
+    def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float) -> None:
         self._encoder = encoder_of(codec, frame_rate_hz)
-        position.came_back()
         self._gives_packets = not codec.stateless
-        self._position = position
         self._pushed = 0
         self._sent: set[int] = set()
 
     def push(self, image: Image, bitstream: Any = None) -> list[CodedPacket]:
         """The packets after this image. bitstream: of a codec without memory, where it was encoded before."""
         packets = self._encoder.push(image) if bitstream is None else [Packet(bitstream, self._pushed, starts=True)]
-        self._position.came_back()
         self._pushed += 1
         return self._checked(packets, "push")
 
     def flush(self) -> list[CodedPacket]:
-        packets = self._encoder.flush()
-        self._position.came_back()
-        found = self._checked(packets, "flush")
+        found = self._checked(self._encoder.flush(), "flush")
         if left := sorted(set(range(self._pushed)) - self._sent):
             shown = ", ".join(map(str, left[:5])) + (", ..." if len(left) > 5 else "")
             raise CodingError(f"{len(left)} of {self._pushed} frames have no packet after flush: {shown}")

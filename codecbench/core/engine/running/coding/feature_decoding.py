@@ -37,12 +37,10 @@ class StreamFeatures:
         decoder, self._decoder = self._decoder, None  # one that raises is not used again
         if decoder is None or not start <= self._next <= frame:
             decoder, self._next = self._codec.open_decoder(), start
-            self._position.came_back()
         while True:
             sent = self._packets[self._next]
             self._position.at("decode", sent.frame)
             (found,) = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts))
-            self._position.came_back()
             features = _checked(found, sent.frame)
             self._next += 1
             if sent.frame == frame:

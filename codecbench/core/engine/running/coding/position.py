@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -27,15 +26,9 @@ class WorkPosition:
     stage: str = ""
     frame: int | None = None
     titles: Mapping[str, str] = field(default_factory=dict)
-    process: int = field(default_factory=os.getpid)
 
     def at(self, stage: str, frame: int | None = None) -> None:
         self.stage, self.frame = str(stage), frame  # a host may have said so
-
-    def came_back(self) -> None:
-        """End this process where a codec forked and came back in it too: it would write what the first one writes."""
-        if os.getpid() != self.process:
-            os._exit(0)
 
     def __str__(self) -> str:
         place = self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"

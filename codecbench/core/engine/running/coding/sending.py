@@ -34,8 +34,8 @@ class LiveSender:
 
     def __init__(self, codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> None:
         self._codec, self._sequence, self._position = codec, sequence, position
-        self._encoder = CheckedEncoder(codec, sequence.frame_rate_hz, position)
-        self._decoder = CheckedDecoder(codec, range(len(sequence)), position)
+        self._encoder = CheckedEncoder(codec, sequence.frame_rate_hz)
+        self._decoder = CheckedDecoder(codec, range(len(sequence)))
         self._places: dict[int, int] = {}
         self._packets: list[CodedPacket] = []
 
