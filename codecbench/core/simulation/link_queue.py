@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
-from typing import Final
+from typing import Any, Final
 
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.link import Channel, Passage, Queue
@@ -57,12 +57,18 @@ OnOutcome = Callable[[Packet, Passage | None], None]
 
 
 class LinkQueue(ABC):
-    """The way into a link. on_idle is called whenever the last packet has left."""
+    """The way into a link. most: how many may wait. on_idle is called whenever the last packet has left."""
 
     def __init__(
-        self, simulator: EventSimulator, channel: Channel, on_outcome: OnOutcome, on_idle: Callable[[], None]
+        self,
+        simulator: EventSimulator,
+        channel: Channel,
+        most: int | None,
+        on_outcome: OnOutcome,
+        on_idle: Callable[[], None],
     ) -> None:
         self._simulator, self._channel, self._on_outcome, self._on_idle = simulator, channel, on_outcome, on_idle
+        self._most = math.inf if most is None else most
         self._free_s = 0.0
 
     @abstractmethod
@@ -96,16 +102,8 @@ class DropTailQueue(LinkQueue):
     """What comes is dropped where as many wait as may. What later packets do changes nothing for those that wait, so
     that all about a packet is known when it comes."""
 
-    def __init__(
-        self,
-        simulator: EventSimulator,
-        channel: Channel,
-        most: int | None,
-        on_outcome: OnOutcome,
-        on_idle: Callable[[], None],
-    ) -> None:
-        super().__init__(simulator, channel, on_outcome, on_idle)
-        self._most = math.inf if most is None else most
+    def __init__(self, *asked: Any) -> None:
+        super().__init__(*asked)
         self._starts: deque[tuple[float, int]] = deque()
         self._idle_is_planned = False
 
@@ -150,16 +148,8 @@ class DropTailQueue(LinkQueue):
 class CoDelQueue(LinkQueue):
     """Drops from the head, ever more often, while packets wait for longer than a target: RFC 8289, section 5."""
 
-    def __init__(
-        self,
-        simulator: EventSimulator,
-        channel: Channel,
-        most: int | None,
-        on_outcome: OnOutcome,
-        on_idle: Callable[[], None],
-    ) -> None:
-        super().__init__(simulator, channel, on_outcome, on_idle)
-        self._most = math.inf if most is None else most
+    def __init__(self, *asked: Any) -> None:
+        super().__init__(*asked)
         self._packets: deque[tuple[Packet, float]] = deque()
         self._bytes = self._largest = 0
         self._is_sending = self._is_dropping = False
