@@ -70,25 +70,17 @@ class Kernel:
         """The numba dispatcher of a build."""
         return self.fast if build == "fast" else self.counting_build
 
-    def counting(self, counters: Any, *arguments: Any) -> Any:
-        """Run the counting build: what the kernel returns, with its operations added to `counters`.
+    @cached_property
+    def counting_build(self) -> Any:
+        """Returns what the kernel returns, and adds its operations to the counters.
 
         Raises UncountableError where the source goes beyond the language of kernels.
         """
-        return self.counting_build(counters, *arguments)
-
-    @cached_property
-    def counting_build(self) -> Any:
         function, callees = self._counting_function()
         dispatcher = numba.njit(pipeline_class=CountingCompiler, **UNCALLED, **self.options)(function)
         for name, callee in callees.items():
             function.__globals__[name] = dispatcher if callee is self else callee.counting_build
         return kept(dispatcher, self.python, self.options, "counting", _rewriting_digest())
-
-    @cached_property
-    def counting_source(self) -> str:
-        """The source of the counting build, to be read."""
-        return ast.unparse(counting_tree(function_tree(self.python), self.python)[0])
 
     def _counting_function(self) -> tuple[FunctionType, dict[str, Any]]:
         tree, callees = counting_tree(function_tree(self.python), self.python)

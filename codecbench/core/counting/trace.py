@@ -10,7 +10,7 @@ the counting build of the same source and adds what was counted to the stage. Bo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 if TYPE_CHECKING:
@@ -34,18 +34,10 @@ def _run_fast(kernel: Any, *arguments: Any) -> Any:
     return kernel(*arguments)
 
 
-class _NullStage:
-    def __enter__(self) -> Run:
-        return _run_fast
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-
 class _NullTrace:
-    _STAGE = _NullStage()
+    _STAGE = nullcontext(_run_fast)
 
-    def stage(self, name: str) -> _NullStage:
+    def stage(self, name: str) -> nullcontext[Run]:
         return self._STAGE
 
 
@@ -71,9 +63,9 @@ class CountingTrace:
         counters = self._counters.setdefault(name, new_counters())
 
         def run(kernel: Any, *arguments: Any) -> Any:
-            if not hasattr(kernel, "counting"):
+            if not hasattr(type(kernel), "counting_build"):
                 raise TypeError(f"stage {name!r} was given {kernel!r} to run; only a @kernel can be counted")
-            return kernel.counting(counters, *arguments)
+            return kernel.counting_build(counters, *arguments)
 
         yield run
 

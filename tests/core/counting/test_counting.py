@@ -41,7 +41,7 @@ def flat(result: Any) -> Any:
 
 def counted(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Any, list[int], tuple[Any, ...]]:
     counters, own = new_counters(), deepcopy(arguments)
-    return kernel.counting(counters, *own), counters.tolist(), own
+    return kernel.counting_build(counters, *own), counters.tolist(), own
 
 
 @pytest.mark.parametrize("seed", range(6))

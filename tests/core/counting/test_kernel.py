@@ -43,7 +43,7 @@ def test_options_reach_both_builds() -> None:
 
     assert ratio(1.0, 0.0) == float("inf")
     counters = new_counters()
-    assert ratio.counting(counters, 1.0, 0.0) == float("inf")
+    assert ratio.counting_build(counters, 1.0, 0.0) == float("inf")
     with pytest.raises(ZeroDivisionError):
         examples.divided(1, 0)
 
@@ -61,7 +61,7 @@ def uncountable(body: str, folder: Path) -> str:
     )
     refused: Kernel = __import__(name).refused
     with pytest.raises(UncountableError) as caught:
-        refused.counting(new_counters(), np.ones((3, 3)), np.arange(3))
+        refused.counting_build(new_counters(), np.ones((3, 3)), np.arange(3))
     assert f"{name}.py:" in str(caught.value)
     assert "kernel refused" in str(caught.value)
     return str(caught.value)
@@ -123,7 +123,7 @@ def test_closures_and_builtins_are_refused() -> None:
         return x + outside
 
     with pytest.raises(SourceError, match="closes over outside"):
-        closing.counting(new_counters(), 1)
+        closing.counting_build(new_counters(), 1)
     assert closing(1) == 4
     with pytest.raises(TypeError, match="plain function"):
         kernel(len)
@@ -148,7 +148,7 @@ def outer(x):
     return inner(x) * constants.FACTOR + constants.TABLE[1]
 
 counters = new_counters()
-print(outer(5), outer.counting(counters, 5), *counters[:2], *(sum(one.fast.stats.cache_hits.values()) for one in (outer,)))
+print(outer(5), outer.counting_build(counters, 5), *counters[:2], *(sum(one.fast.stats.cache_hits.values()) for one in (outer,)))
 """  # noqa: E501
 CONSTANTS = "import numpy as np\nFACTOR = 10\nTABLE = np.array([1, 2])\n"
 
@@ -194,5 +194,5 @@ def test_a_file_edited_after_its_import_is_noticed(tmp_path: Path, monkeypatch: 
     inner: Kernel = __import__("edited").inner
     (tmp_path / "edited.py").write_text(CALLEE.replace("x + 1", "x + 2"))
     with pytest.raises(SourceError, match=r"edited\.py:\d+: kernel inner is not what was imported"):
-        inner.counting(new_counters(), 1)
+        inner.counting_build(new_counters(), 1)
     assert inner(1) == 2
