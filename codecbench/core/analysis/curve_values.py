@@ -16,8 +16,8 @@ from codecbench.core.analysis.bjontegaard import LEAST_OVERLAP
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.run_result import Key, RunResult
-from codecbench.core.analysis.table import CellResult
-from codecbench.core.analysis.verdicts import as_quality, frame_matrix, from_quality, values_of_repeats
+from codecbench.core.analysis.table import by_row
+from codecbench.core.analysis.verdicts import as_quality, from_quality, values_of_repeats
 
 Array = NDArray[np.float64]
 Of = Literal["frames", "repeats"]
@@ -58,13 +58,9 @@ class CurveValues:
     @cached_property
     def means(self) -> Array:
         """(S,) mean qualities that never fall with the rate (isotonic regression by pooling adjacent violators)."""
-        pools: list[list[float]] = []
-        for value in self.qualities.mean(axis=1):
-            pools.append([float(value)])
-            while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
-                pooled = pools.pop()
-                pools[-1] += pooled
-        return np.array([mean for pool in pools for mean in [float(np.mean(pool))] * len(pool)])
+        from scipy.optimize import isotonic_regression  # loads for half a second
+
+        return np.asarray(isotonic_regression(self.qualities.mean(axis=1)).x)
 
     @cached_property
     def inverse(self) -> Callable[[Array], Array]:
@@ -127,8 +123,7 @@ class CurveValues:
 
     def mean_at(self, rate: float) -> float:
         """The mean quality at a rate, between the two settings around it."""
-        rates, places = np.unique(self.log_rates, return_inverse=True)
-        means = np.bincount(places, self.means) / np.bincount(places)
+        means, rates = _distinct(self.means, self.log_rates)
         if len(rates) == 1:
             return float(means[0])
         from scipy.interpolate import PchipInterpolator  # loads for half a second
@@ -234,10 +229,10 @@ def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
     return lambda qualities: np.asarray(curve(np.clip(qualities, levels[0], levels[-1])))
 
 
-def _distinct(log_rates: Array, means: Array) -> tuple[Array, Array]:
-    """Log rates and qualities without repeated qualities: settings of one quality count with their mean log rate."""
-    levels, places = np.unique(means, return_inverse=True)
-    return np.bincount(places, log_rates) / np.bincount(places), levels
+def _distinct(values: Array, levels: Array) -> tuple[Array, Array]:
+    """Both in order of the levels, none of them twice: settings of one level count with the mean of their values."""
+    distinct, places = np.unique(levels, return_inverse=True)
+    return np.bincount(places, values) / np.bincount(places), distinct
 
 
 def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[str, CurveValues], dict[str, str]]:
@@ -323,7 +318,7 @@ def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, un
 
 
 def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], Of]:
-    """One row of values a setting, NaN where one is missing, and what they are of.
+    """One row of values a setting, NaN where one is missing, and what they are of; of frames means over repeats.
 
     Repeats that some setting has not run yet are left out, because they say nothing of it.
     """
@@ -336,17 +331,10 @@ def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Arra
     ]
     key = (column.metric.name, column.stage, column.aggregate)
     if any(key in result.summaries for result in results):
-        return _of_frames(results, column), "frames"
+        rows = {row: [each.values_of_frames(column.metric.name, column.stage) for each in repeats]
+                for row, repeats in by_row(results).items()}  # fmt: skip
+        return {row: np.mean(values, axis=0) for row, values in rows.items()}, "frames"
     found = {row: values for row, values in values_of_repeats(run, column).items() if row[0] == sequence}
     run_by_all = set.intersection(*({repeat for repeat, _ in values} for values in found.values())) if found else set()
     places = sorted({place for values in found.values() for place in values if place[0] in run_by_all})
     return {row: np.array([values.get(place, np.nan) for place in places]) for row, values in found.items()}, "repeats"
-
-
-def _of_frames(results: list[CellResult], column: Column) -> dict[Key, Array]:
-    """Means over repeats."""
-    rows: dict[Key, list[Array]] = defaultdict(list)
-    matrix = frame_matrix(results, column.metric.name, column.stage)[1]
-    for result, values in zip(results, matrix, strict=True):
-        rows[result.row].append(values)
-    return {key: np.mean(many, axis=0) for key, many in rows.items()}

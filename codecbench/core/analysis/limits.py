@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Final, TypeVar
@@ -17,7 +17,7 @@ from codecbench.core.analysis.curve_values import curve_values, objection
 from codecbench.core.analysis.evidence import FEWEST_FRAMES, Evidence, combined, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test, described, parts
 from codecbench.core.analysis.run_result import Key, RunResult, judged_column, over_link, successes
-from codecbench.core.analysis.table import CellResult
+from codecbench.core.analysis.table import CellResult, by_row
 from codecbench.core.analysis.verdicts import Place, Points, SequenceCurve, values_in, values_of_repeats
 
 NEAR_RAW: Final = {"higher": 0.8, "lower": 2.0}
@@ -211,7 +211,7 @@ def together(columns: Sequence[Mapping[Key, Mapping[Place, float]]]) -> dict[Key
 def _standings(run: RunResult, columns: Sequence[Column]) -> dict[Key, Standing]:
     """How often the runs of each row succeeded; a value that is missing counts as a run without success."""
     values = together([values_of_repeats(run, column, failed=0.0) for column in columns])
-    runs = _by_row(each for each in run.results if each.cell.evaluator == columns[0].evaluator)
+    runs = by_row(each for each in run.results if each.cell.evaluator == columns[0].evaluator)
     names = {column.metric.name for column in columns}
     reasons = {good: {row: _reasons(runs[row], names, good=good) for row in values} for good in (True, False)}
     rates = _with_pooled(run.rates, lambda rates: float(np.mean(rates)))
@@ -225,13 +225,6 @@ def _standings(run: RunResult, columns: Sequence[Column]) -> dict[Key, Standing]
         )
         for row, found in values.items()
     }  # fmt: skip
-
-
-def _by_row(results: Iterable[CellResult]) -> dict[Key, list[CellResult]]:
-    found: dict[Key, list[CellResult]] = defaultdict(list)
-    for result in results:
-        found[result.row].append(result)
-    return found
 
 
 def _reasons(runs: Sequence[CellResult], names: Collection[str], *, good: bool) -> Counter[str]:
@@ -256,7 +249,7 @@ def _in_common(asked: Counter[str]) -> str:
 
 def _levels(run: RunResult, column: Column) -> dict[Key, Level]:
     """Where each row stands beside what is enough; nothing if neither the metric nor raw frames say what that is."""
-    rows = _by_row(run.of(column.evaluator.title))
+    rows = by_row(run.of(column.evaluator.title))
     series = {row: _series(results, column) for row, results in rows.items()}
     raw = {row[0]: values for row, (values, _) in series.items() if row[1] in run.schema.baselines}
     mute = {sequence: _uninformative(run, column, sequence) for sequence in {row[0] for row in rows}}

@@ -101,13 +101,15 @@ class RunResult:
         return next((column for column in self.headlines("rate") if column.metric.better == "lower"), None)
 
     @cached_property
+    def rows(self) -> list[Key]:
+        """The rows of the wide table, in order."""
+        return list(dict.fromkeys(result.row for result in self.results))
+
+    @cached_property
     def rates(self) -> dict[Key, float]:
         """The rate of every row of the wide table; NaN where it is not known."""
-        keys = (
-            zip(*(self.wide[name] for name in ("sequence", "codec", "setting")), strict=True) if len(self.wide) else ()
-        )
         values = self.wide[self.rate.name] if self.rate else np.full(len(self.wide), np.nan)
-        return {key: float(value) for key, value in zip(keys, values, strict=True)}
+        return dict(zip(self.rows, map(float, values), strict=True))
 
     @property
     def failed(self) -> list[CellResult]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.aggregate import aggregate
 from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.model import Cell
+from codecbench.core.engine.storage.samples import json_from_value
 
 if TYPE_CHECKING:
     import pyarrow
@@ -84,6 +84,14 @@ class CellResult:
         return values
 
 
+def by_row(results: Iterable[CellResult]) -> dict[tuple[str, str, str], list[CellResult]]:
+    """The cells of each row of the wide table."""
+    rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
+    for result in results:
+        rows[result.row].append(result)
+    return rows
+
+
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
     """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS, and NOTES where there are any.
 
@@ -115,9 +123,7 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
     every cell of the row is, else it counts those that are not; `reason` is the first of their reasons. `notes` is what
     is to be known of the row's setting beside its numbers, a column only where there is anything.
     """
-    rows: dict[tuple[str, str, str], list[CellResult]] = defaultdict(list)
-    for result in results:
-        rows[result.row].append(result)
+    rows = by_row(results)
     noted = _notes(result for members in rows.values() for result in members)
     table = []
     for (sequence, codec, setting), members in rows.items():
@@ -261,6 +267,4 @@ def _column_order(rows: list[dict[str, Any]]) -> list[str]:
 
 def json_value(value: object) -> object:
     """A value that JSON can hold: infinities as text, NaN as null."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return value
+    return json_from_value(value) if isinstance(value, float) else value

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import evidence_of_frames, evidence_of_repeats, student_quantile
 from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
-from codecbench.core.analysis.table import CellResult
+from codecbench.core.analysis.table import CellResult, by_row
 from codecbench.core.engine.aggregate import aggregate, percentile
 
 Points = Mapping[tuple[str, str], CurvePoint]
@@ -26,12 +26,6 @@ SequenceCurve = tuple[str, str]
 """A sequence and a curve on it."""
 Place = tuple[int, int]
 """A repeat, and which of its values of a metric: 0 where it has one."""
-
-
-def frame_matrix(results: list[CellResult], metric: str, stage: str = "") -> tuple[list[str], np.ndarray]:
-    """Labels and a (settings, frames) array of a per-frame metric, one row a codec setting, NaN where missing."""
-    rows = np.array([result.values_of_frames(metric, stage) for result in results])
-    return [result.cell.codec.label for result in results], rows
 
 
 def as_quality(values: np.ndarray, column: Column) -> np.ndarray:
@@ -154,9 +148,7 @@ def intervals(run: RunResult, column: Column) -> dict[Key, Interval]:
     Of three repeats or more: by Student's t where the value is their mean, else by the bootstrap of their median. Of a
     single repeat: of the mean over its frames, neighbours of which are alike, see `evidence`. Infinite ones have none.
     """
-    rows: dict[Key, list[CellResult]] = defaultdict(list)
-    for result in run.of(column.evaluator.title):
-        rows[result.row].append(result)
+    rows = by_row(run.of(column.evaluator.title))
     found = {row: _interval(results, column) for row, results in rows.items()}
     return {row: interval for row, interval in found.items() if interval is not None}
 

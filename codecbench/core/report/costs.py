@@ -42,8 +42,7 @@ def bit_rate_mbps(run: RunResult, sequence: str, curve: str, test: Test) -> floa
 
 def rate_of_setting(run: RunResult, sequence: str, codec: str, label: str) -> tuple[float, float]:
     """Kilobits a second and bytes a frame of a setting on a sequence; NaN each if not measured."""
-    keys = zip(run.wide["codec"], run.wide["setting"], run.wide["sequence"], strict=True)
-    rows = run.wide[[key == (codec, label, sequence) for key in keys]]
+    rows = run.wide[[row == (sequence, codec, label) for row in run.rows]]
     kbps, size = (_of_rate(run, unit) for unit in ("kbit/s", "bytes"))
     found = [math.nan if name is None else float(rows[name].mean()) for name in (kbps, size)]
     return found[0], found[1]
@@ -115,8 +114,7 @@ def _rows(run: RunResult, sequence: str, curve: str, test: Test) -> pd.DataFrame
     """The rows of the wide table of a setting, on a sequence or on all."""
     run = run.as_calibrated
     names = [key for key, point in run.curves.items() if (point.curve, point.point) == (curve, test.point)]
-    keys = zip(run.wide["codec"], run.wide["setting"], run.wide["sequence"], strict=True)
-    return run.wide[[(codec, label) in names and sequence in (POOLED, on) for codec, label, on in keys]]
+    return run.wide[[row[1:] in names and sequence in (POOLED, row[0]) for row in run.rows]]
 
 
 def _of_rate(run: RunResult, unit: str) -> str | None:

@@ -79,7 +79,7 @@ def table(run: RunResult) -> dict[str, list[Any]]:
     """The wide table by column, as JSON can hold it: infinities as text, missing values as null."""
     wide = run.wide
     found = {str(name): [json_value(value) for value in wide[name].tolist()] for name in wide.columns}
-    points = [run.curves[key] for key in zip(wide["codec"], wide["setting"], strict=True)]
+    points = [run.curves[row[1:]] for row in run.rows]
     return found | {"curve": [point.curve for point in points], "place": [point.place for point in points]}
 
 
@@ -97,10 +97,9 @@ def _column(column: Column) -> dict[str, Any]:
 
 def _intervals(run: RunResult) -> dict[str, list[list[float] | None]]:
     """The intervals of headlines, row by row of the table."""
-    keys = list(zip(run.wide["sequence"], run.wide["codec"], run.wide["setting"], strict=True))
     known = {column.name: intervals(run, column) for column in run.headlines()}
     return {
-        name: [[_rounded(end) for end in found[key]] if key in found else None for key in keys]
+        name: [[_rounded(end) for end in found[key]] if key in found else None for key in run.rows]
         for name, found in known.items()
         if found
     }
@@ -189,13 +188,9 @@ def _starts(count: int, most: int) -> np.ndarray:
     return np.linspace(0, count, min(count, most), endpoint=False).astype(int)
 
 
-def _picks(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
-
-
 def _thinned(points: np.ndarray, most: int, step: float) -> list[Any]:
     """At most so many points of a (N, 2) path as rounded x and y lists."""
-    picks = _picks(len(points), most)
+    picks = np.unique(np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int))
     return [_steps(points[picks, axis], step) for axis in (0, 1)]
 
 

@@ -14,7 +14,6 @@ from codecbench.core.analysis.ranking import rankings, rankings_on
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import (
     anchors_of,
-    frame_matrix,
     pareto_criteria,
     pareto_settings,
     spread,
@@ -76,11 +75,10 @@ def test_values_of_frames_stand_in_their_places() -> None:
         ("bits", "part"): [6, 7, 8, 9, 10],
         ("blur", ""): [0] * 5,
     }
-    results = [cell_result("plain", 1.0, "look", values), cell_result("mine", 2.0, "look", {})]
-    labels, matrix = frame_matrix(results, "bits")
-    assert labels == ["q=1.0", "q=2.0"]
-    np.testing.assert_array_equal(matrix, [[1, np.nan, 3, np.nan, 5], [np.nan] * 5])
-    np.testing.assert_array_equal(frame_matrix(results[:1], "bits", "part")[1], [[6, 7, 8, 9, 10]])
+    result = cell_result("plain", 1.0, "look", values)
+    np.testing.assert_array_equal(result.values_of_frames("bits"), [1, np.nan, 3, np.nan, 5])
+    np.testing.assert_array_equal(result.values_of_frames("bits", "part"), [6, 7, 8, 9, 10])
+    np.testing.assert_array_equal(cell_result("mine", 2.0, "look", {}).values_of_frames("bits"), [np.nan] * 5)
 
 
 WOBBLE = np.array([0.8, 0.9, 1.0, 1.3])
