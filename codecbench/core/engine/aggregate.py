@@ -27,63 +27,6 @@ BOOTSTRAP_RESAMPLES: Final = 2000
 """Resamples behind a confidence interval: the ends of a 95 % interval rest on 50 of them each."""
 
 
-def mean(values: Values) -> float:
-    """Arithmetic mean of the finite values."""
-    return _over_finite(np.mean, values)
-
-
-def std(values: Values) -> float:
-    """Sample standard deviation (n - 1) of the finite values; NaN for fewer than two."""
-    finite = values[np.isfinite(values)]
-    return float(np.std(finite, ddof=1)) if len(finite) > 1 else float("nan")
-
-
-def median(values: Values) -> float:
-    """The middle value; between two middle values their mean."""
-    return percentile(values, 50.0)
-
-
-def p95(values: Values) -> float:
-    """The 95th percentile, linear between order statistics."""
-    return percentile(values, 95.0)
-
-
-def iqr(values: Values) -> float:
-    """Interquartile range."""
-    low, high = percentile(values, 25.0), percentile(values, 75.0)
-    return 0.0 if low == high else high - low
-
-
-def minimum(values: Values) -> float:
-    """The least value."""
-    return float(values.min())
-
-
-def maximum(values: Values) -> float:
-    """The greatest value."""
-    return float(values.max())
-
-
-def total(values: Values) -> float:
-    """The sum."""
-    return float(values.sum())
-
-
-def infinite(values: Values) -> float:
-    """How many values are infinite."""
-    return float(np.count_nonzero(np.isinf(values)))
-
-
-def ci95_low(values: Values) -> float:
-    """Lower end of the 95 % interval of the median; see `median_interval`."""
-    return median_interval(values)[0]
-
-
-def ci95_high(values: Values) -> float:
-    """Upper end of the 95 % interval of the median; see `median_interval`."""
-    return median_interval(values)[1]
-
-
 def median_interval(values: Values) -> tuple[float, float]:
     """Percentile-bootstrap 95 % interval of the median; NaN for fewer than three values.
 
@@ -110,23 +53,34 @@ def percentile(values: Values, share: float) -> float:
     return float(low + (high - low) * (at - np.floor(at)))
 
 
-def _over_finite(function: Callable[[Values], np.floating], values: Values) -> float:
+def _mean(values: Values) -> float:
     finite = values[np.isfinite(values)]
-    return float(function(finite)) if len(finite) else float(values[0])
+    return float(finite.mean()) if len(finite) else float(values[0])
+
+
+def _std(values: Values) -> float:
+    """With n - 1; NaN for fewer than two values."""
+    finite = values[np.isfinite(values)]
+    return float(np.std(finite, ddof=1)) if len(finite) > 1 else float("nan")
+
+
+def _iqr(values: Values) -> float:
+    low, high = percentile(values, 25.0), percentile(values, 75.0)
+    return 0.0 if low == high else high - low
 
 
 AGGREGATES: Final[dict[str, Callable[[Values], float]]] = {
-    "mean": mean,
-    "std": std,
-    "median": median,
-    "p95": p95,
-    "iqr": iqr,
-    "min": minimum,
-    "max": maximum,
-    "sum": total,
-    "infinite": infinite,
-    "ci95_low": ci95_low,
-    "ci95_high": ci95_high,
+    "mean": _mean,
+    "std": _std,
+    "median": lambda values: percentile(values, 50.0),
+    "p95": lambda values: percentile(values, 95.0),
+    "iqr": _iqr,
+    "min": lambda values: float(values.min()),
+    "max": lambda values: float(values.max()),
+    "sum": lambda values: float(values.sum()),
+    "infinite": lambda values: float(np.count_nonzero(np.isinf(values))),
+    "ci95_low": lambda values: median_interval(values)[0],
+    "ci95_high": lambda values: median_interval(values)[1],
 }
 
 
