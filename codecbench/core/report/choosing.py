@@ -136,15 +136,12 @@ def _some(names: list[str]) -> str:
 def _table(run: RunResult, found: list[Candidate], is_first: bool) -> Verdict:
     """is_first: of its link, so that it says the rule; the others have an answer of their own."""
     demand = found[0].demand
-    heads = ("setting", *_rate_heads(run), *(["in time"] if demand.deadline_ms is not None else []),
+    rate = "rate" if run.rate is None else f"rate [{run.rate.unit}]"
+    heads = ("setting", rate, *(["in time"] if demand.deadline_ms is not None else []),
              "error [m]", "fresh pose", "runs", "verdict", "because")  # fmt: skip
     title = f"{where(found[0].sequence)}: over {demand.link}, {asked_words(demand)}"
     rows = tuple(tuple(_row(run, candidate)) for candidate in found)
     return Verdict(title, heads, rows, (_rule(found) if is_first else answer(run, found), *_notes(run, found)))
-
-
-def _rate_heads(run: RunResult) -> list[str]:
-    return ["rate" if run.rate is None else f"rate [{run.rate.unit}]"]
 
 
 def asked_words(demand: Demand) -> str:
@@ -173,7 +170,7 @@ def _rule(found: list[Candidate]) -> str:
 
 def _row(run: RunResult, candidate: Candidate) -> Iterator[str]:
     yield candidate.name
-    yield rate_of(run, candidate)
+    yield "–" if run.rate is None else _number(candidate.rate * run.rate.factor)
     if candidate.demand.deadline_ms is not None:
         yield "–" if math.isnan(candidate.share) else _percent(candidate.share)
     yield _number(candidate.error_m)
@@ -190,11 +187,6 @@ def _percent(share: float) -> str:
 
 def _number(value: float) -> str:
     return "–" if math.isnan(value) else three_digits(value)
-
-
-def rate_of(run: RunResult, candidate: Candidate) -> str:
-    """The rate of a setting in the unit that people are shown."""
-    return "–" if run.rate is None else _number(candidate.rate * run.rate.factor)
 
 
 def limit_of(candidate: Candidate) -> str:

@@ -286,14 +286,10 @@ def one_figure(run: RunResult, what: str = "", sequence: str | None = None) -> F
                 if figure is not None:
                     plt.close(figure)  # the caller's alone: pyplot would show it a second time in a notebook
                     return figure
-    there = ", ".join(dict.fromkeys(_spelling(view) for view in views))
+    there = ", ".join(dict.fromkeys(f"{view.x.metric.name}-{view.y.metric.name}" for view in views))
     raise ParamsError(f"no figure {what!r} of {sequence or 'any sequence'}; there are {there or 'none'}")
 
 
 def _means(column: Column, word: str) -> bool:
     """Whether the word is in what the column is called."""
     return word.lower() in f"{column.metric.name} {column.label} {column.metric.brief} {column.metric.role}".lower()
-
-
-def _spelling(view: CurveView) -> str:
-    return f"{view.x.metric.name}-{view.y.metric.name}"

@@ -326,12 +326,9 @@ def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
         by_sequence[sequence][curve] = limit
     what = " and ".join(column.label for column in columns)
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
-        sentences = [_of_curve(run, sequence, curve, limit) for curve, limit in _by_rate(of_curves)]
+        by_rate = sorted(of_curves.items(), key=lambda pair: pair[1].rate)
+        sentences = [_of_curve(run, sequence, curve, limit) for curve, limit in by_rate]
         yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
-
-
-def _by_rate(limits_of_curves: dict[str, Limit]) -> list[tuple[str, Limit]]:
-    return sorted(limits_of_curves.items(), key=lambda pair: pair[1].rate)
 
 
 def _of_curve(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import jinja2
+from markupsafe import Markup
 
 from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.run_result import RunResult, judged_column, successes
@@ -69,9 +70,9 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     return template.render(
         name=run.plan.name,
         subtitle=_subtitle(run),
-        css=_trusted((parts / "page.css").read_text(encoding="utf-8")),
-        scripts=[_trusted((parts / name).read_text(encoding="utf-8")) for name in _SCRIPTS],
-        data=_trusted(_script_json(data)),
+        css=Markup((parts / "page.css").read_text(encoding="utf-8")),
+        scripts=[Markup((parts / name).read_text(encoding="utf-8")) for name in _SCRIPTS],
+        data=Markup(_script_json(data)),
         can_look=bool(data["frames"] or courses),
         has_paths=bool(courses),
         path_strokes={name: stroke for view in courses for name, stroke in view["strokes"].items() if _is_map(view)},
@@ -132,12 +133,6 @@ def _is_map(view: dict[str, Any]) -> bool:
 def _script_json(value: Any) -> str:
     """JSON that cannot end the script element that holds it."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-
-
-def _trusted(text: str) -> Any:
-    import markupsafe
-
-    return markupsafe.Markup(text)
 
 
 def _caveats(run: RunResult, columns: Iterable[Column | None]) -> list[str]:

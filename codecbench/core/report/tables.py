@@ -10,19 +10,16 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
 from codecbench.core.analysis.calibrations import Calibrations, calibrations
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.run_result import RunResult, judged_column, successes
 from codecbench.core.analysis.table import NOTES, json_value
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.wording import counted
-
-if TYPE_CHECKING:
-    from codecbench.core.analysis.columns import Column
-    from codecbench.core.analysis.run_result import RunResult
 
 _KEYS = ("sequence", "codec", "setting")
 _COUNTABLE = 1e15
@@ -113,8 +110,6 @@ def varying(frame: pd.DataFrame) -> tuple[pd.DataFrame, str]:
 
 def _judged_by(run: RunResult) -> list[Column]:
     """The rate, whether the first task succeeds, and what is compared."""
-    from codecbench.core.analysis.run_result import judged_column, successes
-
     succeeded = next(iter(successes(run)), [])
     return [column for column in (run.rate, *succeeded, judged_column(run)) if column is not None]
 
