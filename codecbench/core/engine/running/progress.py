@@ -127,10 +127,6 @@ class Pace:
         self._spent[kind].add(duration_s, frames)
         self._of_task[kind[0]].add(duration_s, frames)
 
-    def again(self, work: Work) -> None:
-        """A job or cell that has ended is to be done once more."""
-        self._left[_kind(work)] += work.sequence.frames
-
     def remaining_s(self) -> float | None:
         """Seconds to the end."""
         if not self._of_task:

@@ -131,10 +131,7 @@ def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record
     status: Status = (
         "unsupported" if isinstance(error, Unsupported) else "crashed" if isinstance(error, PluginLoss) else "failed"
     )
-    try:
-        trace = clean_text("".join(traceback.format_exception(error)))
-    except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
-        trace = f"no traceback: {describe_error(second)}"
+    trace = clean_text("".join(traceback.format_exception(error)))
     return Record(work.id, status, _reason(error, position), trace)
 
 

@@ -105,8 +105,6 @@ def test_encoding_is_a_kind_of_its_own() -> None:
     pace.ended(jobs[1], 100.0)
     pace.ended(left, 7.0)
     assert pace.remaining_s() == 0.0
-    pace.again(jobs[1])
-    assert pace.remaining_s() == pytest.approx(100.0)
 
 
 def test_what_a_worker_takes_to_begin_does_not_make_a_short_run_a_long_one() -> None:
