@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -57,28 +57,18 @@ class OpenBundle:
     manifest: Manifest
     archive: zipfile.ZipFile
 
-    def read(self, name: str) -> IO[bytes]:
-        """A file of the manifest, to be read."""
-        return self.archive.open(name)
-
 
 @contextmanager
 def opened(path: Path) -> Iterator[OpenBundle]:
     """The bundle in a file. Raises StoreError where it is none, or is refused, or its content proves to be damaged."""
     if not path.is_file():
         raise StoreError(f"{path} is not a bundle: there is no such file")
-    with open(path, "rb") as stream, refusing(path):
-        _require_small_directory(stream, path.stat().st_size)
-        with zipfile.ZipFile(stream) as archive:
-            members = _checked_members(archive.infolist(), path.stat().st_size)
-            yield OpenBundle(_manifest(archive, members), archive)
-
-
-@contextmanager
-def refusing(path: Path) -> Iterator[None]:
-    """What is wrong with a bundle meanwhile becomes a StoreError that names it."""
     try:
-        yield
+        with open(path, "rb") as stream:
+            _require_small_directory(stream, path.stat().st_size)
+            with zipfile.ZipFile(stream) as archive:
+                members = _checked_members(archive.infolist(), path.stat().st_size)
+                yield OpenBundle(_manifest(archive, members), archive)
     except _DAMAGE as error:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error) or type(error).__name__
         message = f"{path} is refused: {clean_line(reason.removeprefix('Value error, '))}"

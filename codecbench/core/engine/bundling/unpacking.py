@@ -51,7 +51,7 @@ def _unpacked(path: Path, folder: Path) -> Manifest:
             for name, facts in bundle.manifest.files.items():
                 target = new / name
                 target.parent.mkdir(parents=True, exist_ok=True)
-                with bundle.read(name) as source, open(target, "xb") as output:
+                with bundle.archive.open(name) as source, open(target, "xb") as output:
                     _copy(name, facts, source, output)
             (new / "records").mkdir(exist_ok=True)
             Store(new).rebuild_index()
