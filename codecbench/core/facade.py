@@ -99,7 +99,21 @@ class Run(RunResult):
         Opens the sequence. Raises ParamsError if the run has no such setting, and DatasetError if the sequence is no
         longer that of the run.
         """
-        return _stored_frames(self, codec, setting, sequence)
+        jobs = [job for job in self.plan.jobs if sequence in (None, job.sequence.name)]
+        chosen = [job for job in jobs if job.codec.name == codec and _is(job.codec, setting)]
+        if len({job.codec for job in chosen}) != 1:
+            there = ", ".join(dict.fromkeys(f"{job.codec.name} {job.codec.label}".strip() for job in chosen or jobs))
+            named = (f"{key}={value}" for key, value in setting.items()) if isinstance(setting, Mapping) else [setting]
+            message = f"{codec} {', '.join(named)} is not one setting of the run; say which of {there}"
+            raise ParamsError(message.replace("  ", " "))
+        elsewhere = PlanFile(self.folder).origin_elsewhere()
+        if elsewhere is not None:
+            raise DatasetError(f"the run was made in {elsewhere}, so the sequences that its plan names are not opened")
+        job, plugins = chosen[0], Workbench(limit_s)
+        opened = plugins.sequence(job.sequence, MOST_BYTES)
+        coder = plugins.create(job.codec, job.id)
+        bitstreams = BitstreamFile(Store(self.folder).coded_path(job.id), job.id)
+        return CodedFrames(opened, coder, bitstreams, WorkPosition())
 
     def rank(self, rate: float | None = None) -> list[Ranking]:
         """The order of the codecs by each task on each sequence, at a rate in the unit that people are shown."""
@@ -158,26 +172,6 @@ def open_bundle(path: str | Path, out: str | Path | None = None) -> Run:
     folder = folder_beside(Path(path)) if out is None else Path(out)
     unpack_bundle(Path(path), folder)
     return open_run(folder)
-
-
-def _stored_frames(
-    run: RunResult, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None
-) -> CodedSequence:
-    """See `Run.frames`."""
-    jobs = [job for job in run.plan.jobs if sequence in (None, job.sequence.name)]
-    chosen = [job for job in jobs if job.codec.name == codec and _is(job.codec, setting)]
-    if len({job.codec for job in chosen}) != 1:
-        there = ", ".join(dict.fromkeys(f"{job.codec.name} {job.codec.label}".strip() for job in chosen or jobs))
-        wanted = setting if isinstance(setting, str) else ", ".join(f"{key}={value}" for key, value in setting.items())
-        raise ParamsError(f"{codec} {wanted} is not one setting of the run; say which of {there}".replace("  ", " "))
-    elsewhere = PlanFile(run.folder).origin_elsewhere()
-    if elsewhere is not None:
-        raise DatasetError(f"the run was made in {elsewhere}, so the sequences that its plan names are not opened")
-    job, plugins = chosen[0], Workbench(limit_s)
-    opened = plugins.sequence(job.sequence, MOST_BYTES)
-    coder = plugins.create(job.codec, job.id)
-    bitstreams = BitstreamFile(Store(run.folder).coded_path(job.id), job.id)
-    return CodedFrames(opened, coder, bitstreams, WorkPosition())
 
 
 def _is(codec: PluginSetting, setting: str | Mapping[str, Any]) -> bool:

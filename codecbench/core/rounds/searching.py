@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, Literal, TypeVar
 
+import numpy as np
+
 from codecbench.core.analysis.columns import Column
 from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
@@ -274,18 +276,12 @@ def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[i
         if len(known) >= most or Score(0.0, 0.0) in known.values():
             return
         asked = [study.ask() for _ in range(min(_AT_ONCE, most - len(known)))]
-        places = [_place([trial.suggest_int(str(axis), 0, length - 1) for axis, length in enumerate(lengths)], lengths)
-                  for trial in asked]  # fmt: skip
+        axes = [*enumerate(lengths)]
+        parts = ([trial.suggest_int(str(axis), 0, length - 1) for axis, length in axes] for trial in asked)
+        places = [int(np.ravel_multi_index(part, lengths)) for part in parts]
         new = [place for place in dict.fromkeys(places) if place not in known]
         if new:
             known |= yield new
         for trial, place in zip(asked, places, strict=True):
             score = known[place]
             study.tell(trial, min(score.cost, _BARRED) if score.violation == 0.0 else _BARRED * (1.0 + score.violation))
-
-
-def _place(parts: Sequence[int], lengths: Sequence[int]) -> int:
-    place = 0
-    for part, length in zip(parts, lengths, strict=True):
-        place = place * length + part
-    return place
