@@ -122,7 +122,12 @@ def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[En
 
 def _ask(codec: Codec[Any], verb: Verb, argument: Any) -> Reply:
     """Have a codec of this setting work in another process."""
-    return sandbox(verb).ask(type(codec), codec.params, verb, argument, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+    asked = type(codec), codec.params, verb, argument
+    return sandbox(verb).call(_done, *asked, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+
+
+def _done(codec_class: CodecClass, params: Params, verb: Verb, argument: Any) -> Any:
+    return getattr(codec_class(params), verb)(argument)
 
 
 def _coded(file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply) -> tuple[Entry, bytes]:

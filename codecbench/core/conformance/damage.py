@@ -22,6 +22,7 @@ from codecbench.core.conformance.harness import (
     Shape,
     content_of,
     decoded_of,
+    elsewhere,
     encoded,
     require_same,
     require_same_contents,
@@ -30,7 +31,6 @@ from codecbench.core.conformance.harness import (
     whole,
 )
 from codecbench.core.conformance.material import Film
-from codecbench.core.conformance.sandbox import sandbox
 from codecbench.core.contracts.codec import AnyCodec, Decoded, Fragment, PartialImage
 from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
@@ -253,11 +253,9 @@ def _must_refuse(codec_class: CodecClass, params: Params, index: int, damaged: D
 
 def _decoded_elsewhere(where: str, codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> Any:
     """What `_survivors` gives in another process. Fails where it gives nothing, because the codec raised or crashed."""
-    place = sandbox("decode")
-    reply = place.call(_survivors, codec_class, params, packets, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
-    if reply.status != "done":
-        raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "BitstreamError, or what a decoder gives")
-    return reply.value
+    asked = _survivors, codec_class, params, packets
+    expected = "BitstreamError, or what a decoder gives"
+    return elsewhere("decode", where, *asked, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
 
 
 def _survivors(codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> tuple[list[Any], list[int]]:
@@ -290,14 +288,19 @@ def parts_decode(codec_class: Any, params: Params, films: Sequence[Film]) -> Non
         for trial in range(_TRIALS):
             fragments = _with_gaps(bitstream, rng)
             where = f"decode_partial({film.name}), {[(part.offset, part.end) for part in fragments]}, trial {trial}"
-            reply = sandbox("decode").ask(
-                codec_class, params, "decode_partial", fragments, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
-            )
-            if reply.status == "refused":
-                continue
-            if reply.status != "done":
-                raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "BitstreamError or a picture")
-            _require_truth(where, reply.value, decoded)
+            asked, expected = (_partial, codec_class, params, fragments), "BitstreamError or a picture"
+            for partial in elsewhere(
+                "decode", where, *asked, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
+            ):
+                _require_truth(where, partial, decoded)
+
+
+def _partial(codec_class: Any, params: Params, fragments: Sequence[Fragment]) -> list[PartialImage]:
+    """The picture of parts of a bitstream, or none where they are refused."""
+    try:
+        return [codec_class(params).decode_partial(fragments)]
+    except BitstreamError:
+        return []
 
 
 def _with_gaps(bitstream: bytes, rng: np.random.Generator) -> list[Fragment]:

@@ -105,7 +105,7 @@ class Examiner:
         except PluginError as error:
             return EntryResult(entry, "skipped", str(error))
         self._turn_to(entry.codec)
-        reply = self._ask(_entry_result, str(folder.absolute()), entry)
+        reply = self._ask(check_entry, folder.absolute(), entry, _load)
         failure = EntryResult(entry, "failed", f"{reply.status}: {reply.reason}")
         return reply.value if reply.status == "done" else failure
 
@@ -143,10 +143,6 @@ def _coded_pictures(subject: Subject, earlier: list[Entry]) -> list[tuple[Entry,
         return coded_pictures(codec_class, codec_class.params_type.model_validate(subject.setting), earlier)
     except PluginError as error:
         return str(error)
-
-
-def _entry_result(folder: str, entry: Entry) -> EntryResult:
-    return check_entry(Path(folder), entry, _load)
 
 
 def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:

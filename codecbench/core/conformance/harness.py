@@ -172,9 +172,17 @@ def require_same_contents(where: str, got: Sequence[Decoded], expected: Sequence
         require_same(f"{where}, frame {frame}", content, others[frame])
 
 
-def elsewhere(verb: Verb, where: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def elsewhere(
+    verb: Verb,
+    where: str,
+    function: Callable[..., Any],
+    *arguments: Any,
+    expected: str = "what this process gets",
+    timeout_s: float = _TIMEOUT_S,
+    memory_mb: int = _MEMORY_MB,
+) -> Any:
     """What a function gives in another process. Fails where it gives nothing."""
-    reply = sandbox(verb).call(function, *arguments, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+    reply = sandbox(verb).call(function, *arguments, timeout_s=timeout_s, memory_mb=memory_mb)
     if reply.status != "done":
-        raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", "what this process gets")
+        raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", expected)
     return reply.value

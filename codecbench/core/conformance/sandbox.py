@@ -16,15 +16,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, Literal
 
 import psutil
 
 from codecbench.core.contracts.errors import BitstreamError, CodecbenchError, Unsupported
-from codecbench.core.contracts.params import Params
 
-Verb = Literal["encode", "decode", "decode_partial"]
+Verb = Literal["encode", "decode"]
 _START_TIMEOUT_S = 60.0
 _MEBIBYTE = 1 << 20
 
@@ -49,12 +47,6 @@ class Sandbox:
         self._process: Any = None
         self._connection: Connection | None = None
 
-    def ask(
-        self, codec_class: type, params: Params, verb: Verb, argument: Any, *, timeout_s: float, memory_mb: int
-    ) -> Reply:
-        """Have a new instance of the codec encode an image, decode bytes or fragments; see `call`."""
-        return self.call(_coded, codec_class, params, verb, argument, timeout_s=timeout_s, memory_mb=memory_mb)
-
     def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_mb: int) -> Reply:
         """Have a function of a module called there; it and what it takes and gives must be picklable.
 
@@ -63,20 +55,16 @@ class Sandbox:
         if self._connection is None:
             self._start()
         assert self._connection is not None
-        try:
+        with suppress(EOFError, ConnectionError):
             self._connection.send((function, arguments, memory_mb))
-            reply = None
             for limit_s in (_START_TIMEOUT_S, timeout_s):  # importing the codec's module is not its decoding
                 if not self._connection.poll(limit_s):
                     self.stop()
                     return Reply("hung", reason=f"no answer within {limit_s:g} s")
-                reply = self._connection.recv()
+                reply: Reply | None = self._connection.recv()
                 if reply is not None:
-                    break
-        except (EOFError, ConnectionError):
-            return Reply("crashed", reason=_death(self.stop()))
-        assert isinstance(reply, Reply)
-        return reply
+                    return reply
+        return Reply("crashed", reason=_death(self.stop()))
 
     def stop(self) -> int | None:
         """End the process with all that it started, and return its exit code."""
@@ -103,10 +91,6 @@ class Sandbox:
         self._process = context.Process(target=_serve, args=(theirs,), daemon=not self._may_start_others)
         self._process.start()
         theirs.close()
-        if not self._connection.poll(_START_TIMEOUT_S):
-            self.stop()
-            raise RuntimeError(f"the sandbox did not start within {_START_TIMEOUT_S} s")
-        self._connection.recv()
 
 
 @cache
@@ -119,7 +103,6 @@ def _serve(connection: Connection) -> None:
     with open(os.devnull, "wb") as nowhere:
         for stream in (1, 2):
             os.dup2(nowhere.fileno(), stream)  # libraries in C complain there of every damaged bitstream
-    connection.send("ready")
     while True:
         try:
             request = connection.recv()
@@ -137,10 +120,6 @@ def _serve(connection: Connection) -> None:
             connection.send(Reply("raised", reason=f"its result cannot be passed to another process: {error}"))
 
 
-def _coded(codec_class: Any, params: Params, verb: Verb, argument: Any) -> Any:
-    return getattr(codec_class(params), verb)(argument)
-
-
 def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], memory_mb: int) -> Reply:
     try:
         with _memory_limit(memory_mb):
@@ -154,9 +133,7 @@ def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], memory_mb:
     except CodecbenchError as error:
         return Reply("raised", reason=f"{type(error).__name__}: {error}")
     except (SystemExit, KeyboardInterrupt) as error:
-        return Reply(
-            "raised", reason=f"{type(error).__name__}({', '.join(map(repr, error.args))}), which ends programs"
-        )
+        return Reply("raised", reason=f"{error!r}, which ends programs")
     except BaseException:  # noqa: BLE001 - whatever a codec raises is what the caller wants to know
         return Reply("raised", reason=traceback.format_exc(limit=-3).strip())
 
@@ -170,12 +147,8 @@ def _death(code: int | None) -> str:
 
 @contextmanager
 def _memory_limit(memory_mb: int) -> Iterator[None]:
-    """Cap the address space at what is mapped now and `memory_mb` more, where the system tells what is mapped."""
-    statm = Path("/proc/self/statm")
-    if not statm.exists():
-        yield
-        return
-    mapped = int(statm.read_text().split()[0]) * resource.getpagesize()
+    """Cap the address space at what is mapped now and `memory_mb` more."""
+    mapped = psutil.Process().memory_info().vms
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (mapped + memory_mb * _MEBIBYTE, hard))
     try:
