@@ -41,15 +41,12 @@ def tree_mb(pid: int) -> float:
 def _children(pid: int) -> list[int]:
     """Children of a process; on a system that does not list them, psutil reads all processes, which takes longer."""
     try:
-        return [int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in _words(task / "children")]
+        lists = [(task / "children").read_text(encoding="ascii") for task in Path(f"/proc/{pid}/task").iterdir()]
+        return [int(child) for children in lists for child in children.split()]
     except OSError:
         with suppress(psutil.NoSuchProcess):
             return [child.pid for child in psutil.Process(pid).children()]
         return []
-
-
-def _words(file: Path) -> list[str]:
-    return file.read_text(encoding="ascii").split()
 
 
 def private_mb(pid: int) -> float:

@@ -16,7 +16,6 @@ from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label
 from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.running.answer import outcome_of
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.progress import Pace, Progress, measured_words
@@ -24,7 +23,7 @@ from codecbench.core.engine.running.resume import Resumption, resume
 from codecbench.core.engine.running.run_log import logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
 from codecbench.core.engine.running.summary import RunSummary
-from codecbench.core.engine.running.tasks import task_of
+from codecbench.core.engine.running.tasks import outcome_of, task_of
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
 from codecbench.core.engine.running.work import BITSTREAMS, prepare_worker
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage

@@ -1,15 +1,18 @@
-"""What of a run's work is handed to an executor: a job or cell as a task, with what its worker needs."""
+"""What of a run's work is handed to an executor, a job or cell as a task with what its worker needs, and the answer."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from codecbench.core.contracts.confinement import wanted
-from codecbench.core.contracts.executor import Task
+from codecbench.core.contracts.executor import Finished, Task
+from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.work import Order, perform
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
+from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.store import Store
 
 
@@ -30,3 +33,16 @@ def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | 
     if shares_files:
         return path
     return None if isinstance(work, CodingJob) else path.read_bytes()
+
+
+def outcome_of(work: Work, finished: Finished) -> Record | BitstreamDamage | OSError:
+    """The record, the damage or the full disk that a task of this work ended with.
+
+    `worker` of a record is empty where none lived to tell.
+    """
+    if finished.status == "ok":
+        return finished.value  # type: ignore[no-any-return]
+    strangers = [plugin.full_name for plugin in work.plugins if plugin.distribution]
+    doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
+    reason = f"{' or '.join(strangers)} while {doing}: {finished.reason}" if strangers else finished.reason
+    return Record(work.id, finished.status, clean_line(reason), clean_text(finished.traceback))

@@ -31,12 +31,12 @@ def read_plain(path: str | Path) -> bytes:
         return stream.read()
 
 
-def refuse_links(folder: Path, depth: int) -> None:
-    """Raise StoreError where something below `folder`, down to `depth` levels, is a link that leads out of it."""
-    _refuse_links(folder, folder.resolve(), depth)
+def refuse_links(folder: Path, depth: int, home: Path | None = None) -> None:
+    """Raise StoreError where something below `folder`, down to `depth` levels, is a link that leads out of `home`.
 
-
-def _refuse_links(folder: Path, home: Path, depth: int) -> None:
+    home: by default, the folder itself.
+    """
+    home = home or folder.resolve()
     try:
         entries = list(os.scandir(folder))
     except (FileNotFoundError, NotADirectoryError):
@@ -47,4 +47,4 @@ def _refuse_links(folder: Path, home: Path, depth: int) -> None:
             message = f"{entry.path} is a link to {target}, out of the run folder; links are not followed out of it"
             raise StoreError(f"{message}: put a file or folder of its own there, or remove it")
         if depth > 1 and entry.is_dir(follow_symlinks=False):
-            _refuse_links(Path(entry.path), home, depth - 1)
+            refuse_links(Path(entry.path), depth - 1, home)

@@ -32,6 +32,15 @@ def together(size_bytes: int) -> int:
     return min(max(_TOGETHER_BYTES // size_bytes, _TOGETHER.start), _TOGETHER.stop - 1)
 
 
+def until_one_fails(codec: AnyCodec[Any], verb: str, given: list[Any]) -> list[Any]:
+    """What `encode` gives of single images, or `decode` of bitstreams, up to the first that fails; for the process that
+    does it, because to hand over each alone can take as long as to code it."""
+    found: list[Any] = []
+    with suppress(BaseException):  # the call that shows what is wrong comes after
+        found.extend(map(getattr(codec, verb), given))
+    return found
+
+
 class StreamPictures:
     """The pictures of a stream by frame, in any order.
 
@@ -209,7 +218,7 @@ class ShuffledPictures:
         bitstreams = {index: self._read(index) for index in left}
         while left:
             self._position.at("decode")
-            pictures = self._codec.at_decoder(decoded_until_one_fails, [bitstreams[index] for index in left])
+            pictures = self._codec.at_decoder(until_one_fails, "decode", [bitstreams[index] for index in left])
             self._ready |= zip(left, pictures, strict=False)
             if failed := left[len(pictures) :][:1]:
                 self._position.at("decode", *failed)
@@ -220,14 +229,6 @@ class ShuffledPictures:
                 except CodecbenchError as error:
                     self._ready[failed[0]] = error
             left = left[len(pictures) + 1 :]
-
-
-def decoded_until_one_fails(codec: AnyCodec[Any], bitstreams: list[bytes]) -> list[Any]:
-    """The pictures of single bitstreams up to the first that cannot be decoded; for the process that decodes."""
-    pictures: list[Any] = []
-    with suppress(BaseException):  # the call that shows what is wrong comes after
-        pictures.extend(codec.decode(bitstream) for bitstream in bitstreams)
-    return pictures
 
 
 class CheckedDecoder:

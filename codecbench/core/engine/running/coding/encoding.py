@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import Any
 
 from codecbench.core.contracts.codec import AnyCodec, encoder_of
@@ -11,7 +10,7 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.engine.hosting.remote import RemoteCodec
-from codecbench.core.engine.running.coding.decoding import together
+from codecbench.core.engine.running.coding.decoding import together, until_one_fails
 from codecbench.core.engine.running.coding.position import WRITE, CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -30,7 +29,7 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
             images, ahead = _read(sequence, index, position, alone=not is_hosted), {}
             position.at("encode", index)
             if is_hosted:
-                ahead = dict(enumerate(codec.at_encoder(encoded_until_one_fails, [*images.values()]), index))
+                ahead = dict(enumerate(codec.at_encoder(until_one_fails, "encode", [*images.values()]), index))
         position.at("encode", index)
         packets = encoder.push(images[index], ahead.get(index))
         position.at(WRITE, index)
@@ -50,15 +49,6 @@ def _read(sequence: FrameSequence, begin: int, position: WorkPosition, *, alone:
         if alone or len(images) == together(images[begin].nbytes):
             break
     return images
-
-
-def encoded_until_one_fails(codec: AnyCodec[Any], images: list[Image]) -> list[Any]:
-    """The bitstreams of single images up to the first that cannot be encoded; for the process that encodes, because to
-    hand over each alone can take as long as to encode it."""
-    bitstreams: list[Any] = []
-    with suppress(BaseException):  # the call that shows what is wrong comes after
-        bitstreams.extend(codec.encode(image) for image in images)
-    return bitstreams
 
 
 class CheckedEncoder:
