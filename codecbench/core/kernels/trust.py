@@ -30,17 +30,8 @@ def kernel_folder() -> Path | None:
     A folder that others own or may write is refused, with a line in the log.
     """
     own = Path(platformdirs.user_cache_dir("codecbench"))
-    for folder in (cache_folder() / "kernels", own / "kernels"):
-        try:
-            reason = objection(folder.stat())
-        except FileNotFoundError:
-            return folder
-        except OSError as error:
-            reason = f"it cannot be looked at ({error.strerror})"
-        if reason is None:
-            return folder
-        refuse(folder, reason)
-    return None
+    folders = (cache_folder() / "kernels", own / "kernels")
+    return next((folder for folder in folders if _is_trusted(folder, may_be_missing=True)), None)
 
 
 def given_folders() -> list[Path]:
@@ -60,10 +51,12 @@ def _installed_folders() -> tuple[Path, ...]:
     return tuple(map(Path, (spec and spec.submodule_search_locations) or ()))
 
 
-def _is_trusted(folder: Path) -> bool:
+def _is_trusted(folder: Path, *, may_be_missing: bool = False) -> bool:
     try:
         reason = objection(folder.stat())
     except OSError as error:
+        if may_be_missing and isinstance(error, FileNotFoundError):
+            return True
         reason = f"it cannot be looked at ({error.strerror})"
     if reason is not None:
         refuse(folder, reason)
