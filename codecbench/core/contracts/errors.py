@@ -7,7 +7,7 @@ escapes from a plugin is a fault of that plugin and becomes the reason of its ce
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 
 class CodecbenchError(Exception):
@@ -58,6 +58,12 @@ class MatrixError(CodecbenchError):
 
 class PluginError(CodecbenchError):
     """A plugin is unknown, failed to import or breaks the contract."""
+
+
+def require_choice(what: str, got: object, choices: Any) -> None:
+    """Raise PluginError where something is none of the choices of a Literal."""
+    if got not in get_args(choices):
+        raise PluginError(f"{what} is {got!r}; it is one of {', '.join(get_args(choices))}")
 
 
 class StoreError(CodecbenchError):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
-from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.errors import PluginError, require_choice
 
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]
@@ -75,14 +75,15 @@ class Metric:
     enough: float | None = None
 
     def __post_init__(self) -> None:
-        self._check("better", self.better, Better)
-        self._check("role", self.role, Role)
-        self._check("scale", self.scale, Scale)
-        self._check("need", self.need, Need)
+        where = f"metric {self.name!r}"
+        require_choice(f"{where}: better", self.better, Better)
+        require_choice(f"{where}: role", self.role, Role)
+        require_choice(f"{where}: scale", self.scale, Scale)
+        require_choice(f"{where}: need", self.need, Need)
         if isinstance(self.aggregates, str) or not self.aggregates:
-            raise PluginError(f"metric {self.name!r}: aggregates is {self.aggregates!r}; it is a tuple of names")
+            raise PluginError(f"{where}: aggregates is {self.aggregates!r}; it is a tuple of names")
         for how in self.aggregates:
-            self._check("aggregate", how, Aggregate)
+            require_choice(f"{where}: aggregate", how, Aggregate)
         object.__setattr__(self, "label", self.label or self._plain_name())
         object.__setattr__(self, "brief", self.brief or self.label)
         object.__setattr__(self, "display_unit", self.display_unit or self.unit)
@@ -91,11 +92,6 @@ class Metric:
     def heading(self) -> str:
         """The label with the unit that people are shown: `PSNR [dB]`."""
         return f"{self.label} [{self.display_unit}]" if self.display_unit not in ("", "1") else self.label
-
-    def _check(self, what: str, got: object, allowed: Any) -> None:
-        choices = get_args(allowed)
-        if got not in choices:
-            raise PluginError(f"metric {self.name!r}: {what} is {got!r}; it is one of {', '.join(choices)}")
 
     def _plain_name(self) -> str:
         """The name in words, without the unit at its end."""

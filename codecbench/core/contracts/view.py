@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.errors import PluginError, require_choice
 
 ViewKind = Literal["curve", "bars", "map"]
 Stroke = Literal["truth", "before", "after"]
@@ -35,9 +35,7 @@ class View:
     note: str = ""
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(ViewKind):
-            choices = ", ".join(get_args(ViewKind))
-            raise PluginError(f"view {self.title!r}: kind is {self.kind!r}; it is one of {choices}")
+        require_choice(f"view {self.title!r}: kind", self.kind, ViewKind)
         least, most = _METRICS[self.kind]
         if isinstance(self.metrics, str) or not least <= len(self.metrics) <= most:
             counts = f"{least}" if least == most else f"{least} to {most}"
@@ -72,8 +70,7 @@ class Lane:
     holds: NDArray[np.bool_] = field(repr=False)
 
     def __post_init__(self) -> None:
-        if self.tone not in get_args(Tone):
-            raise PluginError(f"lane {self.name!r}: tone is {self.tone!r}; it is one of {', '.join(get_args(Tone))}")
+        require_choice(f"lane {self.name!r}: tone", self.tone, Tone)
         if self.holds.ndim != 1 or self.holds.dtype != np.bool_:
             raise PluginError(
                 f"lane {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it is (N,) of bool"
@@ -119,10 +116,7 @@ class Line:
     points: NDArray[np.float64] = field(repr=False)
 
     def __post_init__(self) -> None:
-        if self.stroke not in get_args(Stroke):
-            raise PluginError(
-                f"line {self.name!r}: stroke is {self.stroke!r}; it is one of {', '.join(get_args(Stroke))}"
-            )
+        require_choice(f"line {self.name!r}: stroke", self.stroke, Stroke)
         if self.points.ndim != 2 or self.points.shape[1] != 2:
             raise PluginError(f"line {self.name!r}: points have shape {self.points.shape}; they are (N, 2)")
 
