@@ -116,12 +116,8 @@ def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
     """Candidates by link and sequence, those of all sequences together first."""
     able = links_read(run) if demand.deadline_ms is None else links_of(run)
     links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
-    return [_by_sequence(candidates(run, replace(demand, link=link))) for link in links]
-
-
-def _by_sequence(found: list[Candidate]) -> list[list[Candidate]]:
-    """All sequences together first, where there are several."""
-    return [list(members) for _, members in groupby(found, key=lambda candidate: candidate.sequence)]
+    over = (candidates(run, replace(demand, link=link)) for link in links)
+    return [[list(own) for _, own in groupby(found, key=lambda each: each.sequence)] for found in over]
 
 
 def _passing(found: list[Candidate]) -> list[Candidate]:

@@ -49,7 +49,10 @@ class Schedule:
         for job_id in self.needed_jobs:
             self._encode(job_id)
         for cell in todo:
-            self._place(cell)
+            if cell.job_id is None or cell.job_id in self._coded:
+                self._push(cell)
+            else:
+                self._waiting[cell.job_id].append(cell)
 
     def __len__(self) -> int:
         """How many cells and jobs have not ended."""
@@ -109,12 +112,6 @@ class Schedule:
         self._push(self.jobs[job_id])
         self._left += 1
         return True
-
-    def _place(self, cell: Cell) -> None:
-        if cell.job_id is None or cell.job_id in self._coded:
-            self._push(cell)
-        else:
-            self._waiting[cell.job_id].append(cell)
 
     def _push(self, work: Work) -> None:
         queue = self._alone if isinstance(work, Cell) and work.exclusive else self._ready
