@@ -1,35 +1,28 @@
-"""Confinement of other distributions' code by bubblewrap: no network, and no file written outside one folder.
+"""Confinement of other distributions' code by Linux namespaces: no network, no data, no privileges.
 
 It is off unless `CODECBENCH_CONFINE` is set, which `codecbench --confine` does. Then the hosts, which import such
-code, see the file system as it is, but can write to their own folder of temporary files alone; have a
-network without a way out; see no process but their own; and have no capabilities. What is below /run, where sockets of
-services are, is not there for them.
+code, see installed packages and their own folder of temporary files, which alone they can write to; see no network
+and no process but their own; and have no capabilities. `supervisor` does that.
 """
 
 from __future__ import annotations
 
 import functools
+import json
 import os
 import platform
-import shutil
 import subprocess
-from typing import Final
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
 
+from codecbench.core.contracts import supervisor
 from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.held_folder import HeldFolder
 
 VARIABLE: Final = "CODECBENCH_CONFINE"
 """The environment variable that asks for confinement: anything but empty or 0."""
 
-_TOOL: Final = "bwrap"
-_WORDS: Final = (
-    "--ro-bind", "/", "/",
-    "--dev", "/dev",
-    "--proc", "/proc",
-    "--tmpfs", "/run",
-    "--unshare-net", "--unshare-pid", "--unshare-ipc",
-    "--cap-drop", "ALL",
-    "--new-session", "--die-with-parent",
-)  # fmt: skip
 _PATIENCE_S: Final = 20.0
 
 
@@ -40,48 +33,74 @@ def wanted() -> bool:
 
 @functools.cache
 def confinement() -> str:
-    """The tool that confines here, with its version. Raises CodecbenchError where the system does not allow it."""
-    tool = _tool()
-    tried = _called(tool, *_WORDS, "true")
+    """What confines here, in words. Raises CodecbenchError where the system does not allow it."""
+    if sys.platform != "linux":
+        raise _not_possible(f"{platform.system()} has no namespaces, Linux has")
+    with HeldFolder("codecbench-trial-") as held:
+        words = supervised("os:getpid", folder=str(held.path), confines=True)
+        try:
+            tried = subprocess.run(words, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise _not_possible(str(error)) from error
     if tried.returncode != 0:
-        said = " ".join(tried.stderr.split()) or f"exit status {tried.returncode}"
+        said = " ".join(tried.stderr.split()[-40:]) or f"exit status {tried.returncode}"
         raise _not_possible(f"the system does not let it: {said}")
-    return " ".join(["bubblewrap", *_called(tool, "--version").stdout.split()[1:2]])
+    return f"namespaces, user {supervisor.USER}"
 
 
-def confining_words(folder: str) -> list[str]:
-    """The words before a command that confine it, so that it can write to `folder` and nowhere else.
+def supervised(
+    function: str,
+    *arguments: Any,
+    folder: str,
+    confines: bool,
+    descriptors: Sequence[int] = (),
+    dies: bool = False,
+    shows: Iterable[str] = (),
+) -> list[str]:
+    """The command of a process that calls a function, `module:name`, with arguments of JSON types; it has a supervisor.
 
-    Raises CodecbenchError where the system does not allow it.
+    folder: of its temporary files. confines: it sees the paths in `shows`, read-only, but no other data. descriptors:
+    its own, which its supervisor closes. dies: it ends with the thread that starts it.
     """
-    confinement()
-    return [_tool(), *_WORDS, "--bind", folder, folder, "--"]
+    shown = [*map(str, shows), *_code_elsewhere()] if confines else None
+    paths = [os.path.abspath(path) for path in sys.path]
+    told = json.dumps([paths, dies, shown, descriptors, folder, function, arguments])
+    return [sys.executable, "-P", supervisor.__file__, told]
 
 
-def status_inside(status: int) -> int:
-    """The exit status of a confined command from that of the words before it: negative for the signal it died of."""
-    return 128 - status if status > 128 else status
+def paths_named(arguments: Sequence[Any]) -> set[str]:
+    """Paths that a question about a dataset names: in its parameters, from the folder told after them, or alone."""
+    given = next((place for place, each in enumerate(arguments) if isinstance(each, dict)), None)
+    if given is None:
+        return {each for each in arguments if isinstance(each, str) and os.path.isabs(each)}
+    folder = str(next((each for each in arguments[given + 1 :] if isinstance(each, str)), ""))
+    texts = (os.path.expanduser(os.path.expandvars(text)) for text in _texts(arguments[given]))
+    paths = {os.path.join(folder, text) for text in texts if text and "\0" not in text}
+    return {path for path in paths if os.path.isabs(path) and os.path.exists(path)}
 
 
-def _tool() -> str:
-    tool = shutil.which(_TOOL)
-    if tool is None:
-        raise _not_possible(f"{_TOOL} is not on the PATH")
-    return tool
+def _texts(value: Any) -> Iterable[str]:
+    if isinstance(value, str | os.PathLike):
+        yield os.fspath(value)
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+        yield from _texts(each)
 
 
-def _called(*words: str) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(words, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise _not_possible(str(error)) from error
+def _code_elsewhere() -> Iterable[str]:
+    """What hosts run that is not on `sys.path`: compiled kernels, and packages installed in place by a finder."""
+    from codecbench.core.kernels.trust import given_folders, kernel_folder
+
+    yield from (str(folder) for folder in (kernel_folder(), *given_folders()) if folder is not None)
+    finders = [module for name, module in sys.modules.items() if name.startswith("__editable__")]
+    yield from (str(path) for finder in finders for path in getattr(finder, "MAPPING", {}).values())
 
 
 def _not_possible(reason: str) -> CodecbenchError:
     """The error, of the kind that is the machine's and not the user's."""
     error = CodecbenchError(
-        f"plugins cannot be confined on {platform.node()}: {reason}; confinement needs bubblewrap and permission to "
-        f"make user namespaces: install its package, have them allowed, or leave out --confine and {VARIABLE}"
+        f"plugins cannot be confined on {platform.node()}: {reason}; confinement needs Linux 5.12 and user namespaces "
+        "(sysctl user.max_user_namespaces above 0; where they exist, kernel.unprivileged_userns_clone=1 and "
+        f"kernel.apparmor_restrict_unprivileged_userns=0): have them allowed, or leave out --confine and {VARIABLE}"
     )
     error.__cause__ = OSError(reason)
     return error

@@ -20,6 +20,7 @@ from typing import Any
 import pluggy
 
 from codecbench.core.contracts import hooks
+from codecbench.core.contracts.confinement import paths_named
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
@@ -144,7 +145,8 @@ class Registry:
             raise PluginFault(self._given_up[title])
         asked = f"{function.__module__}:{function.__qualname__}"
         try:
-            return self._hosts[plugin.distribution].ask(_CALLED, asked, *arguments, times=times)
+            shows = paths_named(arguments) if kind == "dataset" else ()
+            return self._hosts[plugin.distribution].ask(_CALLED, asked, *arguments, times=times, shows=shows)
         except PluginFault as fault:
             text = str(fault)
             message = " ".join((text if title in text else f"{title}: {text}").split())

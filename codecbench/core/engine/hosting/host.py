@@ -3,24 +3,23 @@
 Plugins of other distributions than codecbench's run in hosts and nowhere else. What comes back is JSON and bytes, so
 that no answer can make this process import or call anything. A host that exits, is killed, hangs or answers nonsense
 costs what it was asked. Its roles keep apart what must not know of each other: who decodes never saw what was encoded.
+A host has a parent, its supervisor, because a plugin may end its parent; what it started ends with it.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import subprocess
-import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from codecbench.core.contracts.confinement import confining_words, status_inside, wanted
+from codecbench.core.contracts.confinement import confinement, supervised, wanted
 from codecbench.core.contracts.held_folder import HeldFolder, left_running
 from codecbench.core.engine.foreign_errors import ended
 from codecbench.core.engine.hosting.channel import (
@@ -47,30 +46,12 @@ HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
 FOLDER_PREFIX: Final = "codecbench-host-"
 """How the names of folders begin in which plugins of others are asked."""
 
+_SERVE: Final = "codecbench.core.engine.serving:serve"
 _LIMIT_S: Final = 60.0
 _POLL_MS: Final = 100
 _PATIENCE_S: Final = 1.0
 _MOST_LATE: Final = 1000
 """So often is something read of an answer that is late."""
-_PROGRAM: Final = """
-import json, os, sys
-paths, dies, *rest = json.loads(sys.argv[1])
-if dies and sys.platform == "linux":
-    import ctypes
-    ctypes.CDLL(None).prctl(1, 9)
-if child := os.fork():
-    import signal
-    signal.signal(signal.SIGTERM, lambda *_: (os.kill(child, 9), os.killpg(child, 9)))
-    os.closerange(3, max(rest[0]) + 1)
-    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    os._exit(status if status >= 0 else 128 - status)
-os.setpgid(0, 0)
-sys.path[:] = paths
-from codecbench.core.engine.serving import serve
-serve(*rest)
-"""
-"""The host has a parent that waits for it and ends it, because a plugin may end its parent. The host dies with that,
-and it, where it may take for ever, with the thread that started it."""
 
 
 def limit_s() -> float:
@@ -84,7 +65,7 @@ class Host:
     """The process of one distribution, by its name with its version, in one role; started by the first question.
 
     limit_s: how long an answer may take, None where whoever asks is watched itself. prints: what its plugins print goes
-    where this process prints, and not nowhere.
+    where this process prints, and not nowhere, if it is not confined.
     """
 
     def __init__(
@@ -103,6 +84,7 @@ class Host:
         self._deadline: float | None = None
         self._late = 0
         self._folder = Path()
+        self._shows: set[str] = set()
 
     @property
     def lives(self) -> bool:
@@ -116,16 +98,25 @@ class Host:
         held = HeldFolder(FOLDER_PREFIX)
         self._folder = held.path
         folder = str(held.path)
-        confining = confining_words(folder) if wanted() else []
+        if confines := wanted():
+            confinement()
         taken, writes = os.pipe()
         reads, given = os.pipe()
         sends, receives = SharedMemory(), SharedMemory()
         descriptors = (taken, given, receives.descriptor, sends.descriptor)
-        paths = [os.path.abspath(path) for path in sys.path]
-        told = json.dumps([paths, self._limit_s is None, descriptors, self.distribution, folder])
-        printed = None if self._prints else subprocess.DEVNULL
+        printed = None if self._prints and not confines else subprocess.DEVNULL
         self._process = subprocess.Popen(
-            [*confining, sys.executable, "-c", _PROGRAM, told],
+            supervised(
+                _SERVE,
+                descriptors,
+                self.distribution,
+                folder,
+                folder=folder,
+                confines=confines,
+                descriptors=descriptors,
+                dies=self._limit_s is None,
+                shows=self._shows,
+            ),
             stdin=subprocess.DEVNULL,
             stdout=printed,
             stderr=printed,
@@ -140,14 +131,21 @@ class Host:
         self._channel = _Asking(self, reads, writes, sends, receives)
         self._end = weakref.finalize(self, _end, self._process, (reads, writes), (sends, receives), held)
 
-    def ask(self, function: Callable[..., Any] | str, *arguments: Any, times: float = 1) -> Any:
+    def ask(
+        self, function: Callable[..., Any] | str, *arguments: Any, times: float = 1, shows: Collection[str] = ()
+    ) -> Any:
         """What `function(*arguments)` returns there. function: of codecbench, also as `module:name`.
 
-        times: how many times the usual limit it may take. Raises the CodecbenchError that the function raised,
-        PluginTimeout, or PluginFault for anything else that happened.
+        times: how many times the usual limit it may take. shows: paths that it is to see if it is confined; it is
+        started anew for one that it does not see. Raises the CodecbenchError that the function raised, PluginTimeout,
+        or PluginFault for anything else that happened.
         """
         name = function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}"
         with self._lock:
+            if not self._shows.issuperset(shows):
+                self._shows.update(shows)
+                if wanted():
+                    self.end()
             self.start()
             assert self._channel is not None
             self._channel.limit_s = None if self._limit_s is None else times * self._limit_s()
@@ -203,10 +201,11 @@ class Host:
         """How the process ended, and where it was then."""
         assert self._process is not None
         try:
-            loss = PluginLoss(ended(status_inside(self._process.wait(1.0))))
+            status = self._process.wait(1.0)
+            loss = PluginLoss(ended(128 - status if status > 128 else status))
         except subprocess.TimeoutExpired:
             return PluginLoss("it closed the connection of its process")
-        with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace") as file:
+        with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=_open_plain) as file:
             if trace := file.read(LONGEST_TRACE):
                 loss.add_note(f"in its host:\n{trace}")
         return loss
@@ -228,6 +227,11 @@ class _Asking(Channel):
                 self.depth -= 1
 
 
+def _open_plain(path: str, flags: int) -> int:
+    """Open what a plugin may have made a link to a file that it cannot read, or a pipe that nobody writes to."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+
 def cache_variable() -> dict[str, str]:
     """The environment variables of where compiled kernels are, so that they mean the same in another folder."""
     names = {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys()
@@ -238,7 +242,7 @@ def _end(
     process: subprocess.Popen[bytes], pipes: tuple[int, ...], memory: tuple[SharedMemory, ...], folder: HeldFolder
 ) -> None:
     """End a host with its process group and remove what it left."""
-    process.terminate()  # its parent ends it, and reaps it
+    process.terminate()  # its supervisor ends it with all that it started
     with suppress(subprocess.TimeoutExpired):
         process.wait(_PATIENCE_S)
     process.kill()

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from codecbench.core.contracts.confinement import paths_named
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.hosting.host import Host, Role
 from codecbench.core.engine.planning.model import PluginSetting
@@ -83,7 +84,8 @@ class Plugins:
 
     def _made(self, setting: PluginSetting, role: Role, of: str, seed: int) -> Any:
         host = self.host(setting.distribution, role, of)
-        made = host.ask(_CREATED, setting.kind, setting.name, setting.params, seed)
+        shows = paths_named([setting.params]) if setting.kind == "dataset" else ()
+        made = host.ask(_CREATED, setting.kind, setting.name, setting.params, seed, shows=shows)
         self.check(setting, made.facts["of_version"], made.facts["code"])
         return made
 

@@ -1,0 +1,287 @@
+"""The program that supervises a host: it starts it, waits for it, and kills all processes that it leaves behind.
+
+It also confines the host, on Linux and if asked: in namespaces of its own, as a user without privileges, in a file
+system of little more than installed packages. All of that is done before a plugin can run, so that nothing else of
+codecbench is imported here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import json
+import os
+import signal
+import sys
+from contextlib import suppress
+from typing import Any, Final, NoReturn
+
+USER: Final = 65534
+"""The user and group of confined hosts: nobody."""
+
+_SYSTEM: Final = (
+    "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/nix/store", "/etc/alternatives", "/etc/ld.so.cache",
+    "/etc/ld.so.conf", "/etc/ld.so.conf.d", "/etc/localtime", *(f"/dev/{name}" for name in (
+        "null", "zero", "full", "random", "urandom")),
+)  # fmt: skip
+_IMPORTABLE: Final = (".py", ".so", ".egg-info", "__pycache__")
+_libc = ctypes.CDLL(None, use_errno=True)
+
+# Of Linux' headers. System calls have these numbers on x86-64 and on all architectures that came after it.
+_CLONE_NEW: Final = 0x10000000 | 0x20000 | 0x20000000 | 0x40000000 | 0x8000000 | 0x4000000
+"""User, mounts, processes, network, IPC and host name."""
+_OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
+_MACHINE: Final = os.uname().machine
+_PIVOT_ROOT, _KEYCTL = {"x86_64": (155, 250), "aarch64": (41, 219), "riscv64": (41, 219)}.get(_MACHINE, (-1, -1))
+_AT_FDCWD: Final = -100
+_AT_EMPTY_PATH, _AT_RECURSIVE, _CLOEXEC = 0x1000, 0x8000, os.O_CLOEXEC
+_READ_ONLY, _NOSUID, _NODEV, _NOEXEC = 1, 2, 4, 8
+"""Of mount and of mount_setattr, which agree on them."""
+_MS_PRIVATE_ALL, _MNT_DETACH = 0x44000, 2
+_PDEATHSIG, _DUMPABLE, _CAPBSET_DROP, _CHILD_SUBREAPER, _NO_NEW_PRIVS = 1, 4, 24, 36, 38
+_CAPABILITIES_VERSION: Final = 0x20080522
+_SIOCSIFFLAGS, _IFF_UP = 0x8914, 1
+
+
+def main(told: str) -> NoReturn:
+    """Supervise a host, and exit as it does: with its status, or 128 and the number of the signal that ended it.
+
+    told, as JSON: `sys.path` of the host; whether it ends with the thread that started this; paths that it is shown if
+    it is confined, None if not; its descriptors; its folder; the function `module:name` that it calls, and with what.
+    """
+    paths, dies, shows, descriptors, folder, function, arguments = json.loads(told)
+    if sys.platform == "linux":
+        _prctl(_CHILD_SUBREAPER, 1)
+        if dies:
+            _prctl(_PDEATHSIG, signal.SIGTERM)
+    (unshared, unshares), (mapped, maps) = os.pipe(), os.pipe()
+    if host := os.fork():
+        signal.signal(signal.SIGTERM, lambda *_: _kill_children(host))
+        _close(*descriptors, unshares, mapped)
+        if shows is not None:
+            os.read(unshared, 1)
+            _map_ids(host, folder, maps)
+        _close(maps)
+        status = _status(host)
+        while True:
+            _kill_children(host)
+            try:
+                os.waitpid(-1, 0)
+            except ChildProcessError:
+                os._exit(status)
+    _close(unshared, maps)
+    if shows is not None:
+        _confine(_sources(paths, shows), folder, descriptors, unshares, mapped)
+    _close(unshares, mapped)
+    os.setpgid(0, 0)
+    sys.path[:] = paths
+    module, _, name = function.partition(":")
+    getattr(importlib.import_module(module), name)(*arguments)
+    os._exit(0)
+
+
+def _status(child: int) -> int:
+    """The status of a child when it has ended; until then orphans, which become this process's, are reaped."""
+    while True:
+        pid, waited = os.waitpid(-1, 0)
+        if pid == child:
+            status = os.waitstatus_to_exitcode(waited)
+            return status if status >= 0 else 128 - status
+
+
+def _kill_children(host: int) -> None:
+    """Kill all children. Theirs become this process's, so that calls after each other get at all descendants.
+
+    host: the group that is killed where no child can be found.
+    """
+    if sys.platform != "linux":
+        with suppress(OSError):
+            os.killpg(host, signal.SIGKILL)
+        return
+    try:
+        with open(f"/proc/self/task/{os.getpid()}/children") as file:
+            pids = [int(pid) for pid in file.read().split()]
+    except OSError:  # a system that does not list them
+        pids = [int(pid) for pid in os.listdir("/proc") if pid.isdigit() and _parent(pid) == os.getpid()]
+    for pid in pids:
+        with suppress(OSError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _parent(pid: str) -> int:
+    with suppress(OSError), open(f"/proc/{pid}/stat", errors="replace") as file:
+        return int(file.read().rpartition(")")[2].split()[1])
+    return 0
+
+
+def _map_ids(pid: int, folder: str, maps: int) -> None:
+    """Map the ids of a process in a user namespace that it has made; what fails is written to `maps`.
+
+    Root's keeps all ids, for a while, as it takes its privileges to mount what only root may read.
+    """
+    try:
+        if os.geteuid() == 0:
+            os.chown(folder, USER, USER)
+        else:
+            _write(f"/proc/{pid}/setgroups", "deny")
+        for kind, own in (("uid", os.geteuid()), ("gid", os.getegid())):
+            ranges = [f"{USER} {own} 1"]
+            if os.geteuid() == 0:
+                with open(f"/proc/self/{kind}_map") as file:
+                    ranges = [f"{first} {first} {count}" for first, _, count in map(str.split, file)]
+            _write(f"/proc/{pid}/{kind}_map", "\n".join(ranges))
+    except OSError as error:
+        os.write(maps, str(error).encode())
+
+
+def _write(path: str, text: str) -> None:
+    """Write at once, as the files of /proc want it."""
+    with open(path, "wb", buffering=0) as file:
+        file.write(text.encode())
+
+
+def _sources(paths: list[str], shows: list[str]) -> list[str]:
+    """What a confined host sees, read-only: the system's and the interpreter's files, what it imports, and `shows`."""
+    found = {*_SYSTEM, *shows, sys.prefix, sys.base_prefix, sys.executable}
+    found.update(filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)))
+    for path in paths:
+        names = os.listdir(path) if os.path.isdir(path) else []
+        if not names or any(name.endswith(".dist-info") for name in names):
+            found.add(path)
+        else:  # a project's folder, which may also hold its data
+            inside = [os.path.join(path, name) for name in names]
+            found.update(one for one in inside if one.endswith(_IMPORTABLE) or os.path.exists(f"{one}/__init__.py"))
+    kept: list[str] = []
+    for path in sorted({*map(os.path.abspath, found), *map(os.path.realpath, found)} - {"/"}):
+        if os.path.exists(path) and not any(path.startswith(f"{upper}/") for upper in kept):
+            kept.append(path)
+    return kept
+
+
+def _confine(sources: list[str], folder: str, descriptors: list[int], unshares: int, mapped: int) -> None:
+    """Go on as the only child of the first process of new namespaces; all in them ends with that process."""
+    try:
+        _call("unshare", _CLONE_NEW)
+        _prctl(_PDEATHSIG, signal.SIGKILL)
+        os.close(unshares)
+        if failure := os.read(mapped, 1000).decode():
+            raise OSError(failure)
+        if first := os.fork():
+            _close(*descriptors)
+            os._exit(_status(first))
+        _build_root(sources, folder)
+        _give_up_privileges()
+    except OSError as error:
+        print(error, file=sys.stderr, flush=True)  # noqa: T201 - whoever tries whether it is possible reads it
+        os._exit(1)
+    if host := os.fork():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        os._exit(_status(host))
+
+
+def _build_root(sources: list[str], folder: str) -> None:
+    """Make a file system of these and the host's own folder, which alone is writable beside an empty /tmp and /dev/shm.
+
+    Needs the privileges of the namespaces' first process.
+    """
+    mask = os.umask(0o022)
+    _call("mount", None, b"/", None, _MS_PRIVATE_ALL, None)
+    own = _tree(folder, _NOSUID | _NODEV)
+    _mount("tmpfs", folder, _NOSUID | _NODEV, "mode=755,size=16m")  # the new root, until all is in it
+    for path, size in (("/tmp", "256m"), ("/dev/shm", "50%")):
+        os.makedirs(folder + path)
+        _mount("tmpfs", folder + path, _NOSUID | _NODEV, f"mode=1777,size={size}")
+    for path in sources:
+        is_device = path.startswith("/dev/")
+        _attach(_tree(path, _READ_ONLY | _NOSUID | (0 if is_device else _NODEV)), path, folder)
+    _attach(own, folder, folder)
+    with suppress(OSError):  # of a system that has no such limit
+        _write("/proc/sys/user/max_user_namespaces", "0")
+    os.mkdir(f"{folder}/proc")
+    _mount("proc", f"{folder}/proc", _READ_ONLY | _NOSUID | _NODEV | _NOEXEC)
+    os.symlink("/proc/self/fd", f"{folder}/dev/fd")
+    os.chdir(folder)
+    _call("syscall", _PIVOT_ROOT, b".", b".")
+    _call("umount2", b".", _MNT_DETACH)
+    os.chdir("/")
+    _set_attributes(_AT_FDCWD, "/", 0, _READ_ONLY | _NOSUID | _NODEV)
+    os.chdir(folder)
+    os.umask(mask)
+
+
+def _tree(path: str, attributes: int) -> int:
+    """A descriptor of a copy of the mounts at a path, with these attributes."""
+    tree = _call("syscall", _OPEN_TREE, _AT_FDCWD, os.fsencode(path), 1 | _CLOEXEC | _AT_RECURSIVE)
+    _set_attributes(tree, "", _AT_EMPTY_PATH | _AT_RECURSIVE, attributes)
+    return tree
+
+
+def _set_attributes(descriptor: int, path: str, flags: int, attributes: int) -> None:
+    told = (ctypes.c_uint64 * 4)(attributes)
+    _call("syscall", _MOUNT_SETATTR, descriptor, path.encode(), flags, ctypes.byref(told), ctypes.sizeof(told))
+
+
+def _attach(tree: int, path: str, root: str) -> None:
+    """Mount a tree at a path below the new root."""
+    place = root + path
+    if os.path.isdir(path) and not os.path.exists(place):
+        os.makedirs(place)
+    elif not os.path.exists(place):
+        os.makedirs(os.path.dirname(place), exist_ok=True)
+        os.close(os.open(place, os.O_CREAT))
+    _call("syscall", _MOVE_MOUNT, tree, b"", _AT_FDCWD, os.fsencode(place), 4)
+    os.close(tree)
+
+
+def _mount(kind: str, place: str, flags: int, options: str = "") -> None:
+    _call("mount", kind.encode(), os.fsencode(place), kind.encode(), flags, options.encode())
+
+
+def _give_up_privileges() -> None:
+    """Become nobody, without capabilities or a way to get any, and without the keys of the user."""
+    _start_loopback()
+    with suppress(OSError):  # of a system without keys
+        _call("syscall", _KEYCTL, 1, None)
+    with suppress(OSError):  # past the last of them
+        for capability in range(64):
+            _prctl(_CAPBSET_DROP, capability)
+    if os.geteuid() != USER:
+        os.setgroups([])
+        os.setresgid(USER, USER, USER)
+        os.setresuid(USER, USER, USER)
+    _call("capset", ctypes.byref((ctypes.c_uint32 * 2)(_CAPABILITIES_VERSION)), ctypes.byref((ctypes.c_uint32 * 6)()))
+    _prctl(_NO_NEW_PRIVS, 1)
+    _prctl(_DUMPABLE, 1)
+    _prctl(_PDEATHSIG, signal.SIGKILL)
+
+
+def _start_loopback() -> None:
+    import fcntl
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        fcntl.ioctl(any_socket, _SIOCSIFFLAGS, b"lo".ljust(16, b"\0") + _IFF_UP.to_bytes(24, sys.byteorder))
+
+
+def _prctl(option: int, value: int) -> None:
+    _call("prctl", option, value, 0, 0, 0)
+
+
+def _call(name: str, *arguments: Any) -> int:
+    """Call a function of the system. Raises OSError that names it."""
+    plain = [ctypes.c_long(value) if isinstance(value, int) else value for value in arguments]
+    result: int = getattr(_libc, name)(*plain)
+    if result == -1:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), " ".join([name, *(str(each) for each in arguments if each)]))
+    return result
+
+
+def _close(*descriptors: int) -> None:
+    for descriptor in descriptors:
+        with suppress(OSError):
+            os.close(descriptor)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
