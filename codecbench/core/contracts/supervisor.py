@@ -8,10 +8,12 @@ codecbench is imported here.
 from __future__ import annotations
 
 import ctypes
+import errno
 import importlib
 import json
 import os
 import signal
+import struct
 import sys
 from contextlib import suppress
 from typing import Any, Final, NoReturn
@@ -31,14 +33,25 @@ _libc = ctypes.CDLL(None, use_errno=True)
 _CLONE_NEW: Final = 0x10000000 | 0x20000 | 0x20000000 | 0x40000000 | 0x8000000 | 0x4000000
 """User, mounts, processes, network, IPC and host name."""
 _OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
-_MACHINE: Final = os.uname().machine
-_PIVOT_ROOT, _KEYCTL = {"x86_64": (155, 250), "aarch64": (41, 219), "riscv64": (41, 219)}.get(_MACHINE, (-1, -1))
+_LATER: Final = (41, 219, (218, 217, 26, 262, 241, 451), 32, 25)
+_OF_MACHINES: Final = {
+    "x86_64": (0xC000003E, 155, 250, (249, 248, 253, 294, 300, 298, 451), 73, 72),
+    "aarch64": (0xC00000B7, *_LATER),
+    "riscv64": (0xC00000F3, *_LATER),
+}
+"""The architecture as filters know it; the calls pivot_root and keyctl; request_key, add_key, inotify_init and its
+like, perf_event_open and cachestat; flock and fcntl."""
+_SET_LOCK, _NOTIFY = (6, 7, 37, 38), (1024, 1026)
+"""What fcntl is asked for."""
 _AT_FDCWD: Final = -100
 _AT_EMPTY_PATH, _AT_RECURSIVE, _CLOEXEC = 0x1000, 0x8000, os.O_CLOEXEC
 _READ_ONLY, _NOSUID, _NODEV, _NOEXEC = 1, 2, 4, 8
 """Of mount and of mount_setattr, which agree on them."""
 _MS_PRIVATE_ALL, _MNT_DETACH = 0x44000, 2
 _PDEATHSIG, _DUMPABLE, _CAPBSET_DROP, _CHILD_SUBREAPER, _NO_NEW_PRIVS = 1, 4, 24, 36, 38
+_SECCOMP, _FILTER = 22, 2
+_LOAD, _IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
+_ALLOW, _ERROR = 0x7FFF0000, 0x50000
 _CAPABILITIES_VERSION: Final = 0x20080522
 _SIOCSIFFLAGS, _IFF_UP = 0x8914, 1
 
@@ -174,7 +187,9 @@ def _confine(sources: list[str], folder: str, descriptors: list[int], unshares: 
     except OSError as error:
         print(error, file=sys.stderr, flush=True)  # noqa: T201 - whoever tries whether it is possible reads it
         os._exit(1)
-    if host := os.fork():
+    host = os.fork()
+    _prctl(_DUMPABLE, not host)  # the host can read about itself, and cannot trace the other
+    if host:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         os._exit(_status(host))
 
@@ -201,7 +216,7 @@ def _build_root(sources: list[str], folder: str) -> None:
     _mount("proc", f"{folder}/proc", _READ_ONLY | _NOSUID | _NODEV | _NOEXEC)
     os.symlink("/proc/self/fd", f"{folder}/dev/fd")
     os.chdir(folder)
-    _call("syscall", _PIVOT_ROOT, b".", b".")
+    _call("syscall", _machine()[1], b".", b".")
     _call("umount2", b".", _MNT_DETACH)
     os.chdir("/")
     _set_attributes(_AT_FDCWD, "/", 0, _READ_ONLY | _NOSUID | _NODEV)
@@ -241,7 +256,7 @@ def _give_up_privileges() -> None:
     """Become nobody, without capabilities or a way to get any, and without the keys of the user."""
     _start_loopback()
     with suppress(OSError):  # of a system without keys
-        _call("syscall", _KEYCTL, 1, None)
+        _call("syscall", _machine()[2], 1, None)
     with suppress(OSError):  # past the last of them
         for capability in range(64):
             _prctl(_CAPBSET_DROP, capability)
@@ -251,8 +266,47 @@ def _give_up_privileges() -> None:
         os.setresuid(USER, USER, USER)
     _call("capset", ctypes.byref((ctypes.c_uint32 * 2)(_CAPABILITIES_VERSION)), ctypes.byref((ctypes.c_uint32 * 6)()))
     _prctl(_NO_NEW_PRIVS, 1)
-    _prctl(_DUMPABLE, 1)
+    _filter_calls()
     _prctl(_PDEATHSIG, signal.SIGKILL)
+
+
+def _filter_calls() -> None:
+    """Refuse what hosts could tell each other things by that no namespace keeps apart: keys, and files that both read.
+
+    A lock is granted and not taken: their own files nobody else can lock.
+    """
+    architecture, _, keyctl, refused, flock, fcntl = _machine()
+    rules = [
+        (_LOAD, 0, 0, 4),
+        (_IF_EQUAL, 1, 0, architecture),
+        (_RETURN, 0, 0, _ERROR | errno.ENOSYS),
+        (_LOAD, 0, 0, 0),
+    ]
+    rules += [(0x35, 0, 1, 0x40000000), (_RETURN, 0, 0, _ERROR | errno.ENOSYS)]  # of the x32 ABI
+
+    def answer(number: int, error: int) -> None:
+        rules.extend([(_IF_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ERROR | error)])
+
+    for call in (keyctl, *refused):
+        answer(call, errno.ENOSYS)
+    answer(flock, 0)
+    rules.extend([(_IF_EQUAL, 1, 0, fcntl), (_RETURN, 0, 0, _ALLOW), (_LOAD, 0, 0, 24)])
+    for command in _SET_LOCK:
+        answer(command, 0)
+    for command in _NOTIFY:
+        answer(command, errno.EINVAL)
+    rules.append((_RETURN, 0, 0, _ALLOW))
+    program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *rule) for rule in rules))
+    told = struct.pack("@HP", len(rules), ctypes.addressof(program))
+    _call("prctl", _SECCOMP, _FILTER, told)
+
+
+def _machine() -> tuple[int, int, int, tuple[int, ...], int, int]:
+    """The numbers of this machine. Raises OSError where they are not known."""
+    name = os.uname().machine
+    if name not in _OF_MACHINES:
+        raise OSError(f"its architecture {name} is not one of {', '.join(_OF_MACHINES)}")
+    return _OF_MACHINES[name]
 
 
 def _start_loopback() -> None:
