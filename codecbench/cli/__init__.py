@@ -80,9 +80,7 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="codecbench")
-@click.option(
-    "--confine", is_flag=True, help="Keep other distributions' plugins from the network and from writing files."
-)
+@click.option("--confine", is_flag=True, help="Keep other distributions' plugins from the network and from your files.")
 def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
     from codecbench.core.contracts.confinement import VARIABLE, confinement, wanted

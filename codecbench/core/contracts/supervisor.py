@@ -144,7 +144,8 @@ def _map_ids(pid: int, folder: str, maps: int) -> None:
                     ranges = [f"{first} {first} {count}" for first, _, count in map(str.split, file)]
             _write(f"/proc/{pid}/{kind}_map", "\n".join(ranges))
     except OSError as error:
-        os.write(maps, str(error).encode())
+        with suppress(BrokenPipeError):
+            os.write(maps, str(error).encode())
 
 
 def _write(path: str, text: str) -> None:
