@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -532,15 +533,16 @@ LOADS = "import subprocess, sys, codecbench; subprocess.run([sys.executable, '-c
 
 @pytest.mark.thorough
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_users_without_privileges_confine_too(tmp_path: Path) -> None:
+def test_users_without_privileges_confine_too() -> None:
     user = 1000
     script = "from codecbench.core.engine.hosting.host import Host; host = Host('mine 1'); print(host.ask('os:getuid'))"
-    tmp_path.chmod(0o777)
-    environment = {**os.environ, VARIABLE: "1", "TMPDIR": str(tmp_path), "HOME": str(tmp_path)}
     words = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", sys.executable, "-c"]
-    if subprocess.run([*words, LOADS], env=environment, check=False, capture_output=True).returncode != 0:
-        pytest.skip(f"user {user} cannot read {os.path.realpath(sys.executable)} or what it imports")
-    done = subprocess.run([*words, script], env=environment, capture_output=True, text=True, timeout=60, check=False)
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # which all may enter, unlike tmp_path
+        os.chown(folder, user, user)
+        there = {**os.environ, VARIABLE: "1", "TMPDIR": folder, "HOME": folder}
+        if subprocess.run([*words, LOADS], env=there, check=False, capture_output=True).returncode != 0:
+            pytest.skip(f"user {user} cannot read {os.path.realpath(sys.executable)} or what it imports")
+        done = subprocess.run([*words, script], env=there, capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout == "65534\n", done.stderr
 
 
