@@ -4,7 +4,9 @@ next of their kind removes them; and processes that stay."""
 from __future__ import annotations
 
 import fcntl
+import os
 import shutil
+import subprocess
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -28,7 +30,7 @@ class HeldFolder:
 
     def remove(self) -> None:
         """Remove the folder with all that is in it, and let go of its lock."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        _remove(self.path)
         self._lock.close()
 
     def __enter__(self) -> Self:
@@ -51,9 +53,21 @@ def _locked_folder(prefix: str, parent: str) -> tuple[Path, TextIO]:
 
 def _sweep(prefix: str, parent: str) -> None:
     for path in Path(parent).glob(f"{prefix}*/lock"):
-        with suppress(OSError), open(path, "r+", encoding="ascii") as lock:
+        with suppress(OSError), open(path, "r+", encoding="ascii", opener=open_plain) as lock:
             if _locked(lock):
-                shutil.rmtree(path.parent, ignore_errors=True)
+                _remove(path.parent)
+
+
+def _remove(folder: Path) -> None:
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except RecursionError:  # a plugin made folders in folders
+        subprocess.run(["rm", "-rf", str(folder)], check=False)
+
+
+def open_plain(path: str, flags: int) -> int:
+    """Open a file in a plugin's folder, which may be a link to what it cannot read, or a pipe that nobody writes to."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
 def _locked(lock: TextIO) -> bool:

@@ -33,16 +33,21 @@ _libc = ctypes.CDLL(None, use_errno=True)
 _CLONE_NEW: Final = 0x10000000 | 0x20000 | 0x20000000 | 0x40000000 | 0x8000000 | 0x4000000
 """User, mounts, processes, network, IPC and host name."""
 _OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
-_LATER: Final = (41, 219, (218, 217, 26, 262, 241, 451), 32, 25)
-_OF_MACHINES: Final = {
-    "x86_64": (0xC000003E, 155, 250, (249, 248, 253, 294, 300, 298, 451), 73, 72),
-    "aarch64": (0xC00000B7, *_LATER),
-    "riscv64": (0xC00000F3, *_LATER),
+_OF_MACHINE: Final = ("pivot_root", "socket", "flock", "fcntl", "keyctl", "request_key", "add_key", "inotify_init",
+                      "inotify_init1", "fanotify_init", "perf_event_open")  # fmt: skip
+_LATER: Final = (41, 198, 32, 25, 219, 218, 217, 26, 26, 262, 241)
+_MACHINES: Final = {
+    "x86_64": (0xC000003E, (155, 41, 73, 72, 250, 249, 248, 253, 294, 300, 298)),
+    "aarch64": (0xC00000B7, _LATER),
+    "riscv64": (0xC00000F3, _LATER),
 }
-"""The architecture as filters know it; the calls pivot_root and keyctl; request_key, add_key, inotify_init and its
-like, perf_event_open and cachestat; flock and fcntl."""
+"""Architectures as filters of system calls know them, and the numbers of those."""
+_REFUSED: Final = (425, 451)
+"""io_uring_setup, which no filter sees through, and cachestat."""
 _SET_LOCK, _NOTIFY = (6, 7, 37, 38), (1024, 1026)
 """What fcntl is asked for."""
+_FAMILIES: Final = (1, 2, 10, 16)
+"""Of sockets: Unix, IPv4, IPv6 and netlink, which namespaces keep apart."""
 _AT_FDCWD: Final = -100
 _AT_EMPTY_PATH, _AT_RECURSIVE, _CLOEXEC = 0x1000, 0x8000, os.O_CLOEXEC
 _READ_ONLY, _NOSUID, _NODEV, _NOEXEC = 1, 2, 4, 8
@@ -50,7 +55,7 @@ _READ_ONLY, _NOSUID, _NODEV, _NOEXEC = 1, 2, 4, 8
 _MS_PRIVATE_ALL, _MNT_DETACH = 0x44000, 2
 _PDEATHSIG, _DUMPABLE, _CAPBSET_DROP, _CHILD_SUBREAPER, _NO_NEW_PRIVS = 1, 4, 24, 36, 38
 _SECCOMP, _FILTER = 22, 2
-_LOAD, _IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
+_LOAD, _IF_EQUAL, _IF_LARGE, _RETURN = 0x20, 0x15, 0x35, 0x06
 _ALLOW, _ERROR = 0x7FFF0000, 0x50000
 _CAPABILITIES_VERSION: Final = 0x20080522
 _SIOCSIFFLAGS, _IFF_UP = 0x8914, 1
@@ -159,7 +164,9 @@ def _sources(paths: list[str], shows: list[str]) -> list[str]:
     found = {*_SYSTEM, *shows, sys.prefix, sys.base_prefix, sys.executable}
     found.update(filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)))
     for path in paths:
-        names = os.listdir(path) if os.path.isdir(path) else []
+        names: list[str] = []
+        with suppress(OSError):  # an archive, or it is not there
+            names = os.listdir(path)
         if not names or any(name.endswith(".dist-info") for name in names):
             found.add(path)
         else:  # a project's folder, which may also hold its data
@@ -192,6 +199,7 @@ def _confine(sources: list[str], folder: str, descriptors: list[int], unshares: 
     _prctl(_DUMPABLE, not host)  # the host can read about itself, and cannot trace the other
     if host:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _close(*descriptors)
         os._exit(_status(host))
 
 
@@ -217,7 +225,7 @@ def _build_root(sources: list[str], folder: str) -> None:
     _mount("proc", f"{folder}/proc", _READ_ONLY | _NOSUID | _NODEV | _NOEXEC)
     os.symlink("/proc/self/fd", f"{folder}/dev/fd")
     os.chdir(folder)
-    _call("syscall", _machine()[1], b".", b".")
+    _call("syscall", _machine()[1]["pivot_root"], b".", b".")
     _call("umount2", b".", _MNT_DETACH)
     os.chdir("/")
     _set_attributes(_AT_FDCWD, "/", 0, _READ_ONLY | _NOSUID | _NODEV)
@@ -257,7 +265,7 @@ def _give_up_privileges() -> None:
     """Become nobody, without capabilities or a way to get any, and without the keys of the user."""
     _start_loopback()
     with suppress(OSError):  # of a system without keys
-        _call("syscall", _machine()[2], 1, None)
+        _call("syscall", _machine()[1]["keyctl"], 1, None)
     with suppress(OSError):  # past the last of them
         for capability in range(64):
             _prctl(_CAPBSET_DROP, capability)
@@ -272,42 +280,44 @@ def _give_up_privileges() -> None:
 
 
 def _filter_calls() -> None:
-    """Refuse what hosts could tell each other things by that no namespace keeps apart: keys, and files that both read.
+    """Refuse what hosts could tell each other things by that no namespace keeps apart: keys, sockets, files of others.
 
     A lock is granted and not taken: their own files nobody else can lock.
     """
-    architecture, _, keyctl, refused, flock, fcntl = _machine()
-    rules = [
+    architecture, of = _machine()
+
+    def refuse(number: int, error: int) -> list[tuple[int, ...]]:
+        return [(_IF_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ERROR | error)]
+
+    def look(call: str, argument: int, *rules: tuple[int, ...]) -> list[tuple[int, ...]]:
+        return [(_IF_EQUAL, 0, len(rules) + 1, of[call]), (_LOAD, 0, 0, 16 + 8 * argument), *rules]
+
+    rules: list[tuple[int, ...]] = [
         (_LOAD, 0, 0, 4),
         (_IF_EQUAL, 1, 0, architecture),
         (_RETURN, 0, 0, _ERROR | errno.ENOSYS),
-        (_LOAD, 0, 0, 0),
     ]
-    rules += [(0x35, 0, 1, 0x40000000), (_RETURN, 0, 0, _ERROR | errno.ENOSYS)]  # of the x32 ABI
-
-    def answer(number: int, error: int) -> None:
-        rules.extend([(_IF_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ERROR | error)])
-
-    for call in (keyctl, *refused):
-        answer(call, errno.ENOSYS)
-    answer(flock, 0)
-    rules.extend([(_IF_EQUAL, 1, 0, fcntl), (_RETURN, 0, 0, _ALLOW), (_LOAD, 0, 0, 24)])
-    for command in _SET_LOCK:
-        answer(command, 0)
-    for command in _NOTIFY:
-        answer(command, errno.EINVAL)
+    rules += [(_LOAD, 0, 0, 0), (_IF_LARGE, 0, 1, 0x40000000), (_RETURN, 0, 0, _ERROR | errno.ENOSYS)]  # the x32 ABI
+    for number in (*(of[call] for call in _OF_MACHINE[4:]), *_REFUSED):
+        rules += refuse(number, errno.ENOSYS)
+    rules += refuse(of["flock"], 0)
+    locks = [rule for command in _SET_LOCK for rule in refuse(command, 0)]
+    notices = [rule for command in _NOTIFY for rule in refuse(command, errno.EINVAL)]
+    rules += look("fcntl", 1, *locks, *notices, (_RETURN, 0, 0, _ALLOW))
+    known = [(_IF_EQUAL, len(_FAMILIES) - place, 0, family) for place, family in enumerate(_FAMILIES)]
+    rules += look("socket", 0, *known, (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT), (_RETURN, 0, 0, _ALLOW))
     rules.append((_RETURN, 0, 0, _ALLOW))
     program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *rule) for rule in rules))
-    told = struct.pack("@HP", len(rules), ctypes.addressof(program))
-    _call("prctl", _SECCOMP, _FILTER, told)
+    _call("prctl", _SECCOMP, _FILTER, struct.pack("@HP", len(rules), ctypes.addressof(program)))
 
 
-def _machine() -> tuple[int, int, int, tuple[int, ...], int, int]:
-    """The numbers of this machine. Raises OSError where they are not known."""
+def _machine() -> tuple[int, dict[str, int]]:
+    """This machine's architecture and numbers of system calls. Raises OSError where they are not known."""
     name = os.uname().machine
-    if name not in _OF_MACHINES:
-        raise OSError(f"its architecture {name} is not one of {', '.join(_OF_MACHINES)}")
-    return _OF_MACHINES[name]
+    if name not in _MACHINES:
+        raise OSError(f"its architecture {name} is not one of {', '.join(_MACHINES)}")
+    architecture, numbers = _MACHINES[name]
+    return architecture, dict(zip(_OF_MACHINE, numbers, strict=True))
 
 
 def _start_loopback() -> None:

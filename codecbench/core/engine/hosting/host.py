@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from codecbench.core.contracts.confinement import confinement, supervised, wanted
-from codecbench.core.contracts.held_folder import HeldFolder, left_running
+from codecbench.core.contracts.held_folder import HeldFolder, left_running, open_plain
 from codecbench.core.engine.foreign_errors import ended
 from codecbench.core.engine.hosting.channel import (
     CRASH_FILE,
@@ -205,7 +205,7 @@ class Host:
             loss = PluginLoss(ended(128 - status if status > 128 else status))
         except subprocess.TimeoutExpired:
             return PluginLoss("it closed the connection of its process")
-        with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=_open_plain) as file:
+        with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=open_plain) as file:
             if trace := file.read(LONGEST_TRACE):
                 loss.add_note(f"in its host:\n{trace}")
         return loss
@@ -225,11 +225,6 @@ class _Asking(Channel):
                 return super().call(target, name, *arguments, **words)
             finally:
                 self.depth -= 1
-
-
-def _open_plain(path: str, flags: int) -> int:
-    """Open what a plugin may have made a link to a file that it cannot read, or a pipe that nobody writes to."""
-    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
 def cache_variable() -> dict[str, str]:

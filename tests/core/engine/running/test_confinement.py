@@ -157,6 +157,11 @@ class Prying(Codec[PryingParams]):
             os.kill(os.getppid(), number)
         daemon()
 
+    def do_deep(self):
+        for _ in range(1500):
+            os.mkdir("deep")
+            os.chdir("deep")
+
     def do_link(self):
         os.remove("crash")
         os.symlink("/etc/hostname", "crash")
@@ -173,6 +178,8 @@ class Prying(Codec[PryingParams]):
                  if os.path.lexists(f"/proc/self/fd/{name}")]
         own = ("pipe:", "/memfd:codecbench", "/dev/null", os.getcwd() + "/")
         assert not [name for name in names if not name.startswith(own)], names
+        with suppress(OSError):
+            raise AssertionError(socket.socket(40, socket.SOCK_STREAM))  # that of virtual machines
         assert not glob.glob("/home/*") + glob.glob("/run/*") + glob.glob("/var/*"), os.listdir("/")
         assert [path for path in glob.glob(f"/tmp/*") if not os.environ["PLACE"].startswith(path)
                 and not os.getcwd().startswith(path)] == [], os.listdir("/tmp")
@@ -232,6 +239,7 @@ DEEDS = {
     "look": "",
     "parent": "",
     "leave": "",
+    "deep": "",
     "home": ABSENT,
     "network": "[Errno 111] Connection refused",
     "datagram": "OSError: [Errno 101] Network is unreachable",
