@@ -34,10 +34,10 @@ _CLONE_NEW: Final = 0x10000000 | 0x20000 | 0x20000000 | 0x40000000 | 0x8000000 |
 """User, mounts, processes, network, IPC and host name."""
 _OPEN_TREE, _MOVE_MOUNT, _MOUNT_SETATTR = 428, 429, 442
 _OF_MACHINE: Final = ("pivot_root", "socket", "flock", "fcntl", "keyctl", "request_key", "add_key", "inotify_init",
-                      "inotify_init1", "fanotify_init", "perf_event_open")  # fmt: skip
-_LATER: Final = (41, 198, 32, 25, 219, 218, 217, 26, 26, 262, 241)
+                      "inotify_init1", "fanotify_init", "perf_event_open", "syslog")  # fmt: skip
+_LATER: Final = (41, 198, 32, 25, 219, 218, 217, 26, 26, 262, 241, 116)
 _MACHINES: Final = {
-    "x86_64": (0xC000003E, (155, 41, 73, 72, 250, 249, 248, 253, 294, 300, 298)),
+    "x86_64": (0xC000003E, (155, 41, 73, 72, 250, 249, 248, 253, 294, 300, 298, 103)),
     "aarch64": (0xC00000B7, _LATER),
     "riscv64": (0xC00000F3, _LATER),
 }
