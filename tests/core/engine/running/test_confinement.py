@@ -48,6 +48,8 @@ libc = ctypes.CDLL(None, use_errno=True)
 
 
 def daemon():
+    with suppress(OSError):
+        (HOME / "daemon").write_text("runs")
     if os.fork() == 0:
         os.setsid()
         if os.fork() == 0:
@@ -157,6 +159,9 @@ class Prying(Codec[PryingParams]):
             os.kill(os.getppid(), number)
         daemon()
 
+    def do_daemon(self):
+        daemon()
+
     def do_deep(self):
         for _ in range(1500):
             os.mkdir("deep")
@@ -239,6 +244,7 @@ DEEDS = {
     "look": "",
     "parent": "",
     "leave": "",
+    "daemon": "",
     "deep": "",
     "home": ABSENT,
     "network": "[Errno 111] Connection refused",
@@ -307,6 +313,12 @@ def workers(place: Place) -> dict[str, dict[str, object]]:
         record = json.loads(path.read_text())
         found[record["cell"]["codec"]["params"].get("deed", "png")] = record["worker"]
     return found
+
+
+def call_anew(place: Place, *words: str, **variables: str) -> Done:
+    """Call the command where nothing is remembered of what plugins offer."""
+    with tempfile.TemporaryDirectory(dir=place.folder) as cache:
+        return place.call(*words, CODECBENCH_CACHE=cache, **variables)
 
 
 def left_running(place: Place) -> list[str]:
@@ -446,30 +458,31 @@ def test_those_deeds_succeed_unconfined(place: Place) -> None:
 
 @pytest.mark.thorough
 def test_what_plugins_do_to_their_process_costs_their_rows_unconfined(place: Place) -> None:
-    deeds = ("none", "crash", "exit", "nonsense", "forge", "parent")
+    deeds = ("none", "daemon", "crash", "exit", "nonsense", "forge", "parent")
     assert run(place, *deeds, confine=False).status == 1
     found = reasons(place)
-    assert (found.pop("png"), found.pop("none")) == (("ok", ""), ("ok", ""))
+    assert [found.pop(deed) for deed in ("png", "none", "daemon")] == [("ok", "")] * 3
     del found["parent"]  # it may end its supervisor, and leaves nothing running all the same
-    assert {deed: DEEDS[deed] in reason for deed, (_, reason) in found.items()} == dict.fromkeys(deeds[1:-1], True), (
+    assert {deed: DEEDS[deed] in reason for deed, (_, reason) in found.items()} == dict.fromkeys(deeds[2:-1], True), (
         found
     )
-    assert [path.name for path in (place.folder / "victim").iterdir()] == ["imported"]
+    assert {path.name for path in (place.folder / "victim").iterdir()} == {"imported", "daemon"}
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("words", [["list", "codecs"], ["--confine", "list", "codecs"]], ids=" ".join)
 def test_what_a_plugin_starts_while_it_is_described_ends(place: Place, words: list[str]) -> None:
-    assert "prying" in place.call(*words, VICTIM=str(place.folder), DAEMON="1").output
+    assert "prying" in call_anew(place, *words, VICTIM=str(place.folder), DAEMON="1").output
     assert left_running(place) == []
+    assert (place.folder / "daemon").exists() == ("--confine" not in words)
 
 
 @pytest.mark.thorough
 def test_listing_imports_plugins_where_they_are_confined(place: Place) -> None:
     victim = place.folder / "victim"
-    assert "prying" in place.call("--confine", "list", "codecs", VICTIM=str(victim)).output
+    assert "prying" in call_anew(place, "--confine", "list", "codecs", VICTIM=str(victim)).output
     assert list(victim.iterdir()) == []
-    assert "prying" in place.call("list", "codecs", VICTIM=str(victim)).output
+    assert "prying" in call_anew(place, "list", "codecs", VICTIM=str(victim)).output
     assert (victim / "imported").exists(), "what is confined must be seen to be possible"
 
 
