@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -19,6 +20,7 @@ from installed_command import Done, Place
 
 from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.confinement import VARIABLE, confinement, paths_named
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.engine.hosting.host import Host, PluginFault
 
 MATRIX = """
@@ -268,6 +270,19 @@ FREE_FOR_ALL = ("home", "frame", "run", "network", "leave", "package")
 """Deeds that succeed where nothing is confined, or that find what they left."""
 
 
+@functools.cache
+def impossible() -> str:
+    """Why nothing can be confined here; empty where it can."""
+    try:
+        confinement()
+    except CodecbenchError as error:
+        return str(error)
+    return ""
+
+
+confines = pytest.mark.skipif(bool(impossible()), reason=impossible())
+
+
 @pytest.fixture
 def place(tmp_path: Path) -> Place:
     place = Place(tmp_path)
@@ -333,6 +348,7 @@ def left_running(place: Place) -> list[str]:
     return [pid for pid in os.listdir("/proc") if pid.isdigit() and str(place.folder).encode() in environment_of(pid)]
 
 
+@confines
 def test_a_confined_host_sees_what_it_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "1")
     host, data = Host("mine 1"), tmp_path / "data"
@@ -397,14 +413,15 @@ def find(name, folder, key):
 """
 
 
+@confines
 @pytest.mark.thorough
-@pytest.mark.parametrize("confines", ["0", "1"])
+@pytest.mark.parametrize("confined", ["0", "1"])
 def test_confined_hosts_find_nothing_of_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, confines: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, confined: str
 ) -> None:
     (tmp_path / "neighbors.py").write_text(NEIGHBORS)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(VARIABLE, confines)
+    monkeypatch.setenv(VARIABLE, confined)
     encodes, decodes = Host("mine 1", "encode"), Host("mine 1", "decode")
     try:
         name = f"codecbench-{os.getpid()}"
@@ -414,7 +431,7 @@ def test_confined_hosts_find_nothing_of_each_other(
         encodes.end()
         decodes.end()
     everything = {"folder", "socket", "shm", "process", "sysv", "key", "lock"}
-    assert set(found) == (set() if confines == "1" else everything if key >= 0 else everything - {"key"})
+    assert set(found) == (set() if confined == "1" else everything if key >= 0 else everything - {"key"})
 
 
 def test_paths_that_a_question_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -428,6 +445,7 @@ def test_paths_that_a_question_names(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert paths_named(["mine", {"path": "tests"}]) == set()
 
 
+@confines
 @pytest.mark.thorough
 def test_confined_plugins_reach_neither_files_nor_network_nor_processes(place: Place) -> None:
     done = run(place, *DEEDS)
@@ -469,6 +487,7 @@ def test_what_plugins_do_to_their_process_costs_their_rows_unconfined(place: Pla
     assert {path.name for path in (place.folder / "victim").iterdir()} == {"imported", "daemon"}
 
 
+@confines
 @pytest.mark.thorough
 @pytest.mark.parametrize("words", [["list", "codecs"], ["--confine", "list", "codecs"]], ids=" ".join)
 def test_what_a_plugin_starts_while_it_is_described_ends(place: Place, words: list[str]) -> None:
@@ -477,6 +496,7 @@ def test_what_a_plugin_starts_while_it_is_described_ends(place: Place, words: li
     assert (place.folder / "daemon").exists() == ("--confine" not in words)
 
 
+@confines
 @pytest.mark.thorough
 def test_listing_imports_plugins_where_they_are_confined(place: Place) -> None:
     victim = place.folder / "victim"
@@ -486,6 +506,7 @@ def test_listing_imports_plugins_where_they_are_confined(place: Place) -> None:
     assert (victim / "imported").exists(), "what is confined must be seen to be possible"
 
 
+@confines
 @pytest.mark.thorough
 def test_a_confined_host_that_hangs_is_given_up_and_its_processes_end(place: Place) -> None:
     text = MATRIX.replace("timeout_s: 60", "timeout_s: 3")
@@ -499,6 +520,7 @@ def test_a_confined_host_that_hangs_is_given_up_and_its_processes_end(place: Pla
     assert left_running(place) == []
 
 
+@confines
 @pytest.mark.thorough
 def test_confined_results_are_those_of_other_runs(place: Place) -> None:
     assert run(place, "none", confine=False).status == 0
@@ -511,6 +533,7 @@ def test_confined_results_are_those_of_other_runs(place: Place) -> None:
     assert list((place.folder / "victim").iterdir()) == []
 
 
+@confines
 @pytest.mark.thorough
 def test_plugins_on_dask_workers_are_confined(place: Place) -> None:
     pytest.importorskip("distributed", reason="the extra codecbench[dask] is not installed")
@@ -521,6 +544,7 @@ def test_plugins_on_dask_workers_are_confined(place: Place) -> None:
     assert list((place.folder / "victim").iterdir()) == []
 
 
+@confines
 @pytest.mark.thorough
 def test_where_nothing_confines_nothing_runs(place: Place) -> None:
     (place.folder / "m.yaml").write_text(MATRIX.replace("DEEDS", "none").replace("EXECUTOR", "local"))
@@ -552,6 +576,7 @@ sys.exit(main())
 LOADS = "import subprocess, sys, codecbench; subprocess.run([sys.executable, '-c', ''], check=True)"
 
 
+@confines
 @pytest.mark.thorough
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_users_without_privileges_confine_too() -> None:
@@ -567,6 +592,7 @@ def test_users_without_privileges_confine_too() -> None:
     assert done.stdout == "65534\n", done.stderr
 
 
+@confines
 @pytest.mark.thorough
 def test_a_host_that_is_killed_ends_all_that_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "1")

@@ -28,9 +28,9 @@ CODEC_FAULTS = {
     "raise": ("failed", "coding failed: encode, frame 2: ZeroDivisionError: divided by nothing"),
     "full": ("failed", "coding failed: encode, frame 2: OSError: [Errno 28] no room for the codec's own files"),
     "exit": ("failed", "coding failed: encode, frame 2: SystemExit: leaving"),
-    "leave": ("crashed", "coding failed: its worker exited with status 0"),
-    "segfault": ("crashed", "coding failed: its worker died of SIGSEGV"),
-    "abort": ("crashed", "coding failed: its worker died of SIGABRT"),
+    "leave": ("crashed", "coding failed: encode: it ended its process with status 0"),
+    "segfault": ("crashed", "coding failed: encode: it ended its process by SIGSEGV"),
+    "abort": ("crashed", "coding failed: encode: it ended its process by SIGABRT"),
     "hang": ("timed_out", "coding failed: no result within 15 s"),
     "hog": ("failed", "coding failed: encode, frame 2: "),
     "drip": ("failed", "coding failed: encode, frame 2: "),
@@ -71,7 +71,8 @@ WHOLE_FAULTS = {
 }
 
 
-LIMITS = "workers: 2, timeout_s: 600, memory_mb: 300"
+LIMITS = "workers: 2, timeout_s: 600, memory_mb: 400"
+"""Room for 200 MB that a codec leaks, beside the processes of its host and of the dataset's."""
 SHORT = "workers: 1, timeout_s: 15"
 """For what hangs, alone: a limit that nothing else reaches on a busy machine would be long to wait for."""
 
@@ -106,7 +107,7 @@ def test_every_codec_fault_costs_its_own_cells_alone(
     for cell, record in (*bench.records(plan).values(), *bench.records(hanging).values()):
         status, reason = CODEC_FAULTS.get(cell.codec.params["fault"], ("ok", ""))
         if cell.codec.params["fault"] == "drip" and record.status == "crashed":  # seen from outside before its limit
-            assert "memory_mb allows 300" in record.reason
+            assert "memory_mb allows 400" in record.reason
             continue
         assert (record.status, unblamed(record.reason)[: len(reason)]) == (status, reason), cell.codec.label
         assert "codec faulty of faults 1.0" in record.reason or status == "ok"
@@ -131,7 +132,7 @@ def test_every_decoder_fault_names_its_frame(bench: Bench) -> None:
             assert (record.status, unblamed(record.reason)) == expected
             assert "Traceback" in record.traceback
         elif cell.codec.params["fault"] == "jump":
-            assert (record.status, unblamed(record.reason)) == ("crashed", "its worker died of SIGSEGV")
+            assert (record.status, unblamed(record.reason)) == ("crashed", "decode: it ended its process by SIGSEGV")
             assert "decode_jump" in record.traceback
         else:
             assert record.status == "ok"

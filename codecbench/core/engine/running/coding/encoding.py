@@ -27,8 +27,8 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
     for index in range(len(sequence)):
         if index not in images:
             images, ahead = _read(sequence, index, position, alone=not is_hosted), {}
-            position.at("encode", index)
             if is_hosted:
+                position.at("encode", index if len(images) == 1 else None)
                 ahead = dict(enumerate(codec.at_encoder(until_one_fails, "encode", [*images.values()]), index))
         position.at("encode", index)
         packets = encoder.push(images[index], ahead.get(index))
