@@ -20,11 +20,11 @@ from typing import Any
 import pluggy
 
 from codecbench.core.contracts import hooks
-from codecbench.core.contracts.confinement import paths_named
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
 from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
 from codecbench.core.engine.foreign_errors import describe_error
+from codecbench.core.engine.hosting.confinement import paths_named
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
     Host,

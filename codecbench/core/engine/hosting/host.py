@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from codecbench.core.contracts.confinement import confinement, supervised, wanted
 from codecbench.core.contracts.held_folder import HeldFolder, left_running, open_plain
 from codecbench.core.engine.foreign_errors import ended
 from codecbench.core.engine.hosting.channel import (
@@ -32,6 +31,7 @@ from codecbench.core.engine.hosting.channel import (
     PluginTimeout,
     SharedMemory,
 )
+from codecbench.core.engine.hosting.confinement import confinement, supervised, wanted
 
 __all__ = ["Host", "PluginFault", "PluginLoss", "PluginTimeout"]
 

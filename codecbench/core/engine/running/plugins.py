@@ -6,8 +6,8 @@ import platform
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from codecbench.core.contracts.confinement import paths_named
 from codecbench.core.contracts.errors import PluginError
+from codecbench.core.engine.hosting.confinement import paths_named
 from codecbench.core.engine.hosting.host import Host, Role
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.plugin_code import code_label, code_of

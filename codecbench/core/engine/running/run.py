@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.contracts.confinement import confinement, wanted
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status
+from codecbench.core.engine.hosting.confinement import confinement, wanted
 from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugin_code import code_label

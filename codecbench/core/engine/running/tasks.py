@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from codecbench.core.contracts.confinement import wanted
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.hosting.confinement import wanted
 from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.schedule import Work

@@ -14,10 +14,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from codecbench.core.contracts.confinement import VARIABLE, wanted
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.hosting.confinement import VARIABLE, wanted
 from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.registry import Registry

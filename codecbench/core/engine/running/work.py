@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.confinement import VARIABLE, confinement, wanted
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.executor import Status
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.foreign_text import clean_line, clean_text
+from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
 from codecbench.core.engine.hosting.host import PluginLoss
 from codecbench.core.engine.planning.model import Cell, CodingJob
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames

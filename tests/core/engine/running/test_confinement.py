@@ -19,8 +19,8 @@ from distributions import install_source
 from installed_command import Done, Place
 
 from codecbench.core.analysis.collect import open_run
-from codecbench.core.contracts.confinement import VARIABLE, confinement, paths_named
 from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, paths_named
 from codecbench.core.engine.hosting.host import Host, PluginFault
 
 MATRIX = """

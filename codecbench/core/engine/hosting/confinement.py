@@ -16,9 +16,9 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from codecbench.core.contracts import supervisor
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.held_folder import HeldFolder
+from codecbench.core.engine.hosting import supervisor
 
 VARIABLE: Final = "CODECBENCH_CONFINE"
 """The environment variable that asks for confinement: anything but empty or 0."""
