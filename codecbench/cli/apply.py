@@ -43,7 +43,7 @@ def apply(
     For each stack that the codec has a recipe for: parameters of ROS 2, a GStreamer pipeline, a command of ffmpeg, a
     call from Python; and a note where that stack does not code what was measured.
     """
-    from codecbench.cli.screen import say
+    from codecbench.cli.saying import say
     from codecbench.core.analysis.choosing import links_read
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.registry import installed

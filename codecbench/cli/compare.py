@@ -12,7 +12,8 @@ import click
 
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.formats import Format
-from codecbench.cli.screen import plain_table, say
+from codecbench.cli.saying import say
+from codecbench.cli.screen import plain_table
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.comparison import Comparison

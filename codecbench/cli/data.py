@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
 
-from codecbench.cli.screen import Screen, say
+from codecbench.cli.saying import say
+from codecbench.cli.screen import Screen
 
 
 @click.group()

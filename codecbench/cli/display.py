@@ -14,7 +14,8 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as ProgressBar
 from rich.text import Text
 
-from codecbench.cli.screen import Screen, say
+from codecbench.cli.saying import say
+from codecbench.cli.screen import Screen
 from codecbench.core.engine.running.progress import Progress
 
 _LINE_EVERY_S: Final = 60.0

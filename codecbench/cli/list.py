@@ -20,7 +20,7 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
-    from codecbench.cli.screen import say
+    from codecbench.cli.saying import say
     from codecbench.core.engine.foreign_text import clean_line
 
     registry = installed()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli.screen import say
+from codecbench.cli.saying import say
 from codecbench.core.engine.wording import counted
 
 if TYPE_CHECKING:

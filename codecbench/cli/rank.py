@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from codecbench.cli.formats import Format
-from codecbench.cli.screen import plain_table, say
+from codecbench.cli.saying import say
+from codecbench.cli.screen import plain_table
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult

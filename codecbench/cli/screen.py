@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import textwrap
 from collections.abc import Iterable, Sequence
 
-import click
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 
@@ -18,26 +16,8 @@ class Screen(Console):
         raise BrokenPipeError
 
 
-def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None, bold: bool | None = None) -> None:
-    """Print a line that may hold text of others. indent: of the lines after the first where it is wrapped.
-
-    It is wrapped between words on a terminal, and where COLUMNS says how wide that is. Else it stays one line, so that
-    `tail -n 1` has the whole of the last. Paths and addresses are left whole.
-    """
-    from codecbench.core.engine.foreign_text import clean_text
-
-    console, text = Screen(stderr=err), clean_text(text.replace("\n", " "))
-    if console.is_terminal or "COLUMNS" in os.environ:
-        text = textwrap.fill(
-            text, console.width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-        )
-    click.secho(text, err=err, fg=fg, bold=bold)
-
-
 def plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table without lines, that breaks no word as long as its longest words stand beside each other."""
-    from rich.table import Table  # which `codecbench list` needs not wait for
-
     console = Screen()
     rows = list(rows)
     table = Table(show_edge=False, header_style="dim", box=None, pad_edge=False, padding=(0, 2, 0, 0))

@@ -12,7 +12,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from codecbench.cli.screen import Screen, say
+from codecbench.cli.saying import say
+from codecbench.cli.screen import Screen
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult

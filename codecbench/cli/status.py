@@ -15,7 +15,7 @@ import click
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
     """Show how far the run in the RUN folder has got, also while it is running."""
-    from codecbench.cli.screen import say
+    from codecbench.cli.saying import say
     from codecbench.core.engine.storage.store import Store
     from codecbench.core.engine.wording import counted
 

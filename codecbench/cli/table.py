@@ -23,7 +23,7 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
     """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
-    from codecbench.cli.screen import say
+    from codecbench.cli.saying import say
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.analysis.table import NOTES
     from codecbench.core.engine.wording import counted

@@ -18,11 +18,11 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.held_folder import HeldFolder
-from codecbench.core.engine.hosting import supervisor
 
 VARIABLE: Final = "CODECBENCH_CONFINE"
 """The environment variable that asks for confinement: anything but empty or 0."""
 
+_SUPERVISOR: Final = os.path.join(os.path.dirname(os.path.abspath(__file__)), "supervisor.py")
 _PATIENCE_S: Final = 20.0
 
 
@@ -45,7 +45,9 @@ def confinement() -> str:
     if tried.returncode != 0:
         said = " ".join(tried.stderr.split()[-40:]) or f"exit status {tried.returncode}"
         raise _not_possible(f"the system does not let it: {said}")
-    return f"namespaces, user {supervisor.USER}"
+    from codecbench.core.engine.hosting.supervisor import USER  # with ctypes, for which `codecbench list` need not wait
+
+    return f"namespaces, user {USER}"
 
 
 def supervised(
@@ -65,7 +67,7 @@ def supervised(
     shown = [*map(str, shows), *_code_elsewhere()] if confines else None
     paths = [os.path.abspath(path) for path in sys.path]
     told = json.dumps([paths, dies, shown, descriptors, folder, function, arguments])
-    return [sys.executable, "-P", supervisor.__file__, told]
+    return [sys.executable, "-P", _SUPERVISOR, told]
 
 
 def paths_named(arguments: Sequence[Any]) -> set[str]:
