@@ -101,9 +101,9 @@ CODECS: dict[str, _Rows] = {
         "ReturnsLight": (OK, ""),
         "Forks": (OK, ""),
         "ClosesEverything": (CRASHED, "encode: it ended its process with status 1"),
-        "ClosesAndStays": (CRASHED, _FIRST + "it closed the connection of its process"),
-        "AnswersForUs": (FAILED, _FIRST + "it answered nonsense"),
-        "AnswersWithoutEnd": (FAILED, _FIRST + "it answered with more than 64 MB"),
+        "ClosesAndStays": (CRASHED, "encode: it closed the connection of its process"),
+        "AnswersForUs": (FAILED, "encode: it answered nonsense"),
+        "AnswersWithoutEnd": (FAILED, "encode: it answered with more than 64 MB"),
         "FillsThePipe": (OK, ""),
     },
     "decoding": {
@@ -146,7 +146,7 @@ CODECS: dict[str, _Rows] = {
     },
     "patching": {
         "Patches": (OK, ""),
-        "PatchesJson": (FAILED, _FIRST + "it answered nonsense"),
+        "PatchesJson": (FAILED, "encode: it answered nonsense"),
         "PatchesOpen": (OK, ""),
     },
 }
