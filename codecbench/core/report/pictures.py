@@ -24,6 +24,7 @@ from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.declared import offers_of
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
+from codecbench.core.engine.registry import installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
@@ -155,8 +156,9 @@ def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted
 
 
 def _marker(run: RunResult) -> PluginSetting | None:
-    """The first evaluator of the run that marks frames."""
-    settings = dict.fromkeys(result.cell.evaluator for result in run.results)
+    """The first evaluator of the run that marks frames and is installed."""
+    here = {plugin.spec.name for plugin in installed().plugins("evaluator") if plugin.missing is None}
+    settings = dict.fromkeys(result.cell.evaluator for result in run.results if result.cell.evaluator.name in here)
     return next((setting for setting in settings if "marks" in offers_of(run.plan, setting)), None)
 
 

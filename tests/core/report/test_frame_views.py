@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 from report_runs import coded_frame
 
 from codecbench.core.contracts.view import Marks
-from codecbench.core.report.pictures import frame_view
+from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.report.pictures import _marker, frame_view
 
 
 def picture(uri: str) -> np.ndarray:
@@ -39,3 +42,12 @@ def test_marks_are_those_inside_and_the_note_is_of_all() -> None:
     assert view.lost == [100, 75]
     assert view.note == "3 of 5"
     assert frame_view(coded_frame(), 0, (200, 150)).note == ""
+
+
+def test_the_first_evaluator_marks_that_can_and_is_installed() -> None:
+    settings = [PluginSetting("evaluator", name, "1") for name in ("gone", "quality", "features")]
+    offers = {"gone": ["marks"], "quality": [], "features": ["marks"]}
+    declared = {"evaluators": {name: {"offers": offered} for name, offered in offers.items()}}
+    results = [SimpleNamespace(cell=SimpleNamespace(evaluator=setting)) for setting in settings]
+    run: Any = SimpleNamespace(results=results, plan=SimpleNamespace(declared=declared))
+    assert _marker(run) == settings[2]
