@@ -67,6 +67,36 @@ def test_what_is_missing_is_looked_for_each_time_and_imported_never(tmp_path: Pa
     assert counted.imports == 1
 
 
+def test_an_answer_that_no_file_can_hold_is_taken_and_not_remembered(tmp_path: Path) -> None:
+    counted = Counted(tmp_path)
+    counted.offer()
+    module = counted.place.site / "counted.py"
+    patch = "from codecbench.core.engine.registry import Registry\nRegistry.entry_point = lambda *_: {1}\n"
+    module.write_text(module.read_text() + patch)
+    assert [counted.listed() for _ in range(2)] == [("counts", None, [])] * 2
+    assert counted.imports == 2
+
+
+def test_an_answer_about_a_setting_that_is_nonsense_costs_that_setting(tmp_path: Path) -> None:
+    counted = Counted(tmp_path)
+    counted.offer()
+    module = counted.place.site / "counted.py"
+    module.write_text(
+        f"{module.read_text()}\nimport codecbench.core.engine.serving as s\ns.called = lambda *_: {{1}}\n"
+    )
+    matrix = {
+        "version": 1,
+        "name": "m",
+        "sequences": ["synthetic"],
+        "codecs": ["raw", "counted"],
+        "evaluators": ["quality"],
+    }
+    (tmp_path / "m.yaml").write_text(json.dumps(matrix))
+    done = counted.place.call("plan", "m.yaml", "--cells", CODECBENCH_CACHE=str(counted.cache))
+    assert (done.status, "Traceback" in done.output) == (0, False), done.output
+    assert "codec counted of counted 1: it says of itself what has no spelling" in done.output
+
+
 def test_neither_a_damaged_answer_nor_a_faulty_distribution_is_remembered(tmp_path: Path) -> None:
     counted = Counted(tmp_path)
     counted.offer()

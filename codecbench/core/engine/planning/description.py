@@ -99,11 +99,11 @@ def describe(
         answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
         if registry.find(kind, name).hosted:
             registry.told[asked] = answer
-    if "invalid" in answer:
-        raise InvalidParams(answer["invalid"], answer["fields"])
     try:
+        if "invalid" in answer:
+            raise InvalidParams(answer["invalid"], answer["fields"])
         canonical_json(answer)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise PluginFault(
             f"{registry.find(kind, name).title}: it says of itself what has no spelling: {error}"
         ) from None
