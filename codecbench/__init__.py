@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.sequence import Camera, Dataset, Frame, FrameSequence, Origin, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
     from codecbench.core.contracts.stream import LOST, Loss, Packet, Picture, StreamDecoder, StreamEncoder
-    from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
+    from codecbench.core.contracts.view import Drawing, FrameTimeline, KeypointOverlay, Line, TimelineRow, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
     from codecbench.core.engine.planning.one_codec import codec
@@ -98,7 +98,7 @@ _HOMES = {
     _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "FrameSequence", "Origin", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
     _CONTRACTS + "stream": ("LOST", "Loss", "Packet", "Picture", "StreamDecoder", "StreamEncoder"),
-    _CONTRACTS + "view": ("Course", "Drawing", "Lane", "Line", "Marks", "View"),
+    _CONTRACTS + "view": ("Drawing", "FrameTimeline", "KeypointOverlay", "Line", "TimelineRow", "View"),
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
     "codecbench.core.facade": ("Run", "bundle", "open_bundle", "open_run", "run"),
@@ -118,7 +118,7 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-_RENAMED = {"Offer": "PluginSpec", "Sequence": "FrameSequence"}
+_RENAMED = {"Course": "FrameTimeline", "Lane": "TimelineRow", "Marks": "KeypointOverlay"}
 
 
 def __getattr__(name: str) -> Any:

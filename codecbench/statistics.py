@@ -3,7 +3,7 @@
 from codecbench.core.analysis.bjontegaard import BdRate, bd_rate
 from codecbench.core.analysis.evidence import PairedDifference, paired_difference
 from codecbench.core.analysis.verdicts import pareto_front
-from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval
+from codecbench.core.engine.storage.aggregate import AGGREGATES, aggregate, median_interval
 
 __all__ = [
     "AGGREGATES",

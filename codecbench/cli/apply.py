@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from codecbench.cli.completion import codec_names
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
     from codecbench.core.contracts.recipe import Scene
     from codecbench.core.engine.planning.model import CodingJob, PluginSetting
-    from codecbench.core.engine.registry import Registry
+    from codecbench.core.engine.plugins.registry import Registry
 
 
 @click.command()
@@ -46,7 +46,7 @@ def apply(
     from codecbench.cli.saying import say
     from codecbench.core.analysis.choosing import links_read
     from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.report.answers import answers
     from codecbench.core.report.views import Pick, picked
 
@@ -86,14 +86,14 @@ def apply(
 
 def _comment(text: str, *, bold: bool = False, fg: str | None = None) -> None:
     """Print a line that is a comment in YAML, shells and Python, so that all may be pasted; none is wrapped."""
-    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.engine.text import clean_line
 
     click.secho(f"# {clean_line(text)}", bold=bold, fg=fg)
 
 
 def _show(recipe: dict[str, Any]) -> None:
     """A heading, the note, and the text as it is."""
-    from codecbench.core.engine.foreign_text import clean_text
+    from codecbench.core.engine.text import clean_text
 
     _comment(recipe["stack"], bold=True)
     if recipe["note"]:
@@ -142,7 +142,7 @@ def _scene(run: Path, job: CodingJob, frame_rate_hz: float | None, size: str | N
     """The frames of the robot: what is given, and else those of the sequence, which is opened for it."""
     from codecbench.core.contracts.errors import CodecbenchError
     from codecbench.core.contracts.recipe import Scene
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.engine.storage.plan_file import PlanFile
 
     dataset = job.sequence.dataset

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 
 @click.command()
@@ -47,7 +47,7 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     from codecbench.cli.show import show_reasons
     from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
     from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.report.page import write_report
     from codecbench.core.report.tables import notes
 

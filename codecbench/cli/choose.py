@@ -113,7 +113,7 @@ def _run_and_choose(
     from codecbench.cli.display import Display
     from codecbench.cli.run import end, show_cells
     from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 

@@ -24,7 +24,7 @@ def plugin_names(context: click.Context, parameter: click.Parameter, incomplete:
 
 
 def _names(kinds: tuple[Kind, ...], incomplete: str) -> list[str]:
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
 
     names = [plugin.spec.name for kind in kinds for plugin in installed().plugins(kind)]
     return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]

@@ -65,7 +65,7 @@ class Display:
 
     def show(self, progress: Progress) -> None:
         """Take in how far the run is. Raises ClickException where a cell failed and the run is to end then."""
-        from codecbench.core.engine.foreign_text import clean_line
+        from codecbench.core.engine.text import clean_line
 
         first = progress.measured and not self._bar.measured
         self._bar.measured = clean_line(progress.measured) or self._bar.measured

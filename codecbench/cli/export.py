@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from codecbench.cli.completion import codec_names
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import CodingJob
@@ -87,7 +87,7 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
 
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.engine.storage.atomic import write_file
     from codecbench.plugins.codecs.video.codecs import VideoCodec
     from codecbench.plugins.codecs.video.muxing import file_from_packets

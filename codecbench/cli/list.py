@@ -9,8 +9,8 @@ import click
 
 from codecbench.cli.completion import plugin_names
 from codecbench.core.contracts.hooks import KINDS, Kind
-from codecbench.core.engine.plugin import Plugin
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.plugins.plugin import Plugin
+from codecbench.core.engine.plugins.registry import Registry, installed
 
 _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 
@@ -21,7 +21,7 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
     from codecbench.cli.saying import say
-    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.engine.text import clean_line
 
     registry = installed()
     wanted = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)

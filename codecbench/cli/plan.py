@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from codecbench.cli.saying import say
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import Plan
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
-    from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.estimate import estimate
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.engine.running.code_changes import code_notices
     from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
+    from codecbench.core.engine.text import clean_line
     from codecbench.core.rounds.running import planned
 
     made, folder, growth = planned(read_matrix(matrix), out)

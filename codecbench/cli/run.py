@@ -14,7 +14,7 @@ from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.cli.rank import everything_option, show_answer
 from codecbench.cli.screen import Screen
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -54,9 +54,9 @@ def run(
     Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
     result, and 130 if the run was stopped.
     """
-    from codecbench.core.engine.foreign_text import clean_line
     from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
+    from codecbench.core.engine.text import clean_line
     from codecbench.core.rounds.running import run_matrix
 
     for problem in installed().problems:

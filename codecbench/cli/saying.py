@@ -9,7 +9,7 @@ import textwrap
 
 import click
 
-from codecbench.core.engine.foreign_text import clean_text
+from codecbench.core.engine.text import clean_text
 
 
 def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None, bold: bool | None = None) -> None:

@@ -17,7 +17,7 @@ def status(run: Path, as_json: bool, failed: bool) -> None:
     """Show how far the run in the RUN folder has got, also while it is running."""
     from codecbench.cli.saying import say
     from codecbench.core.engine.storage.store import Store
-    from codecbench.core.engine.wording import counted
+    from codecbench.core.engine.text import counted
 
     store = Store(run)
     plan = store.read_plan()

@@ -26,7 +26,7 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
     from codecbench.cli.saying import say
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.analysis.table import NOTES
-    from codecbench.core.engine.wording import counted
+    from codecbench.core.engine.text import counted
     from codecbench.core.report.tables import chosen_columns, exported, short_table, varying
 
     result = open_nonempty_run(run)

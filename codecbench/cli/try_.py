@@ -62,7 +62,7 @@ def try_(
     """
     click.echo(f"looking at {path} ...", err=True)
     made = _made(path, codecs, aim, minutes, fov, set_)
-    from codecbench.core.engine.wording import counted
+    from codecbench.core.engine.text import counted
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
     click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")
@@ -118,7 +118,7 @@ def _made(
 
     with_notes: also what its dataset says of it, which else the run does.
     """
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.trial.trial import added_params, fitted, looked_at
 
     recording = looked_at(path, fov, added_params(set_))

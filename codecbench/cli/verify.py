@@ -21,8 +21,8 @@ from codecbench.core.conformance.harness import Check
 from codecbench.core.conformance.settings import setting_from_text, setting_label
 from codecbench.core.conformance.suite import CHECKS, CheckResult, checks_of
 from codecbench.core.contracts.errors import PluginError
-from codecbench.core.engine.plugin import Plugin
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.plugin import Plugin
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}

@@ -43,7 +43,7 @@ def verify_run(
     last bit. The exit status is 1 if a cell differs, or none could be computed.
     """
     from codecbench.core.analysis.verification import verify_run as verified
-    from codecbench.core.engine.foreign_text import clean_line
+    from codecbench.core.engine.text import clean_line
 
     found = verified(
         bundle, cells=cells, seed=seed, tolerance=tolerance, out=out, workers=workers, sequences_from=sequences_from,

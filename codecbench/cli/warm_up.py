@@ -33,7 +33,7 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, p
     For container images, continuous integration and other machines; a run does the same at its beginning. With
     --record, do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.engine.running.warm_up import all_kernels, kernels_to_compile
 
     out = out and out.absolute()
@@ -52,7 +52,7 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, p
 
 def _compile(wanted: WarmUp, workers: int | None) -> None:
     from codecbench.cli.screen import Screen
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.engine.running.work import prepare_worker
 
     started = time.monotonic()

@@ -20,7 +20,7 @@ from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bund
 from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.matrix import matrix_from, read_matrix
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES

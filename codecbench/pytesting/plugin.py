@@ -110,7 +110,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 @pytest.fixture(scope="session")
 def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
     """The file of `--codecbench-baseline`, with what it lacks added at the end of the session."""
-    from codecbench.core.engine.environment import describe_machine
+    from codecbench.core.engine.storage.environment import describe_machine
     from codecbench.pytesting.baseline import Baseline
 
     option = request.config.getoption("--codecbench-baseline")
@@ -129,7 +129,7 @@ def _cases(text: str) -> list[CodecCase]:
 
     from codecbench.core.conformance.settings import setting_from_text, setting_label
     from codecbench.core.contracts.errors import CodecbenchError, Unsupported
-    from codecbench.core.engine.registry import installed, loads
+    from codecbench.core.engine.plugins.registry import installed, loads
 
     registry = installed()
     name, _, rest = text.strip().partition(" ")

@@ -44,7 +44,7 @@ def choose(
     """
     from codecbench.core.analysis.choosing import Demand, candidates
     from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.registry import installed
+    from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.rounds.running import run_matrix
     from codecbench.trial.link_matrix import link_matrix
 

@@ -9,13 +9,13 @@ from typing import Any, Final
 
 from codecbench.core.analysis.choosing import Demand
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.contracts.metric import Metric, Need
-from codecbench.core.engine.planning.aim import metrics_of
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, matrix_from, read_matrix
+from codecbench.core.engine.planning.objective import metrics_of
 from codecbench.core.engine.planning.until import repeats_of
 from codecbench.core.engine.planning.yaml_file import written
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.simulation.settings import LinkSettings
 
 _REPEATS: Final = 20
@@ -78,12 +78,12 @@ def _missing(given: Matrix, over: list[Entry], demand: Demand) -> Iterator[dict[
     metrics = [metric for entry in given.evaluators for metric in metrics_of(entry)]
     if not any(metric.role == "rate" and metric.headline for metric in metrics):
         yield {"use": "stream", "params": {"joins": 0}}
-    if demand.device_factor is not None and not any(metric.need == "encoding" for metric in metrics):
+    if demand.device_factor is not None and not any(metric.quantity == "encoding" for metric in metrics):
         yield {"use": "timing"}
     for place, way in enumerate(ways):
         if way in ways[:place]:
             continue
-        there = {metric.need for entry in over if _way(entry) == way for metric in metrics_of(entry)}
+        there = {metric.quantity for entry in over if _way(entry) == way for metric in metrics_of(entry)}
         link = {"link": demand.link, **way}
         if demand.deadline_ms is not None and "delay" not in there:
             yield {"use": "delivery", "params": {**link, "repeats": _REPEATS}}
@@ -111,12 +111,12 @@ def _of_link(item: Mapping[str, Any]) -> str:
 def _to_decide(made: Matrix, demand: Demand) -> dict[str, Any] | None:
     """What is to be decided by adding repeats; None where none can be added."""
     for entry in made.evaluators:
-        metric = _with_need(entry, "error")
+        metric = _with_quantity(entry, "error")
         title = entry.setting.title
         if metric and _is_over(entry, demand.link) and repeats_of(title, made.evaluators) >= _FEWEST:
             return {"metric": f"{title}.{metric.name}", "max": demand.error_m}
     return None
 
 
-def _with_need(entry: Entry, need: Need) -> Metric | None:
-    return next((metric for metric in metrics_of(entry) if metric.need == need), None)
+def _with_quantity(entry: Entry, quantity: Quantity) -> Metric | None:
+    return next((metric for metric in metrics_of(entry) if metric.quantity == quantity), None)

@@ -12,7 +12,7 @@ from statistics import median
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.plugins.evaluators.timing.clock import timed, yardstick
 from codecbench.trial.recording import Recording
 

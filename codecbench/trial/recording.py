@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, ParamsError
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
-from codecbench.core.engine.registry import Registry
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.plugins.registry import Registry
+from codecbench.core.engine.text import clean_line, counted
 from codecbench.plugins.datasets.files import EXTENSIONS
 
 _MOST_SIZES: Final = 3

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codecbench.core.contracts.errors import DatasetError, ParamsError
-from codecbench.core.engine.registry import Registry, installed
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.plugins.registry import Registry, installed
+from codecbench.core.engine.text import counted
 from codecbench.trial.focal_length import fov_deg_of
 from codecbench.trial.recording import MOST_SAID, Recording, less, recognised, said_of, unreadable
 
 if TYPE_CHECKING:
     from codecbench.core.facade import Run
-    from codecbench.trial.trial_matrix import Aim, TrialMatrix
+    from codecbench.trial.trial_matrix import Purpose, TrialMatrix
 
 
 def looked_at(
@@ -56,7 +56,7 @@ def fitted(
     registry: Registry,
     recording: Recording,
     codecs: Sequence[str] = (),
-    aim: Aim | None = None,
+    aim: Purpose | None = None,
     minutes: float | None = None,
 ) -> TrialMatrix:
     """The matrix that suits a recording, as `trial_matrix`, without frames that cannot be read, which its choices say.
@@ -98,7 +98,7 @@ def trial(
     path: str | Path,
     *,
     codecs: Sequence[str] = (),
-    aim: Aim | None = None,
+    aim: Purpose | None = None,
     minutes: float | None = None,
     fov_deg: float | None = None,
     params: dict[str, Any] | None = None,

@@ -16,16 +16,16 @@ from codecbench.core.engine.planning.estimate import START_S, estimate
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.model import Plan, SequenceEntry
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.planning.search import EVERY, Extent
+from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
 from codecbench.core.engine.planning.search_section import PASSES
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.running.warm_up import kernels_to_compile
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 from codecbench.trial.pace import Pace, measured_pace
 from codecbench.trial.recording import Recording
-from codecbench.trial.wanted_codecs import WantedCodec, read_codec
+from codecbench.trial.requested_codecs import WantedCodec, read_codec
 
-Aim = Literal["tracking", "quality", "speed"]
+Purpose = Literal["tracking", "quality", "speed"]
 
 _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
 """From coarse to fine. The last ones are left out first if there is no time."""
@@ -55,7 +55,7 @@ class TrialMatrix:
     """
 
     text: str
-    aim: Aim
+    aim: Purpose
     frames: int
     settings: int
     estimated_s: float
@@ -73,7 +73,7 @@ class TrialMatrix:
         return 1.1 * self.minutes
 
 
-def suited_aim(recording: Recording) -> Aim:
+def suited_aim(recording: Recording) -> Purpose:
     """Tracking where SLAM can run, else the quality of the pictures."""
     return "tracking" if recording.has_camera and recording.frames >= _FEWEST["tracking"] else "quality"
 
@@ -82,7 +82,7 @@ def trial_matrix(
     registry: Registry,
     recording: Recording,
     codecs: Sequence[str] = (),
-    aim: Aim | None = None,
+    aim: Purpose | None = None,
     minutes: float | None = None,
 ) -> TrialMatrix:
     """The matrix of a recording, as many frames of it as can be expected to take the `minutes`.
@@ -115,7 +115,7 @@ def trial_matrix(
 
 
 def _fitting(
-    registry: Registry, recording: Recording, codecs: list[str], aim: Aim, minutes: float, chosen: list[str]
+    registry: Registry, recording: Recording, codecs: list[str], aim: Purpose, minutes: float, chosen: list[str]
 ) -> _Draft:
     """The matrix that can be expected to take the `minutes`: with fewer codecs and frames, and that is said."""
     texts = codecs or _usual(registry, recording)
@@ -154,7 +154,7 @@ def _fitting(
     return draft
 
 
-def _why(aim: Aim, recording: Recording) -> str:
+def _why(aim: Purpose, recording: Recording) -> str:
     """Why this is what codecs are judged by, and how it would be tracking where that is a parameter away."""
     if aim == "tracking":
         return "the camera is known, so codecs are judged by what SLAM makes of their pictures (--for tracking)"
@@ -185,7 +185,7 @@ class _Draft:
     registry: Registry
     recording: Recording
     codecs: tuple[WantedCodec, ...]
-    aim: Aim
+    aim: Purpose
     frames: int
     pace: Pace
 
@@ -200,13 +200,13 @@ class _Draft:
         titles = [evaluator.setting.title for evaluator in matrix.evaluators]
         often = {"trajectory"} if titles == ["quality", "trajectory", "timing"] else set(titles) - {"trajectory"}
         repeats = {
-            (entry.name, setting, title): EVERY
+            (entry.name, setting, title): ALL_REPEATS
             for search in matrix.searches
             for place, setting in enumerate(search.settings[: _tries(len(search.settings))])
             for title in titles
             if place == 0 or title == "quality" or (title in often and title != "timing")
         }
-        return make_plan(matrix, self.registry, extent=Extent(repeats), sequences=[entry])
+        return make_plan(matrix, self.registry, extent=PlanScope(repeats), sequences=[entry])
 
     @cached_property
     def seconds(self) -> float:

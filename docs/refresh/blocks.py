@@ -15,8 +15,8 @@ from typing import Any, Final
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.hooks import KINDS, Kind
-from codecbench.core.engine.environment import describe_environment
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
+from codecbench.core.engine.storage.environment import describe_environment
 
 Plugins = frozenset[tuple[str, str, str]]
 """Kind, name and version."""

@@ -26,7 +26,7 @@ from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.answers import Answer, Answers, answers
 from codecbench.core.report.costs import coding_ms, rate_cell
 from codecbench.core.report.formatting import signed_percent

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import codecbench
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 COMMANDS = {
     "python -c pass": [sys.executable, "-c", "pass"],

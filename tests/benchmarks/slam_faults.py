@@ -47,42 +47,42 @@ class Shown:
     black: bool = False
 
 
-Course = list[Shown]
+ShownFrames = list[Shown]
 """What one SLAM is shown."""
 
 
-def course(indices: list[int], rate_hz: float = RATE_HZ) -> Course:
+def course(indices: list[int], rate_hz: float = RATE_HZ) -> ShownFrames:
     """Frames in this order, one after another at the rate of the camera."""
     return [Shown(index, place / rate_hz) for place, index in enumerate(indices)]
 
 
-def blackened(frames: Course, first: int, last: int) -> Course:
+def blackened(frames: ShownFrames, first: int, last: int) -> ShownFrames:
     """The frames with those from place `first` to `last` black."""
     return [replace(frame, black=first <= place <= last) for place, frame in enumerate(frames)]
 
 
-def in_two_parts(one: range, other: range, black: int) -> tuple[Course, Course]:
+def in_two_parts(one: range, other: range, black: int) -> tuple[ShownFrames, ShownFrames]:
     """The frames of two parts of a sequence with so many black ones between them, and without."""
     gap = [one[-1]] * black
     return blackened(course([*one, *gap, *other]), len(one), len(one) + black - 1), course([*one, *other])
 
 
-def in_bursts(frames: Course, seconds: float) -> list[bool]:
+def in_bursts(frames: ShownFrames, seconds: float) -> list[bool]:
     """Which frames lie in one of three bursts of this length."""
     starts = [round(share * len(frames)) for share in _BURSTS]
     length = round(seconds / interval_s(frames))
     return [any(start <= place < start + length for start in starts) for place in range(len(frames))]
 
 
-def interval_s(frames: Course) -> float:
+def interval_s(frames: ShownFrames) -> float:
     """Seconds between two frames of a course."""
     return frames[1].time_s - frames[0].time_s
 
 
-def faults(frames: Course) -> Iterator[tuple[str, Course]]:
+def faults(frames: ShownFrames) -> Iterator[tuple[str, ShownFrames]]:
     """Each fault of the table with what is left to show, drawn at random from a fixed seed."""
 
-    def kept(share: float) -> Course:
+    def kept(share: float) -> ShownFrames:
         there = np.random.default_rng(0).random(len(frames)) >= share
         return [frame for frame, present in zip(frames, there, strict=True) if present]
 
@@ -155,14 +155,14 @@ class Film:
         pairs = associate(none, self.sequence.ground_truth, _ASSOCIATION_S)
         return dict(zip(pairs.estimate.timestamps_s.tolist(), pairs.reference.world_from_camera, strict=True))
 
-    def truth(self, frames: Course) -> Trajectory:
+    def truth(self, frames: ShownFrames) -> Trajectory:
         """Where the camera was when it took what is shown, at the times at which it is shown."""
         stamps = self.sequence.timestamps_s
         known = [(frame.time_s, self.poses.get(float(stamps[frame.index]))) for frame in frames if not frame.black]
         present = [(time_s, pose) for time_s, pose in known if pose is not None]
         return Trajectory(np.array([time_s for time_s, _ in present]), np.array([pose for _, pose in present]))
 
-    def outcome(self, frames: Course) -> Outcome:
+    def outcome(self, frames: ShownFrames) -> Outcome:
         """What SLAM makes of them."""
         system = system_of(self.sequence)
         for shown in frames:

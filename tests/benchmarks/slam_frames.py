@@ -21,7 +21,7 @@ import numpy as np
 
 from codecbench import slam
 from codecbench.core.contracts.image import gray_from_image
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import table
 from codecbench.slam.atlas.atlas import Atlas
 from codecbench.slam.atlas.tracked_map import TrackedMap

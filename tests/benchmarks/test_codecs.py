@@ -10,7 +10,7 @@ import pytest
 import skimage.data
 
 from codecbench import Codec
-from codecbench.core.engine.registry import Plugin, installed
+from codecbench.core.engine.plugins.registry import Plugin, installed
 
 
 @pytest.fixture(scope="module", params=["gray", "rgb"])

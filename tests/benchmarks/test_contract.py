@@ -22,12 +22,12 @@ from memory_sequence import MemorySequence, context
 
 from codecbench.core.contracts.evaluator import CodedFrame, Measurement
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.registry import own
+from codecbench.core.engine.plugins.registry import own
+from codecbench.core.engine.plugins.serving import keep_memory
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.plugins import Plugins
-from codecbench.core.engine.serving import keep_memory
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_bitstreams
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.evaluators.quality import Quality

@@ -10,7 +10,7 @@ import pytest
 import skimage.data
 
 from codecbench import Packet, Picture, StreamCodec
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 CODECS = [
     plugin.spec.name

@@ -19,7 +19,7 @@ from codecbench.cli import cli
 from codecbench.cli.apply import _measured as words_of_rate
 from codecbench.cli.apply import recipes_of
 from codecbench.core.contracts.errors import PluginError
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.store import Store
 
 MATRIX = """

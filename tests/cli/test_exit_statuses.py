@@ -340,7 +340,7 @@ def test_the_most_telling_rows_of_a_comparison_are_shown(place: Place) -> None:
     ("words", "module"),
     [
         ("plan tiny.yaml", "codecbench.core.engine.planning.plan"),
-        pytest.param("list", "codecbench.core.engine.registry", marks=pytest.mark.slow),
+        pytest.param("list", "codecbench.core.engine.plugins.registry", marks=pytest.mark.slow),
         pytest.param("schema", "codecbench.core.engine.planning.schema", marks=pytest.mark.slow),
         ("table runs/tiny", "codecbench.core.analysis.collect"),
         pytest.param("report runs/tiny", "codecbench.core.analysis.collect", marks=pytest.mark.slow),

@@ -21,7 +21,7 @@ from video_pictures import gliding_pictures
 from codecbench import Packet, ParamsError
 from codecbench.cli import cli
 from codecbench.core.conformance.harness import decoded_of, packets_of
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile

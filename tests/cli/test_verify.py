@@ -27,7 +27,7 @@ from codecbench.core.conformance.material import integer_image
 from codecbench.core.conformance.sandbox import sandbox
 from codecbench.core.conformance.settings import setting_from_text, setting_label
 from codecbench.core.conformance.suite import CHECKS, checks_of
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.pytesting import CodecSuite
 

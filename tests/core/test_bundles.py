@@ -11,7 +11,7 @@ from kept_runs import write_kept_run
 
 from codecbench import bundle, open_bundle
 from codecbench.core.analysis.collect import absent_plugins
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.report.page import write_report
 from codecbench.core.report.tables import exported, short_table

@@ -17,7 +17,7 @@ from codecbench.core.contracts.codec import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role
 from codecbench.core.engine.hosting.channel import METHODS
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 CORE = Path(codecbench.__file__).parent / "core"
 OURS = Registry(point for point in entry_points(group="codecbench") if point.dist and point.dist.name == "codecbench")

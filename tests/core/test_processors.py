@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import codecbench
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 pytestmark = [
     pytest.mark.thorough,

@@ -11,7 +11,7 @@ from project import DOCS, EXAMPLES
 
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.plugins.codecs.orb_features.codec import OrbFeaturesParams
 
 PAGE = (DOCS / "pictures-or-features.md").read_text()

@@ -127,6 +127,6 @@ def test_labels_tell_metrics_apart(evaluator: type[Evaluator]) -> None:
 
 
 def test_headlines_have_heads_of_their_own() -> None:
-    heads = [metric.brief for evaluator in EVALUATORS for metric in evaluator.metrics if metric.headline]
+    heads = [metric.column_header for evaluator in EVALUATORS for metric in evaluator.metrics if metric.headline]
     assert len(set(heads)) == len(heads)
     assert max(len(line) for head in heads for line in head.splitlines()) <= 12

@@ -35,7 +35,7 @@ class Target:
         return cls.create(**cls.examples[0])
 
     def codec_class(self) -> Any:
-        from codecbench.core.engine.registry import installed
+        from codecbench.core.engine.plugins.registry import installed
 
         return installed().load("codec", self.name)
 

@@ -27,11 +27,3 @@ def test_the_suite_is_found_where_the_documentation_says() -> None:
     assert codecbench.pytesting.CodecSuite is CodecSuite
     with pytest.raises(AttributeError, match="'CodecSweet'"):
         _ = codecbench.pytesting.CodecSweet
-
-
-@pytest.mark.thorough
-def test_the_former_name_still_works_and_says_the_new_one() -> None:
-    done = _run("from codecbench.testing import CodecSuite; print(CodecSuite.__module__)", "-W", "always")
-    assert done.stdout.split() == ["codecbench.pytesting.suite"]
-    assert "<string>:1: DeprecationWarning: codecbench.testing is now codecbench.pytesting" in done.stderr
-    assert _run("import codecbench.testing", "-W", "error::DeprecationWarning").returncode == 1

@@ -8,7 +8,7 @@ import pytest
 from rendered_scenes import position_error
 
 from codecbench.core.contracts.image import gray_from_image
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.slam import Camera, System
 
 pytestmark = pytest.mark.thorough

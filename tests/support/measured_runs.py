@@ -11,8 +11,8 @@ from codecbench.core.analysis.run_result import RunSchema
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
+from codecbench.core.engine.storage.aggregate import summarise
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.facade import Run
 
@@ -26,8 +26,8 @@ HELD = Metric("held", "1", "higher", "", role="success", headline=True)
 WORK = Metric("work", "ops", "lower", "", role="operations", headline=True)
 SPEED = Metric("speed", "ms", "lower", "", role="time", headline=True)
 SHAPE = Metric("shape", "1", "neither", "", role="task", headline=True)
-ENCODING = Metric("encoding", "ms", "lower", "", role="time", need="encoding")
-DECODING = Metric("decoding", "ms", "lower", "", role="time", need="decoding")
+ENCODING = Metric("encoding", "ms", "lower", "", role="time", quantity="encoding")
+DECODING = Metric("decoding", "ms", "lower", "", role="time", quantity="decoding")
 METRICS = {metric.name: metric for metric in (SHAPE, BITS, SCORE, BLUR, DRIFT, HELD, WORK, SPEED, ENCODING, DECODING)}
 Values = dict[tuple[str, str], Sequence[float]]
 

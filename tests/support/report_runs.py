@@ -13,7 +13,7 @@ from codecbench.core.analysis.run_result import RunSchema
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Marks, View
+from codecbench.core.contracts.view import Drawing, FrameTimeline, KeypointOverlay, Line, TimelineRow, View
 from codecbench.core.facade import Run
 from codecbench.core.report.pictures import frame_view
 
@@ -82,9 +82,13 @@ def _drawing(drift: float) -> Drawing:
     known = positions[~np.isnan(positions[:, 0])]
     lines = (Line("ground truth", "truth", truth), Line("optimised", "after", known))
     lost = np.isnan(errors)
-    lanes = (Lane("tracked", "good", ~lost), Lane("waiting", "fair", np.arange(300) < 3), Lane("lost", "bad", lost))
-    course = Course(np.arange(300), positions, errors, "m", lanes)
-    return Drawing(lines, f"error {drift:.3g} m", True, course=course)
+    rows = (
+        TimelineRow("tracked", "good", ~lost),
+        TimelineRow("waiting", "fair", np.arange(300) < 3),
+        TimelineRow("lost", "bad", lost),
+    )
+    timeline = FrameTimeline(np.arange(300), positions, errors, "m", rows)
+    return Drawing(lines, f"error {drift:.3g} m", True, timeline=timeline)
 
 
 def report_frames(run: Run, frames: tuple[int, ...] = (75, 225)) -> dict[str, Any]:
@@ -112,9 +116,9 @@ def coded_frame(index: int = 0, height: int = 240, width: int = 320) -> CodedFra
     return CodedFrame(Frame(index, 0.1 * index, image), b"", image & 0xF0)
 
 
-def marks() -> Marks:
+def marks() -> KeypointOverlay:
     """Two places, of which the second is lost."""
-    return Marks(np.array([[160.0, 120.0], [170.0, 130.0]]), np.array([True, False]), "1 of 2 kept")
+    return KeypointOverlay(np.array([[160.0, 120.0], [170.0, 130.0]]), np.array([True, False]), "1 of 2 kept")
 
 
 assert {"bits", "score", "speed", "drift", "held"} <= set(METRICS)

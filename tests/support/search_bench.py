@@ -13,7 +13,7 @@ from search_plugins import Dial
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.engine.planning.matrix import Matrix, read_matrix
 from codecbench.core.engine.planning.model import Cell, Plan, SearchFinding
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.rounds.growth import Growth

@@ -32,7 +32,7 @@ from codecbench import (
     Trace,
     hookimpl,
 )
-from codecbench.core.contracts.metric import Need
+from codecbench.core.contracts.metric import Quantity
 
 HEIGHT, WIDTH = 4, 8
 
@@ -152,7 +152,7 @@ class Stray(Toss):
     """How far something goes astray that reads what comes."""
 
     name = "stray"
-    metrics = (Metric("stray_m", "m", "lower", "a distance", need="error"),)
+    metrics = (Metric("stray_m", "m", "lower", "a distance", quantity="error"),)
 
 
 class Sight(Toss):
@@ -172,7 +172,7 @@ class Lag(CodecEvaluator[LagParams]):
     name = "lag"
     version = "1"
     params_type = LagParams
-    metrics = (Metric("lag_ms", "ms", "lower", "a time", repeatable=False, need="encoding"),)
+    metrics = (Metric("lag_ms", "ms", "lower", "a time", repeatable=False, quantity="encoding"),)
 
     @property
     def repeats(self) -> int:
@@ -206,11 +206,11 @@ class Waiter(SequenceEvaluator[WaiterParams]):
         return {"pause_ms": self.params.pause_ms}
 
     @property
-    def awaits(self) -> dict[str, Need]:
+    def requires(self) -> dict[str, Quantity]:
         return {"pause_ms": "encoding"} if self.params.pause_ms == "measured" else {}
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        yield Measurement("paused_ms", context.awaited["pause_ms"])
+        yield Measurement("paused_ms", context.inputs["pause_ms"])
 
 
 def chance(size_bytes: float, params: TossParams) -> float:

@@ -10,7 +10,7 @@ import pytest
 from codecbench.core.analysis.choosing import Demand
 from codecbench.core.contracts.errors import MatrixError, PluginError
 from codecbench.core.engine.planning.matrix import read_matrix
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.trial.choosing import is_matrix
 from codecbench.trial.link_matrix import LinkMatrix, link_matrix
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from recordings import pictures
 
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.trial.pace import measured_pace
 from codecbench.trial.trial import looked_at
 

@@ -13,7 +13,7 @@ from recordings import euroc, kitti, pictures, tum
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.trial.recording import recognised
 from codecbench.trial.trial import fitted, looked_at
 

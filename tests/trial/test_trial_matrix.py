@@ -11,7 +11,7 @@ from recordings import pictures, tum
 from codecbench.core.contracts.errors import ParamsError, Unsupported
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.warm_up import WarmUp
 from codecbench.core.kernels.manifest import Entry
 from codecbench.trial.pace import Pace

@@ -16,7 +16,7 @@ from codecbench.core.analysis.passing import Passing, Standing
 from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.errors import CodecbenchError
-from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.simulation.settings import LinkSettings
 
@@ -214,7 +214,7 @@ def links_of(run: RunResult) -> list[str]:
 
 def links_read(run: RunResult) -> list[str]:
     """Those of them over which something reads the frames, so that its error is known."""
-    read = {link for result in run.results if _with_need(result, "error") for link in _links(result.cell.evaluator)}
+    read = {link for result in run.results if _with_quantity(result, "error") for link in _links(result.cell.evaluator)}
     return [link for link in links_of(run) if link in read]
 
 
@@ -246,7 +246,7 @@ def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
         return {}
     found: dict[Key, list[float]] = defaultdict(list)
     for result in run.results:
-        timed = _with_need(result, "encoding")
+        timed = _with_quantity(result, "encoding")
         typical = None if timed is None else result.summaries.get((timed.name, "", timed.aggregates[0]))
         if typical is not None:
             found[result.row].append(typical)
@@ -257,32 +257,32 @@ def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
 
 def _frames(result: CellResult, demand: Demand, encode_ms: float) -> tuple[float, dict[str, float]] | None:
     """The share of the frames in time, and the causes of the others. A cell that failed had no frame in time."""
-    delay = _with_need(result, "delay")
+    delay = _with_quantity(result, "delay")
     if delay is None or demand.deadline_ms is None:
         return None
     share = float((result.values_of_frames(delay.name) + encode_ms <= demand.deadline_ms).mean())
     causes = {
         result.metrics[found.metric].label: found.value
         for found in result.measurements
-        if found.metric in result.metrics and result.metrics[found.metric].need == "cause"
+        if found.metric in result.metrics and result.metrics[found.metric].quantity == "cause"
     }
     return share, {**causes, TOO_OLD: max(0.0, 1.0 - share - sum(causes.values()))}
 
 
 def _reading(result: CellResult) -> Reading | None:
-    if _with_need(result, "error") is None:
+    if _with_quantity(result, "error") is None:
         return None
     return Reading(_value(result, "error"), _value(result, "idle"), _value(result, "fresh"), result.status == "ok")
 
 
-def _value(result: CellResult, need: Need) -> float:
-    metric = _with_need(result, need)
+def _value(result: CellResult, quantity: Quantity) -> float:
+    metric = _with_quantity(result, quantity)
     values = [found.value for found in result.measurements if metric is not None and found.metric == metric.name]
     return values[0] if values else math.nan
 
 
-def _with_need(result: CellResult, need: Need) -> Metric | None:
-    return next((metric for metric in result.metrics.values() if metric.need == need), None)
+def _with_quantity(result: CellResult, quantity: Quantity) -> Metric | None:
+    return next((metric for metric in result.metrics.values() if metric.quantity == quantity), None)
 
 
 def _judged(

@@ -19,14 +19,14 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError, Store
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, View
-from codecbench.core.engine.foreign_text import clean_value
 from codecbench.core.engine.planning.declared import offers_of, read_declared
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.engine.text import clean_value
 
 if TYPE_CHECKING:
     import pyarrow

@@ -45,9 +45,9 @@ class Column:
         return f"{self.label} [{self.unit}]" if self.unit not in ("", "1") else self.label
 
     @property
-    def brief(self) -> str:
+    def short_heading(self) -> str:
         """A narrow head, on several lines where there is more to say than the metric."""
-        return "\n".join(filter(None, (self.stage, self.metric.brief, self.evaluator.label)))
+        return "\n".join(filter(None, (self.stage, self.metric.column_header, self.evaluator.label)))
 
     @property
     def unit(self) -> str:

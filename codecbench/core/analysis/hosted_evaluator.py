@@ -13,16 +13,16 @@ from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement, Outcome
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Course, Drawing, Lane, Line, View
-from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.contracts.view import Drawing, FrameTimeline, Line, TimelineRow, View
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.samples import (
     MeasurementCheck,
     MeasurementError,
     json_from_measurement,
     measurement_from_json,
 )
+from codecbench.core.engine.text import clean_line
 
 _MOST_POINTS: Final = 1_000_000
 """Of one drawing."""
@@ -57,8 +57,8 @@ class HostedEvaluator:
             for name, stroke, points in answer["lines"]
         )
         axes = tuple(clean_line(name) for name in answer["axes"])
-        course = answer["course"] and _course(answer["course"])
-        return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, course)
+        timeline = answer["timeline"] and _timeline(answer["timeline"])
+        return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, timeline)
 
     def _ask(self, offer: str, function: Any, *outcomes: Any) -> Any:
         if offer not in self._offers:
@@ -67,15 +67,15 @@ class HostedEvaluator:
         return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[asked])
 
 
-def _course(answer: dict[str, Any]) -> Course:
-    """The course of a drawing, from JSON types."""
+def _timeline(answer: dict[str, Any]) -> FrameTimeline:
+    """The timeline of a drawing, from JSON types."""
     positions = answer["positions"]
-    return Course(
+    return FrameTimeline(
         np.array(answer["frames"], np.int64),
         None if positions is None else np.array(positions, float).reshape(-1, 2),
         np.array(answer["errors"], float),
         clean_line(answer["unit"]),
-        tuple(Lane(clean_line(name), tone, np.array(holds, bool)) for name, tone, holds in answer["lanes"]),
+        tuple(TimelineRow(clean_line(name), tone, np.array(holds, bool)) for name, tone, holds in answer["rows"]),
         clean_line(answer["quantity"]),
     )
 
@@ -98,28 +98,28 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
     drawing = evaluator.drawing(_outcome(outcome))
     if drawing is None:
         return None
-    on_course = 0 if drawing.course is None else len(drawing.course.frames) * (1 + len(drawing.course.lanes))
-    if (points := on_course + sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
+    in_timeline = 0 if drawing.timeline is None else len(drawing.timeline.frames) * (1 + len(drawing.timeline.rows))
+    if (points := in_timeline + sum(len(line.points) for line in drawing.lines)) > _MOST_POINTS:
         raise PluginError(f"its drawing has {points:,} points; at most {_MOST_POINTS:,} are drawn")
     if not all(np.isfinite(line.points).all() for line in drawing.lines):
         raise PluginError("its drawing has points that are not finite")
     lines = [(line.name, line.stroke, line.points.tolist()) for line in drawing.lines]
-    course = drawing.course
+    timeline = drawing.timeline
     return {
         "lines": lines,
         "caption": str(drawing.caption),
         "holds": None if drawing.holds is None else bool(drawing.holds),
         "axes": [str(name) for name in drawing.axes],
-        "course": course
+        "timeline": timeline
         and {
-            "frames": course.frames.tolist(),
+            "frames": timeline.frames.tolist(),
             "positions": None
-            if course.positions is None
-            else [[_known(value) for value in place] for place in course.positions.tolist()],
-            "errors": [_known(value) for value in course.errors.tolist()],
-            "unit": str(course.unit),
-            "lanes": [(str(lane.name), lane.tone, lane.holds.tolist()) for lane in course.lanes],
-            "quantity": str(course.quantity),
+            if timeline.positions is None
+            else [[_known(value) for value in place] for place in timeline.positions.tolist()],
+            "errors": [_known(value) for value in timeline.errors.tolist()],
+            "unit": str(timeline.unit),
+            "rows": [(str(row.name), row.tone, row.holds.tolist()) for row in timeline.rows],
+            "quantity": str(timeline.quantity),
         },
     }
 

@@ -60,7 +60,7 @@ def _lossless(results: Iterable[CellResult]) -> Iterator[_Lossless]:
         means = {name: value for (name, stage, how), value in result.summaries.items() if (stage, how) == _MEAN}
         known = [metric for metric in result.metrics.values() if metric.name in means]
         kept = [means[metric.name] for metric in known if metric.role == "quality" and metric.unit == "dB"]
-        spent = {metric.need: means[metric.name] for metric in known if metric.need}
+        spent = {metric.quantity: means[metric.name] for metric in known if metric.quantity}
         if kept and all(map(math.isinf, kept)) and {"per_pixel", "below_png"} <= spent.keys():
             yield _Lossless(result, spent["per_pixel"], 1 - spent["below_png"] / 100)
 

@@ -15,8 +15,8 @@ from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, RunSection
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.planning.search import Extent
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.planning.search import PlanScope
+from codecbench.core.engine.plugins.registry import Registry
 
 _Part = TypeVar("_Part")
 
@@ -47,8 +47,8 @@ def replanned(found: Plan, cells: Sequence[Cell], sequences_from: str | None, re
         path=Path(found.name), text="", name=found.name, sequences=(), codecs=tuple(codecs), evaluators=tuple(judges),
         run=_run_settings(found.run.seed, registry), root={},
     )  # fmt: skip
-    awaited = {(cell.sequence.name, cell.codec, cell.evaluator.title): cell.awaited for cell in cells if cell.awaited}
-    extent = Extent(awaited=dict(awaited))
+    inputs = {(cell.sequence.name, cell.codec, cell.evaluator.title): cell.inputs for cell in cells if cell.inputs}
+    extent = PlanScope(inputs=dict(inputs))
     plan = (
         make_plan(matrix, registry, extent=extent, sequences=sequences)
         if sequences

@@ -17,7 +17,7 @@ from codecbench.core.analysis.table import CellResult, tidy, wide
 from codecbench.core.contracts.metric import Metric, Role
 from codecbench.core.contracts.view import View
 from codecbench.core.engine.planning.model import Plan, PluginSetting
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 Key = tuple[str, str, str]
 """Sequence, codec and setting: a row of the wide table."""
@@ -196,7 +196,7 @@ def judged_column(run: RunResult) -> Column | None:
     if judged:
         tasks = [column for column in tasks if column.evaluator == judged[0][0].evaluator] or tasks
     linked = [column for column in tasks if over_link(column)]
-    erring = [column for column in linked if column.metric.need == "error"]
+    erring = [column for column in linked if column.metric.quantity == "error"]
     ranked = [column for column in (*erring, *tasks, *run.headlines("quality")) if column.metric.better != "neither"]
     return next(iter(ranked), None)
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
-from codecbench.core.engine.aggregate import aggregate
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.planning.model import Cell
+from codecbench.core.engine.storage.aggregate import aggregate
 from codecbench.core.engine.storage.samples import json_from_value
+from codecbench.core.engine.text import clean_line
 
 if TYPE_CHECKING:
     import pyarrow

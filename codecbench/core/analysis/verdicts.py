@@ -18,7 +18,7 @@ from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import evidence_of_frames, evidence_of_repeats, student_quantile
 from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
 from codecbench.core.analysis.table import CellResult, by_row
-from codecbench.core.engine.aggregate import aggregate, percentile
+from codecbench.core.engine.storage.aggregate import aggregate, percentile
 
 Points = Mapping[tuple[str, str], CurvePoint]
 """The curve of each codec setting, by codec name and label."""

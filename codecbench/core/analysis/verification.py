@@ -17,7 +17,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.bundling.unpacking import unpack_bundle
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.model import Cell, Plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import Listener, run_plan
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import Record

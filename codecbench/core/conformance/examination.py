@@ -18,7 +18,7 @@ from codecbench.core.conformance.harness import Check, Shape, shape_of
 from codecbench.core.conformance.sandbox import Reply, Sandbox
 from codecbench.core.conformance.suite import CHECKS, CheckResult, run_check
 from codecbench.core.contracts.errors import PluginError, Unsupported
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 TIMEOUT_S: Final = 300.0
 """For one check on images of one layout; the longest compile a counting build."""

@@ -19,13 +19,14 @@ import numpy as np
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.features import Features
+from codecbench.core.contracts.former_names import former_names
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.core.contracts.stream import Packet
-from codecbench.core.contracts.view import Drawing, Marks, View
+from codecbench.core.contracts.view import Drawing, KeypointOverlay, View
 
 
 @dataclass(frozen=True)
@@ -141,20 +142,21 @@ class PluginSource(Protocol):
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any: ...
 
 
+@former_names(awaited="inputs")
 @dataclass(frozen=True)
 class Context:
     """What a cell may use besides what it measures.
 
     rng: seeded from the cell's identity. repeat: 0-based. artifacts: an existing folder; files written there
-    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`. awaited: for each
-    parameter that it declared in `awaits`, the median of what was measured.
+    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`. inputs: for each
+    parameter that it declared in `requires`, the median of what was measured.
     """
 
     rng: np.random.Generator
     repeat: int
     artifacts: Path
     plugins: PluginSource
-    awaited: Mapping[str, float] = field(default_factory=dict)
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -211,13 +213,13 @@ class Evaluator(Configured[P]):
         return ()
 
     @property
-    def awaits(self) -> dict[str, Need]:
-        """Parameters for which stands what another evaluator of the matrix measures, with the `need` of its metric.
+    def requires(self) -> dict[str, Quantity]:
+        """Parameters for which stands what another evaluator of the matrix measures, with the `quantity` of its metric.
 
         It is measured of the same codec setting on the same sequence. The cells are computed after those, their
-        identity depends on the values, and these are kept with the record.
+        identity depends on the values, and these are kept with the record. `awaits` is its former name.
         """
-        return {}
+        return getattr(self, "awaits", {})
 
     @property
     def counts_operations(self) -> bool:
@@ -244,7 +246,7 @@ class Evaluator(Configured[P]):
         """What a finished cell left, for a view of kind `map`; None where there is nothing to draw."""
         return None
 
-    def marks(self, coded: CodedFrame) -> Marks | None:
+    def marks(self, coded: CodedFrame) -> KeypointOverlay | None:
         """What to mark on a frame that is shown, by the definition that it measures; None where there is nothing."""
         return None
 

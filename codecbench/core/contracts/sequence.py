@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
@@ -75,11 +74,6 @@ class Frame:
         if key not in self.cache:
             self.cache[key] = compute(self.image)
         return cast(T, self.cache[key])
-
-    def fact(self, key: Hashable, compute: Callable[[Image], T]) -> T:
-        """The former name of `cached`."""
-        warnings.warn("Frame.fact is now called Frame.cached", DeprecationWarning, stacklevel=2)
-        return self.cached(key, compute)
 
     @property
     def png_size_bytes(self) -> int:

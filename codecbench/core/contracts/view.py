@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import PluginError, require_choice
+from codecbench.core.contracts.former_names import former_names
 
 ViewKind = Literal["curve", "bars", "map"]
 Stroke = Literal["truth", "before", "after"]
@@ -43,7 +44,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Marks:
+class KeypointOverlay:
     """Places of an original frame that matter to an evaluator, and which of them the decoded frame still has.
 
     places: (N, 2) x and y in pixels. kept: (N,). note: what the places are and what kept means, for people.
@@ -62,35 +63,36 @@ class Marks:
 
 
 @dataclass(frozen=True)
-class Lane:
-    """Frames of a course that share an outcome: its name, how good that is, and of which frames it holds (N,)."""
+class TimelineRow:
+    """Frames of a timeline that share an outcome: its name, how good that is, and of which frames it holds (N,)."""
 
     name: str
     tone: Tone
     holds: NDArray[np.bool_] = field(repr=False)
 
     def __post_init__(self) -> None:
-        require_choice(f"lane {self.name!r}: tone", self.tone, Tone)
+        require_choice(f"row {self.name!r}: tone", self.tone, Tone)
         if self.holds.ndim != 1 or self.holds.dtype != np.bool_:
             raise PluginError(
-                f"lane {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it is (N,) of bool"
+                f"row {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it is (N,) of bool"
             )
 
 
+@former_names(lanes="rows")
 @dataclass(frozen=True)
-class Course:
+class FrameTimeline:
     """What became of each frame, in order.
 
     frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none; None
     where the drawing is no map. errors: (N,) how far off each is, NaN where that is not known. unit: of errors, and of
-    positions. lanes: what became of frames, in the order in which it is shown. quantity: what errors are, for people.
+    positions. rows: what became of frames, in the order in which it is shown. quantity: what errors are, for people.
     """
 
     frames: NDArray[np.int64] = field(repr=False)
     positions: NDArray[np.float64] | None = field(repr=False)
     errors: NDArray[np.float64] = field(repr=False)
     unit: str
-    lanes: tuple[Lane, ...] = ()
+    rows: tuple[TimelineRow, ...] = ()
     quantity: str = "error"
 
     def __post_init__(self) -> None:
@@ -98,13 +100,13 @@ class Course:
         shape = None if self.positions is None else self.positions.shape
         if shape not in (None, (count, 2)) or self.errors.shape != (count,):
             raise PluginError(
-                f"course: {count} frames, positions {shape} and errors {self.errors.shape}; they are (N, 2) and (N,)"
+                f"timeline: {count} frames, positions {shape} and errors {self.errors.shape}; they are (N, 2) and (N,)"
             )
-        for lane in self.lanes:
-            if len(lane.holds) != count:
-                raise PluginError(f"course: lane {lane.name!r} is of {len(lane.holds)} frames; the course has {count}")
+        for row in self.rows:
+            if len(row.holds) != count:
+                raise PluginError(f"timeline: row {row.name!r} is of {len(row.holds)} frames; the timeline has {count}")
         if any(np.isinf(values).any() for values in (self.positions, self.errors) if values is not None):
-            raise PluginError("course: a position or error is infinite; what is not known is NaN")
+            raise PluginError("timeline: a position or error is infinite; what is not known is NaN")
 
 
 @dataclass(frozen=True)
@@ -121,19 +123,20 @@ class Line:
             raise PluginError(f"line {self.name!r}: points have shape {self.points.shape}; they are (N, 2)")
 
 
+@former_names(course="timeline")
 @dataclass(frozen=True)
 class Drawing:
     """What a cell left, as lines on a map. holds: whether its task succeeded, or None where that is not known.
 
     axes: what the two axes show, where they have scales of their own; empty for a plane, whose axes have one.
-    course: what became of each frame.
+    timeline: what became of each frame.
     """
 
     lines: tuple[Line, ...]
     caption: str
     holds: bool | None = None
     axes: tuple[str, ...] = ()
-    course: Course | None = None
+    timeline: FrameTimeline | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.axes, str) or len(self.axes) not in (0, 2):
@@ -142,5 +145,5 @@ class Drawing:
     @property
     def labels(self) -> tuple[str, ...]:
         """What stands at the two axes."""
-        unit = f" [{self.course.unit}]" if self.course and self.course.positions is not None else ""
+        unit = f" [{self.timeline.unit}]" if self.timeline and self.timeline.positions is not None else ""
         return self.axes or (f"x{unit}", f"y{unit}")

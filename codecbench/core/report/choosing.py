@@ -287,7 +287,7 @@ def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:
             for what in candidate.unmeasured:
                 missing[what].append(candidate.name)
     readers = (result.cell.evaluator.name for result in run.results
-               if any(metric.need == "error" for metric in result.metrics.values()))  # fmt: skip
+               if any(metric.quantity == "error" for metric in result.metrics.values()))  # fmt: skip
     again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it again"
     for what, names in missing.items():
         add = "add an evaluator that measures it with the same parameters of the link"

@@ -13,7 +13,7 @@ from codecbench.core.analysis.passing import Test
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.planning.schema import plugin_schema
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import aligned, three_digits
 
 _FAR: Final = 10.0
@@ -69,15 +69,15 @@ def coding_ms(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[fl
     """Wall milliseconds to encode and to decode a frame; NaN if not measured."""
     rows = _rows(run, sequence, curve, test)
     taken = []
-    for need in ("encoding", "decoding"):
-        names = [name for name, column in run.columns.items() if column.metric.need == need and column.is_usual]
+    for quantity in ("encoding", "decoding"):
+        names = [name for name, column in run.columns.items() if column.metric.quantity == quantity and column.is_usual]
         taken.append(float(rows[names[0]].mean()) if names else math.nan)
     return taken[0], taken[1]
 
 
 def times_decide(run: RunResult) -> bool:
     """Whether times of encoding and decoding were measured, and neither a task nor a success."""
-    measured = {column.metric.need for column in run.columns.values()}
+    measured = {column.metric.quantity for column in run.columns.values()}
     return {"encoding", "decoding"} <= measured and not run.headlines("task", "success")
 
 

@@ -292,4 +292,7 @@ def one_figure(run: RunResult, what: str = "", sequence: str | None = None) -> F
 
 def _means(column: Column, word: str) -> bool:
     """Whether the word is in what the column is called."""
-    return word.lower() in f"{column.metric.name} {column.label} {column.metric.brief} {column.metric.role}".lower()
+    return (
+        word.lower()
+        in f"{column.metric.name} {column.label} {column.metric.column_header} {column.metric.role}".lower()
+    )

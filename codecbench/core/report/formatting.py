@@ -98,11 +98,11 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
 
 def searched(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
     """What the searches of the matrix have found; brief: without sentences, and without what passes."""
-    searches = [found for found in run.plan.searches if not (brief and found.aim == PASSES)]
+    searches = [found for found in run.plan.searches if not (brief and found.objective == PASSES)]
     if searches:
         heads = ("codec", "sequence", "sought", "", "setting", "has")
         rows = tuple(
-            (found.codec, found.sequence, found.aim, found.state, found.setting or "–",
+            (found.codec, found.sequence, found.objective, found.state, found.setting or "–",
              "–" if found.reached is None else f"{found.reached:.4g}")
             for found in searches
         )  # fmt: skip

@@ -4,7 +4,7 @@ function looking() {
   const frames = new Map(), drawings = new Map();
   for (const frame of DATA.frames) frames.set(keyOf(frame), [...(frames.get(keyOf(frame)) || []), frame]);
   for (const view of DATA.map_views) for (const drawing of view.drawings) {
-    if (drawing.course) drawings.set(keyOf(drawing), [...(drawings.get(keyOf(drawing)) || []), { drawing, view }]);
+    if (drawing.timeline) drawings.set(keyOf(drawing), [...(drawings.get(keyOf(drawing)) || []), { drawing, view }]);
   }
   const rows = DATA.rows.filter((row) => frames.has(keyOf(row)) || drawings.has(keyOf(row)));
   if (!rows.length) { if ($("look")) $("look").remove(); return; }
@@ -85,60 +85,60 @@ function pathViewer(tell) {
   const host = $("path");
   if (!host) return { show() {}, at() {} };
   let found = [], place = 0, map = null, error = null;
-  const here = () => found[Number($("path-way").value) || 0], courseOf = () => here().drawing.course;
+  const here = () => found[Number($("path-way").value) || 0], timelineOf = () => here().drawing.timeline;
   const wayOf = ({ drawing, view }) => [view.title, drawing.way].filter(Boolean).join(": ");
   const draw = () => {
-    const { drawing, view } = here(), course = drawing.course;
-    $("path-map").hidden = $("path-strokes").hidden = !course.x;
-    const lost = course.frames.map((_, i) => Boolean(course.x) && course.x[i] === null);
-    if (course.x) drawMap(drawing, view, course, lost);
-    const errors = course.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
-    const known = errors.some(Number.isFinite), told = course.lanes.map(laneText).join(", ");
-    const missing = { name: "lost", x: course.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
+    const { drawing, view } = here(), timeline = drawing.timeline;
+    $("path-map").hidden = $("path-strokes").hidden = !timeline.x;
+    const lost = timeline.frames.map((_, i) => Boolean(timeline.x) && timeline.x[i] === null);
+    if (timeline.x) drawMap(drawing, view, timeline, lost);
+    const errors = timeline.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
+    const known = errors.some(Number.isFinite), told = timeline.rows.map(laneText).join(", ");
+    const missing = { name: "lost", x: timeline.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
     $("path-error").hidden = !known && !lost.some(Boolean) && !told;
-    error = chart($("path-error"), [{ name: course.quantity, x: course.frames, y: errors, colour: "var(--accent)" }, ...(told ? [] : [missing])],
+    error = chart($("path-error"), [{ name: timeline.quantity, x: timeline.frames, y: errors, colour: "var(--accent)" }, ...(told ? [] : [missing])],
       known || !told ? [{ low: 0, high: 0, value: 0, colour: "var(--line)" }] : [], {
-        height: 190 + LANE * course.lanes.length, x: { label: "frame" }, y: { label: `${course.quantity} [${course.unit}]` },
-        lanes: { from: course.frames[0], to: course.last, of: course.lanes },
-        label: `Timeline. ${known ? `${course.quantity}: at most ${shown(most)} ${course.unit}` : `No ${course.quantity} is known`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
+        height: 190 + LANE * timeline.rows.length, x: { label: "frame" }, y: { label: `${timeline.quantity} [${timeline.unit}]` },
+        lanes: { from: timeline.frames[0], to: timeline.last, of: timeline.rows },
+        label: `Timeline. ${known ? `${timeline.quantity}: at most ${shown(most)} ${timeline.unit}` : `No ${timeline.quantity} is known`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
       });
-    $("path-scrub").max = course.frames.length - 1;
+    $("path-scrub").max = timeline.frames.length - 1;
     move();
   };
-  const drawMap = (drawing, view, course, lost) => {
+  const drawMap = (drawing, view, timeline, lost) => {
     const lines = drawing.lines.map((line) => {
       const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
       return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
     });
     /* A loss is marked where the camera was last known to be. */
-    const before = course.frames.map((_, i) => i).filter((i) => !lost[i] && lost[i + 1]);
-    const losses = { name: "lost", x: before.map((i) => course.x[i]), y: before.map((i) => course.y[i]), colour: "var(--bad)", symbol: "x", line: false,
-      text: before.map((i) => `lost after frame ${course.frames[i]}`) };
+    const before = timeline.frames.map((_, i) => i).filter((i) => !lost[i] && lost[i + 1]);
+    const losses = { name: "lost", x: before.map((i) => timeline.x[i]), y: before.map((i) => timeline.y[i]), colour: "var(--bad)", symbol: "x", line: false,
+      text: before.map((i) => `lost after frame ${timeline.frames[i]}`) };
     map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: { label: drawing.axes[0] }, y: { label: drawing.axes[1] }, label: `Path: ${drawing.caption}` });
   };
   const move = () => {
-    const course = courseOf(), from = course.frames[place], to = (course.frames[place + 1] ?? course.last + 1) - 1;
+    const timeline = timelineOf(), from = timeline.frames[place], to = (timeline.frames[place + 1] ?? timeline.last + 1) - 1;
     $("path-scrub").value = place;
-    if (course.x) map.cursor(course.x[place] ?? NaN, course.y[place] ?? NaN);
+    if (timeline.x) map.cursor(timeline.x[place] ?? NaN, timeline.y[place] ?? NaN);
     error.cursor(from);
-    const far = course.errors[place];
-    const lanes = course.lanes.filter((lane) => {
-      const [first, last] = [from, to].map((frame) => Math.floor((frame - course.frames[0]) / (course.last + 1 - course.frames[0]) * lane.levels.length));
+    const far = timeline.errors[place];
+    const lanes = timeline.rows.filter((lane) => {
+      const [first, last] = [from, to].map((frame) => Math.floor((frame - timeline.frames[0]) / (timeline.last + 1 - timeline.frames[0]) * lane.levels.length));
       return /[1-9]/.test(lane.levels.slice(first, last + 1));
     });
-    const known = far !== null ? `${course.quantity} ${from < to ? "up to " : ""}${shown(far)} ${course.unit}`
-      : course.x && course.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no ${course.quantity} known`;
+    const known = far !== null ? `${timeline.quantity} ${from < to ? "up to " : ""}${shown(far)} ${timeline.unit}`
+      : timeline.x && timeline.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no ${timeline.quantity} known`;
     $("path-caption").textContent = `${here().drawing.caption}. Frame${from < to ? `s ${from} to ${to}` : ` ${from}`}: ${[...lanes.map((lane) => lane.name), known].join(", ")}`;
   };
-  const closest = (frame) => courseOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);
-  $("path-scrub").addEventListener("input", () => { place = Number($("path-scrub").value); move(); tell(courseOf().frames[place], "path"); });
+  const closest = (frame) => timelineOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);
+  $("path-scrub").addEventListener("input", () => { place = Number($("path-scrub").value); move(); tell(timelineOf().frames[place], "path"); });
   $("path-way").addEventListener("change", () => { remember({ of: wayOf(here()) }); place = 0; draw(); });
   whenResized(host, () => { if (found.length) draw(); });
   return {
     /* What moves on a map comes first, and what was looked at last stays. */
     show: (drawings) => {
-      const before = found.length ? courseOf().frames[place] : Number(STATE.frame ?? 0);
-      found = [...drawings].sort((a, b) => Number(!a.drawing.course.x) - Number(!b.drawing.course.x)); host.hidden = !found.length;
+      const before = found.length ? timelineOf().frames[place] : Number(STATE.frame ?? 0);
+      found = [...drawings].sort((a, b) => Number(!a.drawing.timeline.x) - Number(!b.drawing.timeline.x)); host.hidden = !found.length;
       if (!found.length) return;
       const titles = new Set(found.map(({ view }) => view.title));
       fill($("path-way"), found.map((_, i) => i), Math.max(0, found.findIndex((each) => wayOf(each) === STATE.of)),
@@ -165,7 +165,7 @@ function multiples(view, id) {
     const boxes = chosen.map((drawing) => {
       const box = element("figure", "multiple"), host = element("div"), caption = element("figcaption", drawing.holds === false ? "bad" : "");
       const words = `${named(drawing)} ${drawing.way}`.trim() + `: ${drawing.caption}`;
-      if (drawing.course) {
+      if (drawing.timeline) {
         const open = element("button", "link", words); open.type = "button";
         open.addEventListener("click", () => { remember({ of: [view.title, drawing.way].filter(Boolean).join(": ") }); look(keyOf(drawing), true); });
         caption.append(open);

@@ -20,7 +20,7 @@ from codecbench.core.analysis.run_result import RunResult, judged_column, succes
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 from codecbench.core.report.answers import answers_of_settings
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.formatting import Verdict, verdicts
@@ -66,16 +66,16 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     others = [verdict for verdict in decided if verdict is not ranked]
     succeeded = successes(run)
     found = answers_of_settings(run)
-    courses = [view for view in data["map_views"] if any(drawing["course"] for drawing in view["drawings"])]
+    timelines = [view for view in data["map_views"] if any(drawing["timeline"] for drawing in view["drawings"])]
     return template.render(
         name=run.plan.name,
         subtitle=_subtitle(run),
         css=Markup((parts / "page.css").read_text(encoding="utf-8")),
         scripts=[Markup((parts / name).read_text(encoding="utf-8")) for name in _SCRIPTS],
         data=Markup(_script_json(data)),
-        can_look=bool(data["frames"] or courses),
-        has_paths=bool(courses),
-        path_strokes={name: stroke for view in courses for name, stroke in view["strokes"].items() if _is_map(view)},
+        can_look=bool(data["frames"] or timelines),
+        has_paths=bool(timelines),
+        path_strokes={name: stroke for view in timelines for name, stroke in view["strokes"].items() if _is_map(view)},
         map_views=data["map_views"],
         bars_views=data["bars_views"],
         strokes=STROKES,
@@ -126,8 +126,8 @@ def _grouped(found: list[Verdict]) -> list[list[Verdict]]:
 
 
 def _is_map(view: dict[str, Any]) -> bool:
-    """Whether courses of the view go over a plane."""
-    return any(drawing["course"] and drawing["course"]["x"] for drawing in view["drawings"])
+    """Whether timelines of the view go over a plane."""
+    return any(drawing["timeline"] and drawing["timeline"]["x"] for drawing in view["drawings"])
 
 
 def _script_json(value: Any) -> str:

@@ -18,7 +18,7 @@ from codecbench.core.analysis.verdicts import (
     pareto_settings,
     spread,
 )
-from codecbench.core.contracts.view import Course, Lane
+from codecbench.core.contracts.view import FrameTimeline, TimelineRow
 from codecbench.core.report.formatting import signed_percent, uninformative
 from codecbench.core.report.tables import caveats, three_digits
 from codecbench.core.report.views import (
@@ -146,41 +146,43 @@ def _map(view: Map) -> dict[str, Any]:
                     {"name": line.name, "stroke": line.stroke, "path": kept_path(line.points, step)}
                     for line in drawing.lines
                 ],
-                "course": drawing.course and _course(drawing.course, most, step),
+                "timeline": drawing.timeline and _timeline(drawing.timeline, most, step),
             }
         )
     strokes = {line.name: line.stroke for drawn in view.drawings for line in drawn.drawing.lines}
     return {"title": view.view.title, "note": view.view.note, "strokes": strokes, "paths": kept, "drawings": drawings}
 
 
-def _course(course: Course, most: int, step: float) -> dict[str, Any] | None:
-    """A course in at most so many parts, of which each keeps its largest error; its lanes in parts of their own."""
-    count = len(course.frames)
+def _timeline(timeline: FrameTimeline, most: int, step: float) -> dict[str, Any] | None:
+    """A timeline in at most so many parts, of which each keeps its largest error; its rows in parts of their own."""
+    count = len(timeline.frames)
     if not count:
         return None
     starts = _starts(count, most)
-    worst = np.fmax.reduceat(course.errors, starts)
+    worst = np.fmax.reduceat(timeline.errors, starts)
     x, y = (
-        (None, None) if course.positions is None else (_steps(course.positions[starts, axis], step) for axis in (0, 1))
+        (None, None)
+        if timeline.positions is None
+        else (_steps(timeline.positions[starts, axis], step) for axis in (0, 1))
     )
     return {
-        "frames": course.frames[starts].tolist(),
-        "last": int(course.frames[-1]),
+        "frames": timeline.frames[starts].tolist(),
+        "last": int(timeline.frames[-1]),
         "x": x,
         "y": y,
         "errors": [None if np.isnan(error) else _rounded(error) for error in worst.tolist()],
-        "unit": course.unit,
-        "quantity": course.quantity,
-        "lanes": [_lane(lane) for lane in course.lanes],
+        "unit": timeline.unit,
+        "quantity": timeline.quantity,
+        "rows": [_row(row) for row in timeline.rows],
     }
 
 
-def _lane(lane: Lane) -> dict[str, Any]:
-    """A lane with a digit for each part: in how many ninths of its frames it holds, rounded up to hide none."""
-    starts = _starts(len(lane.holds), _MOST_POINTS)
-    shares = np.add.reduceat(lane.holds, starts) / np.diff([*starts, len(lane.holds)])
+def _row(row: TimelineRow) -> dict[str, Any]:
+    """A row with a digit for each part: in how many ninths of its frames it holds, rounded up to hide none."""
+    starts = _starts(len(row.holds), _MOST_POINTS)
+    shares = np.add.reduceat(row.holds, starts) / np.diff([*starts, len(row.holds)])
     levels = "".join(str(level) for level in np.ceil(9 * shares).astype(int))
-    return {"name": lane.name, "tone": lane.tone, "share": _rounded(float(lane.holds.mean())), "levels": levels}
+    return {"name": row.name, "tone": row.tone, "share": _rounded(float(row.holds.mean())), "levels": levels}
 
 
 def _starts(count: int, most: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Final
 from codecbench.core.analysis.choosing import Demand, links_read
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, rate_cell, spent, times_decide
@@ -93,7 +93,7 @@ def _sureness(part: Standing | Level) -> float:
 def _reached(part: Standing | Level) -> tuple[str, str]:
     if isinstance(part, Standing):
         return "runs", f"{part.successes}/{part.runs}"
-    return part.column.brief.replace("\n", " "), _sure(part)
+    return part.column.short_heading.replace("\n", " "), _sure(part)
 
 
 def _sure(part: Level) -> str:

@@ -18,13 +18,12 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.image import Image, gray_from_image
-from codecbench.core.contracts.view import Marks
-from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.contracts.view import KeypointOverlay
 from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.declared import offers_of
 from codecbench.core.engine.planning.model import PluginSetting, SequenceEntry
 from codecbench.core.engine.planning.plan import coding_id
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
@@ -32,6 +31,7 @@ from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.engine.text import clean_line
 from codecbench.core.report.tables import three_digits
 from codecbench.core.report.views import picked
 
@@ -261,7 +261,7 @@ _GAIN: Final = 4
 """Differences of gray are shown this many times stronger, around middle gray."""
 
 
-def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: Marks | None = None) -> FrameView:
+def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: KeypointOverlay | None = None) -> FrameView:
     """The middle of a coded frame, `size` (width, height) of it at most, at one pixel a pixel. marks: of all of it."""
     top, left, height, width = _middle(coded.original.image, size)
     shown = slice(top, top + height), slice(left, left + width)
@@ -287,7 +287,7 @@ def _middle(image: Image, size: tuple[int, int]) -> tuple[int, int, int, int]:
     return (image.shape[0] - height) // 2, (image.shape[1] - width) // 2, height, width
 
 
-def _inside(marks: Marks, found: bool, shown: tuple[slice, slice]) -> list[int]:
+def _inside(marks: KeypointOverlay, found: bool, shown: tuple[slice, slice]) -> list[int]:
     """The marks that are kept, or those that are lost, in pixels of the part that is shown."""
     rows, columns = shown
     places = np.rint(marks.places[marks.kept == found] - [columns.start, rows.start]).astype(int)

@@ -19,7 +19,7 @@ from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.run_result import RunResult, judged_column, successes
 from codecbench.core.analysis.table import NOTES, json_value
 from codecbench.core.contracts.errors import ParamsError
-from codecbench.core.engine.wording import counted
+from codecbench.core.engine.text import counted
 
 _KEYS = ("sequence", "codec", "setting")
 _COUNTABLE = 1e15
@@ -91,7 +91,7 @@ def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
     if brief:
         headlines = list(dict.fromkeys([*_judged_by(run), *headlines]))
     parts = [run.wide[column.name] * column.factor for column in headlines]
-    heads = [column.brief if brief else column.heading for column in headlines]
+    heads = [column.short_heading if brief else column.heading for column in headlines]
     at = 0 if brief and (run.wide["status"] != "ok").any() else len(parts)
     table = pd.concat([run.wide[[*_KEYS]], *parts[:at], run.wide["status"], *parts[at:]], axis=1)
     table.columns = pd.Index([*_KEYS, *heads[:at], "status", *heads[at:]])

@@ -19,16 +19,16 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.planning.aim import Aim
-from codecbench.core.engine.planning.awaited import sources
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.estimate import estimate
+from codecbench.core.engine.planning.inputs import sources
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, SearchFinding
+from codecbench.core.engine.planning.objective import Objective
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.planning.search import EVERY, Extent
+from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
 from codecbench.core.engine.planning.until import repeats_of
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.rounds.edge import Edge
 from codecbench.core.rounds.searching import Searching
@@ -51,7 +51,7 @@ class Growth:
                         for entry in matrix.evaluators}  # fmt: skip
 
     @cached_property
-    def _awaited(self) -> Awaited:
+    def _inputs(self) -> Awaited:
         return Awaited(self._matrix.evaluators, self._totals | self._begun)
 
     @cached_property
@@ -64,7 +64,7 @@ class Growth:
 
     def planned(self) -> Plan:
         """The plan of a run that begins or goes on."""
-        return self(make_plan(self._matrix, self._registry, extent=Extent(begun=self._begun)))
+        return self(make_plan(self._matrix, self._registry, extent=PlanScope(begun=self._begun)))
 
     def __call__(self, plan: Plan) -> Plan:
         """The plan with all that is to be computed by now; the plan itself where that is all there is.
@@ -109,17 +109,17 @@ class Growth:
 
     def _read_of(self, plan: Plan) -> Plan:
         """The plan with the cells alone that decide how it goes on."""
-        if any(search.aim is None for search in self._matrix.searches):
+        if any(search.objective is None for search in self._matrix.searches):
             return plan
         needed = {evaluator.title for search in self._matrix.searches for evaluator in search.evaluators}
-        needed |= self._awaited.all_titles
+        needed |= self._inputs.all_titles
         if self._matrix.until is not None:
             needed |= {self._matrix.until.evaluator.title}
             rates = plan.declared.get("evaluators", {}).items()
             needed |= {title for title, declared in rates if _measures_rate(declared)}
         return replace(plan, cells=tuple(cell for cell in plan.cells if cell.evaluator.title in needed))
 
-    def _asked(self, run: RunResult, searches: int) -> tuple[Extent, list[SearchFinding]]:
+    def _asked(self, run: RunResult, searches: int) -> tuple[PlanScope, list[SearchFinding]]:
         matrix, trials = self._matrix, Trials(run, self._totals)
         findings: list[SearchFinding] = []
         settings = [entry.setting for entry in matrix.codecs if entry.wanted is None]
@@ -130,7 +130,7 @@ class Growth:
             before, in_time = dict(trials.asked), place < searches
             answers: dict[str, PluginSetting] = {}
             for name in names:
-                seeking = (Edge(search, name, trials, in_time) if search.aim is None else
+                seeking = (Edge(search, name, trials, in_time) if search.objective is None else
                            Searching(search, name, trials, matrix.run.seed, in_time))  # fmt: skip
                 finding, answer = seeking.result()
                 findings.append(finding)
@@ -138,13 +138,13 @@ class Growth:
                     answers[name] = answer
             if not in_time:
                 trials.withdraw(before)
-            if search.aim is None and len(answers) == len(names):  # each on all, to be judged over all
+            if search.objective is None and len(answers) == len(names):  # each on all, to be judged over all
                 found += [(name, setting) for name in names for setting in dict.fromkeys(answers.values())]
             else:
                 found += answers.items()
         repeats: dict[CellKey, int] = {}
         for sequence_name, setting in found:
-            repeats |= {(sequence_name, setting, title): EVERY for title in self._totals}
+            repeats |= {(sequence_name, setting, title): ALL_REPEATS for title in self._totals}
         if matrix.until is not None:
             title = matrix.until.evaluator.title
             decided = dict.fromkeys([*always, *found])
@@ -152,8 +152,8 @@ class Growth:
         for key, count in trials.asked.items():
             repeats[key] = max(count, repeats.get(key, 0))
         for sequence_name, setting, title in list(repeats):
-            repeats |= {(sequence_name, setting, awaited): EVERY for awaited in self._awaited.titles(title)}
-        return Extent(repeats, self._begun, self._awaited.found(run)), findings
+            repeats |= {(sequence_name, setting, inputs): ALL_REPEATS for inputs in self._inputs.titles(title)}
+        return PlanScope(repeats, self._begun, self._inputs.found(run)), findings
 
 
 def _measures_rate(declared: dict[str, object]) -> bool:
@@ -200,8 +200,8 @@ class Awaited:
     def __init__(self, evaluators: Sequence[Entry], repeats: Mapping[str, int]) -> None:
         self._sources: dict[str, dict[str, Source]] = {}
         for entry in evaluators:
-            for parameter, need in entry.awaits.items():
-                source, metric = sources(need, evaluators)[0]
+            for parameter, quantity in entry.requires.items():
+                source, metric = sources(quantity, evaluators)[0]
                 title = source.setting.title
                 self._sources.setdefault(entry.setting.title, {})[parameter] = Source(
                     source.setting, metric, repeats[title]
@@ -240,7 +240,7 @@ class Awaited:
 
 
 def repeats_to_decide(
-    run: RunResult, trials: Trials, aim: Aim, most: int, settings: Iterable[tuple[str, PluginSetting]]
+    run: RunResult, trials: Trials, objective: Objective, most: int, settings: Iterable[tuple[str, PluginSetting]]
 ) -> dict[CellKey, int]:
     """How many repeats of an evaluator each setting on a sequence is to have, at most `most`.
 
@@ -248,11 +248,11 @@ def repeats_to_decide(
     the first setting that fails, because a limit is where all above it hold. A live error has no such limit, for what
     is too large for a link comes too late, and is judged by itself: so each setting is decided, the baseline too.
     """
-    each = aim.metric.need == "error"
+    each = objective.metric.quantity == "error"
     found: dict[CellKey, int] = {}
     curves: dict[tuple[str, str], list[tuple[float, CellKey]]] = defaultdict(list)
     for sequence, setting in settings:
-        key = sequence, setting, aim.evaluator.title
+        key = sequence, setting, objective.evaluator.title
         if setting.name in run.schema.baselines and not each:
             found[key] = most
             continue
@@ -264,7 +264,7 @@ def repeats_to_decide(
         failed_at = -math.inf
         for rate, key in sorted(members, key=lambda member: -member[0]):
             recorded = trials.recorded(*key)
-            count, said = needed(recorded, aim, most)
+            count, said = needed(recorded, objective, most)
             below = rate < failed_at and not each
             found[key] = max(runs_to_make(0, 0, most), len(recorded)) if below else count
             if said == "fails" and math.isfinite(rate):
@@ -272,16 +272,16 @@ def repeats_to_decide(
     return found
 
 
-def needed(recorded: list[CellResult], aim: Aim, most: int) -> tuple[int, Passing]:
+def needed(recorded: list[CellResult], objective: Objective, most: int) -> tuple[int, Passing]:
     """How many repeats a setting is to have, and what those that it has say.
 
     A repeat that has no value says nothing, one without a result does not do. Where none of the first says anything,
     more would not.
     """
-    column = column_of(aim)
+    column = column_of(objective)
     count = runs_to_make(0, 0, most)
     while len(recorded) >= count:
-        outcomes = [_outcome(result, aim, values_in(result, column)[:1]) for result in recorded[:count]]
+        outcomes = [_outcome(result, objective, values_in(result, column)[:1]) for result in recorded[:count]]
         judged = [outcome for outcome in outcomes if outcome is not None]
         said = verdict(sum(judged), len(judged), len(judged) if count >= most else most)
         if said != "inconclusive" or count >= most or not judged:
@@ -290,10 +290,10 @@ def needed(recorded: list[CellResult], aim: Aim, most: int) -> tuple[int, Passin
     return count, "inconclusive"
 
 
-def _outcome(result: CellResult, aim: Aim, values: list[float]) -> bool | None:
+def _outcome(result: CellResult, objective: Objective, values: list[float]) -> bool | None:
     """Whether a repeat will do; None where it says nothing."""
     if result.status == "unsupported":
         return None
     if result.status != "ok" or not values:
         return False
-    return None if math.isnan(values[0]) else aim.met_by(values[0])
+    return None if math.isnan(values[0]) else objective.met_by(values[0])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import Listener, run_plan
 from codecbench.core.engine.running.summary import RunSummary
 
@@ -69,7 +69,7 @@ def _repeated(cell: Cell) -> tuple[str, PluginSetting, str]:
 def planned(matrix: Matrix, out: str | Path | None) -> tuple[Plan, Path, Growth | None]:
     """The plan of a matrix as far as its run folder leads, that folder, and how it grows; None where it does not."""
     folder = Path(out) if out is not None else Path("runs") / matrix.name
-    grows = matrix.searches or matrix.until is not None or any(entry.awaits for entry in matrix.evaluators)
+    grows = matrix.searches or matrix.until is not None or any(entry.requires for entry in matrix.evaluators)
     if not grows:
         return make_plan(matrix), folder, None
     from codecbench.core.rounds.growth import Growth  # tables and statistics take a second to load

@@ -11,8 +11,8 @@ from typing import Final, Literal, TypeVar
 import numpy as np
 
 from codecbench.core.analysis.columns import Column
-from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
+from codecbench.core.engine.planning.objective import Objective
 from codecbench.core.engine.planning.search import Search
 from codecbench.core.rounds.trials import Stopped, Trial, Trials, Unfinished
 
@@ -42,7 +42,7 @@ class Searching:
                 self._follow(sampling(self.search.lengths, self.search.budget, self.seed), self._score)
                 return self._of_several()
             ended = self._follow(bisection(len(self.search.settings), self.search.budget), self._side)
-            return self._nearest(ended) if self._aim.bound == "equal" else self._boundary(ended)
+            return self._nearest(ended) if self._objective.bound == "equal" else self._boundary(ended)
         except Unfinished:
             if self.in_time:
                 return self._finding("under way", None, f"{len(self.tried)} settings tried so far"), None
@@ -51,9 +51,9 @@ class Searching:
             return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
 
     @property
-    def _aim(self) -> Aim:
-        assert self.search.aim is not None, "what passes is sought by Edge"
-        return self.search.aim
+    def _objective(self) -> Objective:
+        assert self.search.objective is not None, "what passes is sought by Edge"
+        return self.search.objective
 
     def _follow(self, questions: Generator[list[int], dict[int, A], E], answer: Callable[[int], A]) -> E:
         """Answer questions to their end. Raises Unfinished once all of a question are asked for, and Stopped."""
@@ -71,7 +71,7 @@ class Searching:
         for place in places:
             setting = self.search.settings[place]
             try:
-                self.tried[place] = self.trials.trial(self.sequence, setting, self._aim)
+                self.tried[place] = self.trials.trial(self.sequence, setting, self._objective)
             except Unfinished:
                 unfinished = True
             if self.search.least is not None:
@@ -84,20 +84,20 @@ class Searching:
             raise Unfinished
 
     def _side(self, place: int) -> Side:
-        trial, aim = self.tried[place], self._aim
-        if aim.bound != "equal":
+        trial, objective = self.tried[place], self._objective
+        if objective.bound != "equal":
             return 1 if trial.meets else -1
         if math.isnan(trial.value):
             raise Stopped(f"{trial.label} has no value: {trial.reason}")
-        if abs(trial.value - aim.value) <= self.search.within or trial.value == aim.value:
+        if abs(trial.value - objective.value) <= self.search.within or trial.value == objective.value:
             return 0
-        return 1 if trial.value > aim.value else -1
+        return 1 if trial.value > objective.value else -1
 
     def _score(self, place: int) -> Score:
-        trial, aim = self.tried[place], self._aim
-        if aim.bound == "equal":
-            return Score(0.0 if self._near_enough(trial) else aim.distance(trial.value), 0.0)
-        distance = aim.distance(trial.value)
+        trial, objective = self.tried[place], self._objective
+        if objective.bound == "equal":
+            return Score(0.0 if self._near_enough(trial) else objective.distance(trial.value), 0.0)
+        distance = objective.distance(trial.value)
         violation = 0.0 if trial.meets else min(distance, 1e9) or 1.0
         return Score(self._least(place), violation)
 
@@ -111,13 +111,13 @@ class Searching:
         return math.inf if math.isnan(value) else value
 
     def _nearest(self, ended: Bisected | None) -> tuple[SearchFinding, PluginSetting | None]:
-        """The setting that comes nearest to an aim."""
-        aim = self._aim
-        place = min(self.tried, key=lambda place: (aim.distance(self.tried[place].value), place))
+        """The setting that comes nearest to an objective."""
+        objective = self._objective
+        place = min(self.tried, key=lambda place: (objective.distance(self.tried[place].value), place))
         trial = self.tried[place]
-        if not math.isfinite(trial.value) and math.isfinite(aim.value) and trial.value != aim.value:
+        if not math.isfinite(trial.value) and math.isfinite(objective.value) and trial.value != objective.value:
             return self._finding("unreachable", None, f"no setting has a finite value; {self._effort()}"), None
-        words = f"{trial.label} gives {_number(trial.value)}{_off(trial.value, aim.value)}"
+        words = f"{trial.label} gives {_number(trial.value)}{_off(trial.value, objective.value)}"
         state: SearchState = "nearest"
         if ended is not None and ended.outcome == "one side":
             state, words = "unreachable", f"no setting reaches that; of its ends, {words} is nearer"
@@ -128,19 +128,19 @@ class Searching:
         return self._finding(state, trial, f"{words}; {self._effort()}"), trial.setting
 
     def _near_enough(self, trial: Trial) -> bool:
-        return abs(trial.value - self._aim.value) <= self.search.within
+        return abs(trial.value - self._objective.value) <= self.search.within
 
     def _boundary(self, ended: Bisected) -> tuple[SearchFinding, PluginSetting | None]:
         """The last setting that will do before those that will not."""
-        aim, meeting = self._aim, {place: trial for place, trial in self.tried.items() if trial.meets}
+        objective, meeting = self._objective, {place: trial for place, trial in self.tried.items() if trial.meets}
         if not meeting:
-            best = min(self.tried.values(), key=lambda trial: aim.distance(trial.value))
+            best = min(self.tried.values(), key=lambda trial: objective.distance(trial.value))
             came = f"the nearest is {self._told(best)}" if not math.isnan(best.value) else best.reason
             state: SearchState = "stopped" if ended.outcome == "spent" else "unreachable"
             spent = "the budget is spent, and " if ended.outcome == "spent" else ""
             return self._finding(state, None, f"{spent}no setting tried will do: {came}; {self._effort()}"), None
         if ended.outcome == "one side" or len(meeting) == len(self.tried):
-            place = min(meeting, key=lambda place: (aim.distance(meeting[place].value), -place))
+            place = min(meeting, key=lambda place: (objective.distance(meeting[place].value), -place))
             words = f"every setting tried will do, also {self._told(meeting[place])}"
         else:
             place = ended.low if ended.low in meeting else ended.high
@@ -154,7 +154,7 @@ class Searching:
 
     def _of_several(self) -> tuple[SearchFinding, PluginSetting | None]:
         """The best of the settings of several parameters that were tried."""
-        if self._aim.bound == "equal":
+        if self._objective.bound == "equal":
             return self._nearest(None)
         meeting = [place for place, trial in self.tried.items() if trial.meets]
         if not meeting:
@@ -193,7 +193,7 @@ class Searching:
         reached = trial.value if trial is not None and math.isfinite(trial.value) else None
         codec = self.search.settings[0].name
         label = trial.setting.label if trial is not None else ""
-        return SearchFinding(self.sequence, codec, str(self._aim), state, label, reached, len(self.tried), words)
+        return SearchFinding(self.sequence, codec, str(self._objective), state, label, reached, len(self.tried), words)
 
 
 def _number(value: float) -> str:

@@ -15,8 +15,8 @@ from codecbench.core.analysis.passing import PASSES_ABOVE, Joint, Passing, Stand
 from codecbench.core.analysis.run_result import Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
-from codecbench.core.engine.planning.aim import Aim
 from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.planning.objective import Objective
 
 CellKey = tuple[str, PluginSetting, str]
 """A sequence by its name, a codec setting, and an evaluator's setting by its title."""
@@ -49,9 +49,9 @@ class Trial:
         return self.setting.label or "its setting"
 
 
-def column_of(aim: Aim) -> Column:
-    """The column of the wide table that an aim is about."""
-    return Column(aim.evaluator, aim.metric, aim.stage, aim.aggregate)
+def column_of(objective: Objective) -> Column:
+    """The column of the wide table that an objective is about."""
+    return Column(objective.evaluator, objective.metric, objective.stage, objective.aggregate)
 
 
 class Trials:
@@ -69,22 +69,22 @@ class Trials:
             cell = result.cell
             self._found[cell.sequence.name, cell.codec, cell.evaluator.title][cell.repeat] = result
 
-    def trial(self, sequence: str, setting: PluginSetting, aim: Aim) -> Trial:
-        """What is known of a setting beside an aim. Raises Unfinished and Stopped.
+    def trial(self, sequence: str, setting: PluginSetting, objective: Objective) -> Trial:
+        """What is known of a setting beside an objective. Raises Unfinished and Stopped.
 
         With four repeats or more, a limit must be met by more than half of all runs there could be, with confidence;
         repeats are asked for until that stands, or there are no more. Fewer count with the value of the table.
         """
-        column, total = column_of(aim), self.totals[aim.evaluator.title]
-        if aim.bound == "equal" or total < FEWEST:
-            self.repeats(sequence, setting, aim.evaluator.title, total)
+        column, total = column_of(objective), self.totals[objective.evaluator.title]
+        if objective.bound == "equal" or total < FEWEST:
+            self.repeats(sequence, setting, objective.evaluator.title, total)
             value = self._shown(sequence, setting, column)
             reason = self._reason(sequence, setting, column) if math.isnan(value) else ""
-            return Trial(setting, value, aim.met_by(value), reason=reason)
+            return Trial(setting, value, objective.met_by(value), reason=reason)
         count = runs_to_make(0, 0, total)
         while True:
-            repeats = self.repeats(sequence, setting, aim.evaluator.title, count)
-            held = sum(any(aim.met_by(value) for value in values_in(result, column)[:1]) for result in repeats)
+            repeats = self.repeats(sequence, setting, objective.evaluator.title, count)
+            held = sum(any(objective.met_by(value) for value in values_in(result, column)[:1]) for result in repeats)
             said = verdict(held, count, total)
             if said != "inconclusive" or count == total:
                 value = self._shown(sequence, setting, column)

@@ -89,7 +89,7 @@ class Delivery:
 
 def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
     """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
-    settings = settings.timed(context.awaited)
+    settings = settings.timed(context.inputs)
     if settings.concealed and coded.codec.carries == "features":
         # What depends on a lost set is missing: nothing is made up.
         settings = settings.model_copy(update={"concealed": False})

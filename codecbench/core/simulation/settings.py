@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from codecbench.core.contracts.evaluator import PluginSource, PluginUse
 from codecbench.core.contracts.link import Link
-from codecbench.core.contracts.metric import Need
+from codecbench.core.contracts.metric import Quantity
 from codecbench.core.contracts.params import Params
 
 Transport = Literal["datagrams", "fec", "arq", "reliable"]
@@ -52,7 +52,7 @@ class LinkSettings(Params):
     on the way.
     """
 
-    times: ClassVar[Mapping[str, Need]] = {"encode_ms": "encoding", "decode_ms": "decoding"}
+    times: ClassVar[Mapping[str, Quantity]] = {"encode_ms": "encoding", "decode_ms": "decoding"}
     """Parameters that may be `measured`, and what is measured then."""
 
     link: str | None = None
@@ -112,13 +112,13 @@ class LinkSettings(Params):
         return float("inf") if self.deadline_ms is None else 1e-3 * self.deadline_ms
 
     @property
-    def awaits(self) -> dict[str, Need]:
+    def requires(self) -> dict[str, Quantity]:
         """The parameters that are `measured`, as an evaluator declares them."""
-        return {name: need for name, need in self.times.items() if getattr(self, name) == "measured"}
+        return {name: quantity for name, quantity in self.times.items() if getattr(self, name) == "measured"}
 
-    def timed(self, awaited: Mapping[str, float]) -> Self:
+    def timed(self, inputs: Mapping[str, float]) -> Self:
         """The settings with what was measured."""
-        return self.model_copy(update={name: awaited[name] for name in self.awaits})
+        return self.model_copy(update={name: inputs[name] for name in self.requires})
 
     @property
     def encode_s(self) -> float:
@@ -144,7 +144,7 @@ class LinkSettings(Params):
 class ReaderSettings(LinkSettings):
     """How pictures get to a reader that takes `slam_ms` for each, and passes over those that come meanwhile."""
 
-    times: ClassVar[Mapping[str, Need]] = {**LinkSettings.times, "slam_ms": "reading"}
+    times: ClassVar[Mapping[str, Quantity]] = {**LinkSettings.times, "slam_ms": "reading"}
 
     slam_ms: MeasuredTime = 0.0
 

@@ -18,8 +18,8 @@ from PIL import Image as PillowImage
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
-from codecbench.plugins.datasets.coded_before import jpeg_notes
 from codecbench.plugins.datasets.selection import Color, converted, without
+from codecbench.plugins.datasets.source_compression import jpeg_notes
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"

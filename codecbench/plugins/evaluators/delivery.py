@@ -20,12 +20,12 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric, Need
-from codecbench.core.contracts.view import Course, Drawing, Line, View
+from codecbench.core.contracts.metric import Metric, Quantity
+from codecbench.core.contracts.view import Drawing, FrameTimeline, Line, View
 from codecbench.core.simulation.delivery import Delivery, delivery_of
 from codecbench.core.simulation.receiver import FrameOutcome
 from codecbench.core.simulation.settings import LinkSettings
-from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
+from codecbench.plugins.evaluators.outcomes import rows_of_outcomes
 
 _UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
     "late": ("share of frames older than deadline_ms, or after a newer one", "too late"),
@@ -68,19 +68,19 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
             "on_time", "1", "higher", "1 if the frame is handed on, else 0",
-            role="task", headline=True, label="pictures on time", brief="on time",
+            role="task", headline=True, label="pictures on time", column_header="on time",
         ),
         Metric(
             "age_ms", "ms", "lower",
             "at each capture, age of the newest frame handed on, or time since the first capture",
             ("p95", "median", "max"),
-            role="task", headline=True, label="age of the newest picture", brief="age ms", scale="log",
+            role="task", headline=True, label="age of the newest picture", column_header="age ms", scale="log",
         ),
         Metric(
             "delay_ms", "ms", "lower",
             "from capture until decoded; missing if not on time",
             ("median", "p95", "max"),
-            label="delay of pictures", scale="log", need="delay",
+            label="delay of pictures", scale="log", quantity="delay",
         ),
         Metric("delivered_share", "1", "higher", "share of frames whole, however late", label="delivered"),
         Metric(
@@ -97,7 +97,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             label="as sent of those in part",
         ),
         *(
-            Metric(f"{outcome}_share", "1", "lower", summary, label=label, need="cause")
+            Metric(f"{outcome}_share", "1", "lower", summary, label=label, quantity="cause")
             for outcome, (summary, label) in _UNTIMELY.items()
         ),
         _count("stalls_half_s", "waits over 0.5 s for a frame", "stalls over 0.5 s"),
@@ -133,8 +133,8 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         return self.params.link_uses
 
     @property
-    def awaits(self) -> dict[str, Need]:
-        return self.params.awaits
+    def requires(self) -> dict[str, Quantity]:
+        return self.params.requires
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         """All parameters but `repeats`: more of them recompute nothing."""
@@ -180,9 +180,9 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         known = np.searchsorted(handed_s[came], captured_s, side="right")
         ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[came]])[known]
         frames = np.arange(len(captured_s))
-        course = Course(frames, None, ages_s, "s", lanes_of_outcomes(outcomes), "age of the newest picture")
+        timeline = FrameTimeline(frames, None, ages_s, "s", rows_of_outcomes(outcomes), "age of the newest picture")
         drawn = tuple(line for line in lines if len(line.points))
-        return Drawing(drawn, caption, axes=("time [s]", "age [s]"), course=course)
+        return Drawing(drawn, caption, axes=("time [s]", "age [s]"), timeline=timeline)
 
 
 def _read_timeline(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:

@@ -1,4 +1,4 @@
-"""What became of frames on a link, as lanes of a timeline."""
+"""What became of frames on a link, as rows of a timeline."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from codecbench.core.contracts.view import Lane, Tone
+from codecbench.core.contracts.view import TimelineRow, Tone
 from codecbench.core.simulation.receiver import FrameOutcome
 
 _TONES: Final[dict[FrameOutcome, Tone]] = {
@@ -17,7 +17,7 @@ _TONES: Final[dict[FrameOutcome, Tone]] = {
 """Nobody failed at a picture that was never sent: something newer took its place."""
 
 
-def lanes_of_outcomes(outcomes: Sequence[str]) -> tuple[Lane, ...]:
-    """A lane for each outcome that a frame met, from the best to the worst. outcomes: of the frames (N,)."""
+def rows_of_outcomes(outcomes: Sequence[str]) -> tuple[TimelineRow, ...]:
+    """A row for each outcome that a frame met, from the best to the worst. outcomes: of the frames (N,)."""
     told = np.array(outcomes, dtype=object)
-    return tuple(Lane(outcome, tone, told == outcome) for outcome, tone in _TONES.items() if outcome in outcomes)
+    return tuple(TimelineRow(outcome, tone, told == outcome) for outcome, tone in _TONES.items() if outcome in outcomes)

@@ -81,7 +81,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
         Metric(
             "average_precision", "1", "higher",
             "mean precision at the rank of each raw frame of the place; 0 without a common word",
-            role="task", headline=True, label="places, mean average precision", brief="places mAP",
+            role="task", headline=True, label="places, mean average precision", column_header="places mAP",
         ),
     )  # fmt: skip
 

@@ -38,14 +38,14 @@ def take_in(mapper: Mapper, other: Mapper, seen: Loop) -> Joint:
     pose = mapper.map.keyframes.camera_from_world[seen.keyframe].copy()
     map_from_other = np.asarray(sim3_compose(se3_inverse(pose), seen.keyframe_from_world))
     other.map.transform(map_from_other)
-    numbers, first_point = mapper.append(other, hang_up(other.map, seen.matched))
+    numbers, first_point = mapper.append(other, reroot_spanning_tree(other.map, seen.matched))
     matched = int(numbers[seen.matched])
     mapper.map.keyframes.parents[matched] = seen.keyframe
     points = np.where(seen.points >= 0, seen.points + first_point, NONE)
     return Joint(numbers, first_point, map_from_other, Loop(seen.keyframe, matched, pose, points, seen.inliers))
 
 
-def hang_up(slam_map: Map, root: int) -> Indices:
+def reroot_spanning_tree(slam_map: Map, root: int) -> Indices:
     """Make `root` the root of the spanning tree; returns all keyframes (K,) in an order in which parents come first.
 
     Keyframes are taken breadth first, the older of equals first, and those that have been culled last.

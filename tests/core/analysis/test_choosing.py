@@ -20,12 +20,12 @@ from codecbench.core.report.page import render
 from codecbench.core.report.strips import link_strips
 from codecbench.core.report.views import Pick, picked
 
-WAIT = Metric("wait", "ms", "lower", "", need="delay")
-GONE = Metric("gone", "1", "lower", "", label="gone astray", need="cause")
-IDLE = Metric("idle", "1", "lower", "", label="never begun", need="cause")
-MISS = Metric("miss", "m", "lower", "", need="error")
-BLIND = Metric("blind", "m", "neither", "", need="idle")
-NEW = Metric("new", "1", "higher", "", need="fresh")
+WAIT = Metric("wait", "ms", "lower", "", quantity="delay")
+GONE = Metric("gone", "1", "lower", "", label="gone astray", quantity="cause")
+IDLE = Metric("idle", "1", "lower", "", label="never begun", quantity="cause")
+MISS = Metric("miss", "m", "lower", "", quantity="error")
+BLIND = Metric("blind", "m", "neither", "", quantity="idle")
+NEW = Metric("new", "1", "higher", "", quantity="fresh")
 OF_FRAMES, OF_READER = (WAIT, GONE, IDLE), (MISS, BLIND, NEW)
 FRAMES = 10
 UNSEEN_M = 1.0
@@ -250,7 +250,7 @@ def test_other_links_do_not_count_and_are_named_where_there_is_nothing() -> None
 
 def timed(q: float, encode_ms: float) -> CellResult:
     cell = cell_result("plain", q, "clock")
-    code = Metric("code_ms", "ms", "lower", "", ("median",), role="time", need="encoding")
+    code = Metric("code_ms", "ms", "lower", "", ("median",), role="time", quantity="encoding")
     return replace(cell, metrics={"code_ms": code}, summaries={("code_ms", "", "median"): encode_ms})
 
 

@@ -21,7 +21,7 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.samples import parquet_from_samples
 from codecbench.core.engine.storage.store import Store

@@ -21,8 +21,8 @@ from codecbench.core.report.tables import chosen_columns, exported, short_table,
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "d", "1"), "f00d", 3, 3, True, True)
 WORK = Metric(
-    "work", "ops", "lower", "", ("mean", "max"), role="operations", headline=True, label="work done", brief="Mops",
-    display_unit="Mops", display_factor=1e-6,
+    "work", "ops", "lower", "", ("mean", "max"), role="operations", headline=True, label="work done",
+    column_header="Mops", display_unit="Mops", display_factor=1e-6,
 )  # fmt: skip
 SIZE = Metric("size", "B", "lower", "", role="rate", headline=True)
 KEPT = Metric("kept", "%", "higher", "", role="rate", headline=True)
@@ -66,7 +66,7 @@ def test_columns_are_those_of_the_wide_table_in_the_order_of_declaration() -> No
 def test_a_column_says_what_it_is() -> None:
     column = columns_of([ONE])["test(n=2).work.encode.mean"]
     assert column.heading == "encode work done (n=2) [Mops]"
-    assert column.brief == "encode\nMops\nn=2"
+    assert column.short_heading == "encode\nMops\nn=2"
     assert column.factor == 1e-6
     assert columns_of([ONE])["test(n=2).work.encode.max"].label == "encode work done (n=2), max"
     infinite = Column(ONE.cell.evaluator, WORK, "", "infinite")
@@ -83,12 +83,12 @@ def test_a_metric_that_was_not_declared_stands_last_and_means_nothing() -> None:
         "test(n=2).work.mean", "test(n=2).late.max", "test(n=2).odd.mean", "test(n=2).odd.x.mean", "test.note.mean",
     ]  # fmt: skip
     odd = columns["test(n=2).odd.mean"]
-    assert (odd.metric, odd.heading, odd.brief) == (Metric("odd", "", "neither", ""), "odd (n=2)", "odd\nn=2")
+    assert (odd.metric, odd.heading, odd.short_heading) == (Metric("odd", "", "neither", ""), "odd (n=2)", "odd\nn=2")
 
 
 def test_heads_say_no_more_than_there_is() -> None:
     note = columns_of([result("b", {}, note=1.0)])["test.note.mean"]
-    assert (note.label, note.heading, note.brief, note.unit, note.factor) == ("note", "note", "note", "1", 1.0)
+    assert (note.label, note.heading, note.short_heading, note.unit, note.factor) == ("note", "note", "note", "1", 1.0)
     assert columns_of([ONE])["test(n=2).size.mean"].heading == "size (n=2) [B]"
     assert Column(ONE.cell.evaluator, WORK, "", "infinite").unit == ""
 

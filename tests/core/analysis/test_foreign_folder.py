@@ -16,9 +16,9 @@ import pytest
 from distributions import install_source, register
 from project import SUPPORT
 
-from codecbench.core.engine.environment import environment_id
-from codecbench.core.engine.foreign_text import LINE_LIMIT, clean_line, clean_text
 from codecbench.core.engine.identity import digest
+from codecbench.core.engine.storage.environment import environment_id
+from codecbench.core.engine.text import LINE_LIMIT, clean_line, clean_text
 from codecbench.core.report.tables import escaped
 
 pytestmark = pytest.mark.thorough

@@ -17,10 +17,10 @@ from codecbench import PluginError, Unsupported
 from codecbench.core.analysis.hosted_evaluator import HostedEvaluator
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.contracts.view import Course, Drawing, Lane, Line
+from codecbench.core.contracts.view import Drawing, FrameTimeline, Line, TimelineRow
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 SETTING = PluginSetting("evaluator", "error", "1")
 BASELINE = [Outcome(0, (Measurement("error", 2.0),), Path("baseline"))]
@@ -106,24 +106,24 @@ def test_the_course_of_a_drawing_arrives_with_what_is_not_known(
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     positions, errors = np.array([[0.5, 1.0], [np.nan, np.nan]]), np.array([0.25, np.nan])
-    lanes = (Lane("gone", "bad", np.array([False, True])),)
-    course = Course(np.array([3, 4]), positions, errors, "m", lanes, "how far off")
-    answering(monkeypatch, "drawing", lambda *_: Drawing((), "a path", course=course))
+    rows = (TimelineRow("gone", "bad", np.array([False, True])),)
+    timeline = FrameTimeline(np.array([3, 4]), positions, errors, "m", rows, "how far off")
+    answering(monkeypatch, "drawing", lambda *_: Drawing((), "a path", timeline=timeline))
     found = evaluator.drawing(OUTCOME)
     assert found is not None
-    assert found.course is not None
-    assert found.course.frames.tolist() == [3, 4]
-    assert np.array_equal(found.course.positions, positions, equal_nan=True)
-    assert np.array_equal(found.course.errors, errors, equal_nan=True)
-    assert (found.course.unit, found.course.quantity) == ("m", "how far off")
-    ((name, tone, holds),) = [(lane.name, lane.tone, lane.holds) for lane in found.course.lanes]
+    assert found.timeline is not None
+    assert found.timeline.frames.tolist() == [3, 4]
+    assert np.array_equal(found.timeline.positions, positions, equal_nan=True)
+    assert np.array_equal(found.timeline.errors, errors, equal_nan=True)
+    assert (found.timeline.unit, found.timeline.quantity) == ("m", "how far off")
+    ((name, tone, holds),) = [(row.name, row.tone, row.holds) for row in found.timeline.rows]
     assert (name, tone, holds.tolist(), holds.dtype) == ("gone", "bad", [False, True], np.dtype(bool))
-    no_map = Course(np.array([3, 4]), None, errors, "s")
-    answering(monkeypatch, "drawing", lambda *_: Drawing((), "ages", course=no_map))
+    no_map = FrameTimeline(np.array([3, 4]), None, errors, "s")
+    answering(monkeypatch, "drawing", lambda *_: Drawing((), "ages", timeline=no_map))
     again = evaluator.drawing(OUTCOME)
     assert again is not None
-    assert again.course is not None
-    assert again.course.positions is None
+    assert again.timeline is not None
+    assert again.timeline.positions is None
 
 
 def test_one_that_is_missing_something_is_refused(evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:

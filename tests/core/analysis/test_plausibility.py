@@ -15,7 +15,7 @@ from measured_runs import cell_result
 import codecbench
 from codecbench.core.analysis.plausibility import with_doubts
 from codecbench.core.analysis.table import CellResult
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import setting_notes
 from codecbench.plugins.evaluators.quality.evaluator import Quality
 

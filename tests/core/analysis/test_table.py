@@ -13,8 +13,8 @@ import pytest
 from codecbench.core.analysis.table import TIDY_COLUMNS, CellResult, tidy, wide
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.aggregate import summarise
 from codecbench.core.engine.planning.model import Cell, PluginSetting, SequenceEntry
+from codecbench.core.engine.storage.aggregate import summarise
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "synthetic", "1"), "f00d", 3, 3, True, True)

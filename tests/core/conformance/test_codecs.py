@@ -17,7 +17,7 @@ from codecbench.core.conformance import damage, sandbox
 from codecbench.core.conformance.harness import Check, shape_of
 from codecbench.core.conformance.settings import setting_label
 from codecbench.core.conformance.suite import checks_of, films_of
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 SLOW_CHECKS = ("bombs", "cut", "damaged", "deterministic", "future", "self_contained", "threads")
 HAVE_SLOW_CHECKS = ("h264", "multilevel")

@@ -9,19 +9,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from codecbench import Course, Drawing, Lane, Line, Marks, Metric, NoParams, SequenceEvaluator, View
+import codecbench
+from codecbench import (
+    Drawing,
+    FrameTimeline,
+    KeypointOverlay,
+    Line,
+    Metric,
+    NoParams,
+    SequenceEvaluator,
+    TimelineRow,
+    View,
+)
 from codecbench.core.analysis.collect import schema_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
-from codecbench.core.engine import aggregate
-from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
+from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared, read_declared
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry, plan_from_json
+from codecbench.core.engine.storage import aggregate
 from codecbench.core.report.views import curve_styles
 
 
 def test_a_metric_needs_no_more_than_its_first_four_fields() -> None:
     metric = Metric("drift_px", "px", "lower", "how far it drifts", ("median", "p95"), False)
-    assert (metric.label, metric.brief, metric.heading) == ("drift", "drift", "drift [px]")
+    assert (metric.label, metric.column_header, metric.heading) == ("drift", "drift", "drift [px]")
     assert (metric.role, metric.scale, metric.headline) == ("behaviour", "linear", False)
     assert not metric.repeatable
     assert Metric("score", "1", "higher", "").heading == "score"
@@ -182,24 +193,24 @@ def test_codecs_that_share_a_color_differ_in_dashes_and_markers() -> None:
 @pytest.mark.parametrize(
     "values", [(np.zeros((3, 2)), np.zeros(2)), (np.zeros((2, 3)), np.zeros(2)), (np.full((2, 2), np.inf), np.zeros(2))]
 )
-def test_a_course_has_a_place_and_an_error_for_each_frame(values: tuple[np.ndarray, np.ndarray]) -> None:
-    with pytest.raises(PluginError, match="course: "):
-        Course(np.arange(2), *values, "m")
+def test_a_timeline_has_a_place_and_an_error_for_each_frame(values: tuple[np.ndarray, np.ndarray]) -> None:
+    with pytest.raises(PluginError, match="timeline: "):
+        FrameTimeline(np.arange(2), *values, "m")
 
 
 @pytest.mark.parametrize(
     ("tone", "holds", "words"),
-    [("bad", np.zeros(3, bool), "is of 3 frames; the course has 2"), ("poor", np.zeros(2, bool), "one of good, fair"),
+    [("bad", np.zeros(3, bool), "is of 3 frames; the timeline has 2"), ("poor", np.zeros(2, bool), "one of good, fair"),
      ("bad", np.zeros(2), "it is .N,. of bool")],
 )  # fmt: skip
 def test_a_lane_says_of_each_frame_whether_it_holds(tone: Any, holds: np.ndarray, words: str) -> None:
     with pytest.raises(PluginError, match=words):
-        Course(np.arange(2), None, np.zeros(2), "m", (Lane("gone", tone, holds),))
+        FrameTimeline(np.arange(2), None, np.zeros(2), "m", (TimelineRow("gone", tone, holds),))
 
 
 def test_marks_have_a_verdict_for_each_place() -> None:
     with pytest.raises(PluginError, match=r"they are \(N, 2\) and \(N,\)"):
-        Marks(np.zeros((3, 2)), np.zeros(2, bool), "two of three")
+        KeypointOverlay(np.zeros((3, 2)), np.zeros(2, bool), "two of three")
 
 
 @pytest.mark.parametrize("axes", [("time",), "time", ("a", "b", "c")])
@@ -208,8 +219,28 @@ def test_a_drawing_names_both_axes_or_none(axes: object) -> None:
         Drawing((), "it", None, axes)  # type: ignore[arg-type]
 
 
-def test_the_axes_of_a_plane_have_the_unit_of_its_course() -> None:
+def test_the_axes_of_a_plane_have_the_unit_of_its_timeline() -> None:
     positions, errors = np.zeros((2, 2)), np.zeros(2)
-    assert Drawing((), "a map", course=Course(np.arange(2), positions, errors, "m")).labels == ("x [m]", "y [m]")
+    assert Drawing((), "a map", timeline=FrameTimeline(np.arange(2), positions, errors, "m")).labels == (
+        "x [m]",
+        "y [m]",
+    )
     assert Drawing((), "a map").labels == ("x", "y")
     assert Drawing((), "ages", axes=("time [s]", "age [s]")).labels == ("time [s]", "age [s]")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_former_names_still_work() -> None:
+    metric = Metric("age_s", "s", "lower", "", need="delay", brief="age")
+    assert metric == Metric("age_s", "s", "lower", "", quantity="delay", column_header="age")
+    assert (metric.need, metric.brief) == ("delay", "age")
+    stored = {"name": "age_s", "unit": "s", "better": "lower", "summary": "", "need": "delay"}
+    assert read_declared(Metric, stored).quantity == "delay"
+    rows = (codecbench.Lane("late", "bad", np.zeros(1, bool)),)
+    timeline = codecbench.Course(np.arange(1), None, np.zeros(1), "s", lanes=rows)
+    assert Drawing((), "ages", course=timeline).timeline.rows == rows
+
+
+def test_a_former_name_says_the_current_one() -> None:
+    with pytest.warns(DeprecationWarning, match="Metric.need is now called quantity"):
+        Metric("age_s", "s", "lower", "", need="delay")

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from codecbench.core.contracts.hooks import KINDS
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.warm_up import kernels_called
 from codecbench.core.kernels.manifest import ManifestError, listed
 from codecbench.plugins.codecs.multilevel import Multilevel
 
 RUN = """
 from numba.core import event
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 class Compiled(event.Listener):
     def on_start(self, started):

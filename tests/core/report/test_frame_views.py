@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from report_runs import coded_frame
 
-from codecbench.core.contracts.view import Marks
+from codecbench.core.contracts.view import KeypointOverlay
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.report.pictures import _marker, frame_view
 
@@ -37,7 +37,9 @@ def test_a_frame_that_is_smaller_is_shown_whole() -> None:
 
 def test_marks_are_those_inside_and_the_note_is_of_all() -> None:
     places = np.array([[60.0, 45.0], [160.4, 120.0], [259.0, 194.0], [59.0, 45.0], [0.0, 0.0]])
-    view = frame_view(coded_frame(), 0, (200, 150), Marks(places, np.array([True, False, True, False, True]), "3 of 5"))
+    view = frame_view(
+        coded_frame(), 0, (200, 150), KeypointOverlay(places, np.array([True, False, True, False, True]), "3 of 5")
+    )
     assert view.kept == [0, 0, 199, 149]
     assert view.lost == [100, 75]
     assert view.note == "3 of 5"

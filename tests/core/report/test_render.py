@@ -11,7 +11,7 @@ from measured_runs import METRICS
 from report_runs import report_run
 
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.contracts.view import Course, Drawing, Lane, Line
+from codecbench.core.contracts.view import Drawing, FrameTimeline, Line, TimelineRow
 from codecbench.core.report.page import render
 from codecbench.core.report.page_data import maps
 
@@ -49,17 +49,17 @@ def test_a_frame_that_was_lost_among_ten_thousand_is_on_the_timeline_and_the_lar
     count = 10_000
     lost, errors = np.zeros(count, bool), np.full(count, 0.01)
     lost[4321], errors[1234], errors[5000:] = True, 0.5, np.nan
-    lanes = (Lane("there", "good", ~lost), Lane("lost", "bad", lost))
-    course = Course(np.arange(count), None, errors, "m", lanes, "how far off")
+    rows = (TimelineRow("there", "good", ~lost), TimelineRow("lost", "bad", lost))
+    timeline = FrameTimeline(np.arange(count), None, errors, "m", rows, "how far off")
     run = report_run(1)
-    drawing = Drawing((Line("truth", "truth", np.zeros((2, 2))),), "a way", course=course)
+    drawing = Drawing((Line("truth", "truth", np.zeros((2, 2))),), "a way", timeline=timeline)
     drawn = [replace(r, drawing=lambda: drawing) if r.cell.evaluator.name == "track" else r for r in run.results]
-    found = maps(replace(run, results=tuple(drawn)))[0]["drawings"][0]["course"]
+    found = maps(replace(run, results=tuple(drawn)))[0]["drawings"][0]["timeline"]
     assert len(json.dumps(found)) < 10_000
     assert (found["x"], found["last"], len(found["frames"])) == (None, count - 1, len(found["errors"]))
     assert max(error for error in found["errors"] if error is not None) == 0.5
     assert found["errors"][-1] is None
-    there, gone = found["lanes"]
+    there, gone = found["rows"]
     assert (gone["name"], gone["tone"], gone["share"]) == ("lost", "bad", 1 / count)
     assert gone["levels"].strip("0") == "1"
     assert gone["levels"].index("1") == 4321 * len(gone["levels"]) // count

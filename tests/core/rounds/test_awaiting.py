@@ -34,7 +34,7 @@ def timed(cell: Cell) -> float | str:
     """Times grow with the level, and scatter over repeats."""
     if cell.evaluator.name == "lag":
         return float(cell.codec.params["level"]) + (0.0, 0.5, 9.0)[cell.repeat]
-    return size_of(cell) if cell.evaluator.name == "scales" else cell.awaited["pause_ms"]
+    return size_of(cell) if cell.evaluator.name == "scales" else cell.inputs["pause_ms"]
 
 
 @pytest.fixture
@@ -49,8 +49,8 @@ def waiters(bench: SearchBench) -> list[Cell]:
 def test_cells_come_after_what_they_await_and_get_its_median(bench: SearchBench) -> None:
     bench.run(matrix(WAITING), timed)
     assert [{cell.evaluator.name for cell in cells} for cells in bench.rounds] == [{"lag"}, {"waiter"}]
-    assert [cell.awaited for cell in waiters(bench)] == [{"pause_ms": 1.5}, {"pause_ms": 2.5}]
-    assert cell_description(waiters(bench)[0])["awaited"] == {"pause_ms": 1.5}
+    assert [cell.inputs for cell in waiters(bench)] == [{"pause_ms": 1.5}, {"pause_ms": 2.5}]
+    assert cell_description(waiters(bench)[0])["inputs"] == {"pause_ms": 1.5}
     assert bench.plan is not None
     assert plan_from_json(bench.plan.as_json()).cells == bench.plan.cells
 
@@ -67,8 +67,8 @@ def test_the_record_decides_and_not_the_machine(bench: SearchBench, tmp_path: Pa
     assert [cell.id for cell in bench.computed] == [cell.id for cell in first]
     other = SearchBench(tmp_path / "other")
     other.folder.mkdir()
-    other.run(matrix(WAITING), lambda cell: 8.0 if cell.evaluator.name == "lag" else cell.awaited["pause_ms"])
-    assert {cell.awaited["pause_ms"] for cell in waiters(other)} == {8.0}
+    other.run(matrix(WAITING), lambda cell: 8.0 if cell.evaluator.name == "lag" else cell.inputs["pause_ms"])
+    assert {cell.inputs["pause_ms"] for cell in waiters(other)} == {8.0}
     assert not {cell.id for cell in waiters(other)} & {cell.id for cell in first}
 
 
@@ -93,7 +93,7 @@ def test_what_never_comes_is_the_reason(bench: SearchBench, measured: float | st
 def test_what_a_search_finds_and_tries_is_awaited_too(bench: SearchBench) -> None:
     dial = "{use: dial, params: {level: {range: [0, 20]}}, search: {metric: %s}}"
     bench.run(matrix(f"scales, {WAITING}", dial % "weight_bytes, max: 40"), timed)
-    assert [cell.awaited for cell in waiters(bench)] == [{"pause_ms": 10.5}]
+    assert [cell.inputs for cell in waiters(bench)] == [{"pause_ms": 10.5}]
     bench.run(matrix(f"scales, {WAITING}", dial % "paused_ms, max: 5"), timed)
     assert bench.plan is not None
     (found,) = bench.plan.searches
@@ -102,7 +102,7 @@ def test_what_a_search_finds_and_tries_is_awaited_too(bench: SearchBench) -> Non
 
 def test_a_number_awaits_nothing(bench: SearchBench) -> None:
     plan = make_plan(bench.matrix(matrix("{use: waiter, params: {pause_ms: 3}}")), bench.registry)
-    assert [cell.awaited for cell in plan.cells] == [{}, {}]
+    assert [cell.inputs for cell in plan.cells] == [{}, {}]
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def bench(tmp_path: Path) -> SearchBench:
 @pytest.mark.parametrize("caught", [1, 9, pytest.param(14, marks=pytest.mark.thorough)])
 def test_the_edge_is_the_coarsest_setting_that_passes(bench: SearchBench, seen: int, caught: int) -> None:
     (found,) = bench.run(matrix(), World(seen, caught))
-    assert (found.aim, found.state, found.setting) == ("passes", "found", f"level={max(seen, caught)}")
+    assert (found.objective, found.state, found.setting) == ("passes", "found", f"level={max(seen, caught)}")
     assert len(set(bench.levels("sight"))) <= 1 + 4 + 3
     assert len(set(bench.levels("toss"))) <= 1 + 1 + (4 if caught > seen else 0)
 

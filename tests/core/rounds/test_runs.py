@@ -20,7 +20,7 @@ from search_plugins import Dial
 import codecbench
 from codecbench.cli import cli
 from codecbench.core.engine.planning.matrix import read_matrix
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.summary import RunSummary
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.rounds.running import planned, run_matrix
@@ -63,17 +63,17 @@ evaluators:
   - {use: delivery, params: {encode_ms: measured, repeats: 2}}
 run: {workers: 1}
 """)
-    summaries, awaited = [], []
+    summaries, inputs = [], []
     for recompute in ((), (), ("timing",)):
         summaries.append(run_matrix(read_matrix(path), tmp_path / "run", recompute=recompute))
         cells = Store(tmp_path / "run").read_plan().cells
-        awaited.append({cell.id: cell.awaited["encode_ms"] for cell in cells if cell.awaited})
+        inputs.append({cell.id: cell.inputs["encode_ms"] for cell in cells if cell.inputs})
     assert [summary.statuses for summary in summaries] == [{"ok": 3}] * 3
     assert summaries[1].computed == 0
-    assert awaited[0] == awaited[1]
-    assert not awaited[0].keys() & awaited[2].keys()
-    record = Store(tmp_path / "run").read_record(next(iter(awaited[2])))
-    assert record.cell["awaited"] == {"encode_ms": next(iter(awaited[2].values()))}
+    assert inputs[0] == inputs[1]
+    assert not inputs[0].keys() & inputs[2].keys()
+    record = Store(tmp_path / "run").read_record(next(iter(inputs[2])))
+    assert record.cell["inputs"] == {"encode_ms": next(iter(inputs[2].values()))}
 
 
 def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place: Path) -> None:
@@ -182,7 +182,7 @@ def test_the_example_reaches_one_rate_with_every_codec(tmp_path: Path) -> None:
     plan, _, _ = planned(matrix, tmp_path / "run")
     for found in plan.searches:
         assert found.state in ("nearest", "found"), found
-        if found.aim.startswith("rate_bpp"):
+        if found.objective.startswith("rate_bpp"):
             assert found.reached == pytest.approx(0.5, rel=0.1)
         assert found.trials <= 9
 

@@ -68,13 +68,13 @@ def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
     given = ReaderSettings(
         link="given", encode_ms="measured", decode_ms="measured", slam_ms="measured", device_factor=4, receiver_factor=3
     )
-    assert given.awaits == {"encode_ms": "encoding", "decode_ms": "decoding", "slam_ms": "reading"}
+    assert given.requires == {"encode_ms": "encoding", "decode_ms": "decoding", "slam_ms": "reading"}
     timed = given.timed({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
     assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
-    assert timed.awaits == {}
+    assert timed.requires == {}
     with pytest.raises(TypeError, match="'measured' is no time yet"):
         _ = given.encode_s
-    assert LinkSettings(link="given", encode_ms=5).awaits == {}
+    assert LinkSettings(link="given", encode_ms=5).requires == {}
 
 
 @pytest.mark.parametrize("value", ["fast", -1, None])

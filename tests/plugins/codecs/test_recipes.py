@@ -20,7 +20,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from codecbench import AnyCodec, Image, Recipe, Scene, encoder_of, gray_from_image
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 RATE_HZ = 30.0
 NEAR = 0.05

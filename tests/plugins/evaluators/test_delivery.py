@@ -105,17 +105,17 @@ def test_a_timeline_shows_the_age_of_the_newest_picture(tmp_path: Path) -> None:
     assert delay.points == pytest.approx(np.array([[0, 0.275], [0.2, 0.35], [0.5, 0.325], [0.7, 0.4]]), abs=1e-5)
     assert drawing.caption == "50 % on time, 50 % skipped"
     assert drawing.axes == ("time [s]", "age [s]")
-    assert (drawing.course.positions, drawing.course.quantity) == (None, "age of the newest picture")
-    assert drawing.course.errors == pytest.approx(np.array(values(found, "age_ms")) / 1e3, abs=1e-5)
-    lanes = {lane.name: np.flatnonzero(lane.holds).tolist() for lane in drawing.course.lanes}
-    assert lanes == {"on time": [0, 2, 5, 7], "skipped": [1, 3, 4, 6]}
+    assert (drawing.timeline.positions, drawing.timeline.quantity) == (None, "age of the newest picture")
+    assert drawing.timeline.errors == pytest.approx(np.array(values(found, "age_ms")) / 1e3, abs=1e-5)
+    rows = {row.name: np.flatnonzero(row.holds).tolist() for row in drawing.timeline.rows}
+    assert rows == {"on time": [0, 2, 5, 7], "skipped": [1, 3, 4, 6]}
 
 
 def test_a_timeline_from_before_fates_were_kept_is_drawn_without_them(tmp_path: Path) -> None:
     (tmp_path / "timeline.csv").write_text("0.000000,0.100000\n0.100000,inf\n")
     drawing = DeliveryEvaluator.create().drawing(Outcome(0, (), tmp_path))
-    assert drawing.course.errors == pytest.approx([0.0, 0.1], abs=1e-9)
-    assert drawing.course.lanes == ()
+    assert drawing.timeline.errors == pytest.approx([0.0, 0.1], abs=1e-9)
+    assert drawing.timeline.rows == ()
 
 
 def test_where_nothing_comes_its_age_only_rises(tmp_path: Path) -> None:

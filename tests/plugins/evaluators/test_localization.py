@@ -22,7 +22,7 @@ from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.localization.evaluator import _measured
-from codecbench.plugins.evaluators.localization.survey import Sighting
+from codecbench.plugins.evaluators.localization.reference_map import LocalizedPose
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.ideal import Ideal
 from codecbench.plugins.slam_backends.orb import Orb
@@ -139,21 +139,21 @@ def test_the_backend_is_part_of_what_a_cell_is() -> None:
     assert (use.kind, use.name, use.params) == ("slam_backend", "orb", {"features": 500})
 
 
-def sighting(x_m: float, turn_deg: float, inliers: int = 80) -> Sighting:
+def localized(x_m: float, turn_deg: float, inliers: int = 80) -> LocalizedPose:
     pose = np.eye(4)
     pose[0, 3] = x_m
     pose[:3, :3] = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
-    return Sighting(pose, inliers)
+    return LocalizedPose(pose, inliers)
 
 
-def judged(tracked: Sighting | None, raw: Sighting | None, truth: np.ndarray) -> dict[str, Measurement]:
-    survey: Any = SimpleNamespace(truth=truth[None], limit_m=0.02, limit_deg=2.5)
-    found = _measured(survey, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw})
+def judged(tracked: LocalizedPose | None, raw: LocalizedPose | None, truth: np.ndarray) -> dict[str, Measurement]:
+    reference_map: Any = SimpleNamespace(truth=truth[None], limit_m=0.02, limit_deg=2.5)
+    found = _measured(reference_map, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw})
     return {m.metric: m for m in found}
 
 
 def test_distances_and_angles_are_those_made_by_hand() -> None:
-    found = judged(sighting(0.012, 3.0), sighting(0.007, 1.0), np.eye(4))
+    found = judged(localized(0.012, 3.0), localized(0.007, 1.0), np.eye(4))
     expected = {
         "tracked_located": 1.0, "tracked_inliers": 80.0,
         "tracked_position_error_mm": 12.0, "tracked_rotation_error_deg": 3.0,
@@ -164,12 +164,12 @@ def test_distances_and_angles_are_those_made_by_hand() -> None:
         assert found[name].value == pytest.approx(value), name
     assert set(found) == {metric.name for metric in Localization.metrics}
     assert {m.reason for m in found.values() if math.isnan(m.value)} == {"the frame is not located"}
-    assert judged(sighting(0.03, 0.0), sighting(0.0, 0.0), np.eye(4))["located_auc"].value == 0.0
+    assert judged(localized(0.03, 0.0), localized(0.0, 0.0), np.eye(4))["located_auc"].value == 0.0
 
 
 @pytest.mark.parametrize(("x_m", "turn_deg", "points"), [(0.019, 2.4, 80.0), (0.021, 0.0, 0.0), (0.0, 2.6, 0.0)])
 def test_map_points_count_where_the_pose_is_right(x_m: float, turn_deg: float, points: float) -> None:
-    found = judged(sighting(x_m, turn_deg), sighting(0.0, 0.0), np.eye(4))
+    found = judged(localized(x_m, turn_deg), localized(0.0, 0.0), np.eye(4))
     assert (found["tracked_located"].value, found["tracked_inliers"].value) == (1.0, points)
 
 
@@ -190,9 +190,9 @@ def test_a_frame_repeated_wins_no_map_points(tmp_path: Path) -> None:
 
 
 def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
-    lost = judged(None, sighting(0.0, 0.0), np.eye(4))
+    lost = judged(None, localized(0.0, 0.0), np.eye(4))
     assert (lost["tracked_located"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
-    unknown = judged(sighting(0.0, 0.0), None, np.full((4, 4), np.nan))
+    unknown = judged(localized(0.0, 0.0), None, np.full((4, 4), np.nan))
     assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
     assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"
     for name in ("located_auc", "tracked_inliers", "relocalized_inliers"):

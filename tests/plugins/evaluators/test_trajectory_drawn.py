@@ -61,23 +61,23 @@ def test_the_truth_is_shown_for_the_frames_that_were_given_and_half_a_second_aro
     assert np.allclose(lines["truth"][5 + 10 : -5], lines["after"], atol=1e-6)
 
 
-def test_the_course_says_of_each_frame_where_it_is_and_how_far_off(folder: Path) -> None:
+def test_the_timeline_says_of_each_frame_where_it_is_and_how_far_off(folder: Path) -> None:
     """The path is 0.1 m beside the truth from frame 40 on; frames 20 to 29 were lost."""
     shifted = path(STAMPS_S[30:70])
     shifted.world_from_camera[10:, 0, 3] += 0.1
     files.write_tum(folder / files.TRAJECTORY, shifted)
-    course = drawn(outcome(folder)).course
-    assert course.frames.tolist() == list(range(20, 70))
-    assert np.isnan(course.positions[:10]).all()
-    assert not np.isnan(course.positions[10:]).any()
-    assert np.isnan(course.errors[:10]).all()
-    assert course.errors[10:20] == pytest.approx(0.0, abs=1e-6)
-    assert course.errors[20:] == pytest.approx(0.1, abs=1e-6)
-    assert course.unit == "m"
+    timeline = drawn(outcome(folder)).timeline
+    assert timeline.frames.tolist() == list(range(20, 70))
+    assert np.isnan(timeline.positions[:10]).all()
+    assert not np.isnan(timeline.positions[10:]).any()
+    assert np.isnan(timeline.errors[:10]).all()
+    assert timeline.errors[10:20] == pytest.approx(0.0, abs=1e-6)
+    assert timeline.errors[20:] == pytest.approx(0.1, abs=1e-6)
+    assert timeline.unit == "m"
     (folder / files.GROUND_TRUTH).unlink()
-    assert np.isnan(drawn(outcome(folder)).course.errors).all(), "no true path, no error"
+    assert np.isnan(drawn(outcome(folder)).timeline.errors).all(), "no true path, no error"
     (folder / files.STATES).unlink()
-    assert drawn(outcome(folder)).course is None
+    assert drawn(outcome(folder)).timeline is None
 
 
 def test_a_failure_is_said_and_an_unknown_is_no_failure(folder: Path) -> None:
@@ -90,11 +90,11 @@ def test_a_failure_is_said_and_an_unknown_is_no_failure(folder: Path) -> None:
 
 
 def test_a_frame_is_on_the_lane_of_what_slam_made_of_it(folder: Path) -> None:
-    lanes = {lane.name: (lane.tone, np.flatnonzero(lane.holds)) for lane in drawn(outcome(folder)).course.lanes}
-    assert {name: (tone, len(holds)) for name, (tone, holds) in lanes.items()} == {
+    rows = {row.name: (row.tone, np.flatnonzero(row.holds)) for row in drawn(outcome(folder)).timeline.rows}
+    assert {name: (tone, len(holds)) for name, (tone, holds) in rows.items()} == {
         "tracked": ("good", 40), "track lost": ("bad", 10)
     }  # fmt: skip
-    assert lanes["track lost"][1].tolist() == list(range(10))
+    assert rows["track lost"][1].tolist() == list(range(10))
 
 
 def test_where_nothing_was_tracked_the_true_path_and_the_timeline_are_left(folder: Path) -> None:
@@ -102,8 +102,8 @@ def test_where_nothing_was_tracked_the_true_path_and_the_timeline_are_left(folde
     files.write_tum(folder / files.TRAJECTORY_BEFORE_LOOPS, path(STAMPS_S[:0]))
     drawing = drawn(outcome(folder))
     assert [line.stroke for line in drawing.lines] == ["truth"]
-    assert np.isnan(drawing.course.errors).all()
-    assert [lane.name for lane in drawing.course.lanes] == ["tracked", "track lost"]
+    assert np.isnan(drawing.timeline.errors).all()
+    assert [row.name for row in drawing.timeline.rows] == ["tracked", "track lost"]
 
 
 def test_nothing_tracked_and_no_truth_is_nothing_drawn(folder: Path, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ COUNT = 60
 
 
 def measured(
-    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, awaited: Any = None, **params: Any
+    backend: Told, folder: Path, truth: Trajectory | None = None, repeat: int = 0, inputs: Any = None, **params: Any
 ) -> dict[str, Measurement]:
     """SLAM over frames of 48 bytes, ten a second."""
     images = [np.full((6, 8), index, np.uint8) for index in range(COUNT)]
@@ -36,7 +36,7 @@ def measured(
         constant=lambda given: Constant.create(**given),
     )
     evaluator = TrajectoryEvaluator.create(backend="told", **params)
-    where = replace(context(folder, repeat, plugins), awaited=awaited or {})
+    where = replace(context(folder, repeat, plugins), inputs=inputs or {})
     return {m.metric: m for m in evaluator.evaluate(coded, where)}
 
 
@@ -123,8 +123,8 @@ def test_slam_that_is_slower_than_the_camera_skips_frames(tmp_path: Path) -> Non
 
 def test_slam_takes_the_time_that_was_measured_on_a_slower_machine(tmp_path: Path) -> None:
     backend = Told(moved(helix(COUNT)))
-    awaited = {"slam_ms": 125.0}
-    measured(backend, tmp_path, link="ideal", slam_ms="measured", receiver_factor=2.0, awaited=awaited)
+    inputs = {"slam_ms": 125.0}
+    measured(backend, tmp_path, link="ideal", slam_ms="measured", receiver_factor=2.0, inputs=inputs)
     assert [frame.index for frame in backend.seen][:5] == [0, 2, 5, 7, 10]
 
 
@@ -158,16 +158,16 @@ def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
         Outcome(0, tuple(found.values()), tmp_path)
     )
     assert drawn is not None
-    assert drawn.course is not None
-    assert drawn.course.frames.tolist() == list(range(5, COUNT))
-    errors_m = drawn.course.errors
+    assert drawn.timeline is not None
+    assert drawn.timeline.frames.tolist() == list(range(5, COUNT))
+    errors_m = drawn.timeline.errors
     assert np.isnan(errors_m[:3]).all(), "no picture was there yet"
     known = errors_m[~np.isnan(errors_m)]
     assert rms(known) == pytest.approx(found["live_position_error_m"].value, rel=1e-4)
-    lanes = {lane.name: lane.holds for lane in drawn.course.lanes}
-    assert list(lanes) == ["on time", "lost", "tracked"]
-    assert np.array_equal(lanes["on time"], ~lanes["lost"])
-    assert np.array_equal(lanes["tracked"], lanes["on time"]), "the told poses are of every frame that was read"
+    rows = {row.name: row.holds for row in drawn.timeline.rows}
+    assert list(rows) == ["on time", "lost", "tracked"]
+    assert np.array_equal(rows["on time"], ~rows["lost"])
+    assert np.array_equal(rows["tracked"], rows["on time"]), "the told poses are of every frame that was read"
 
 
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:

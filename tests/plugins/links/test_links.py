@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from codecbench import Link, Passage, Unsupported
 from codecbench.core.conformance.links import check_link
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.generator import TRACES, main, trace
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott

@@ -78,7 +78,7 @@ class Slam:
 
 
 @pytest.fixture
-def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def fake_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a module called pyorbslam3 that this process and its children find first."""
     (tmp_path / "pyorbslam3.py").write_text(STAND_IN)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -92,7 +92,7 @@ def frames(levels: list[int], interval_s: float = 0.01) -> Iterator[Frame]:
         yield Frame(index + 5, 1.4e9 + interval_s * index, np.full((6, 8), level, np.uint8))
 
 
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_a_run_is_read_from_answers_files_and_log() -> None:
     run = OrbSlam3.create().run(frames([0, 1, 203, 4, 5, 9, 6, 202, 8]), CAMERA, seed=0)
     assert [frame.state for frame in run.frames] == [
@@ -112,7 +112,7 @@ def test_a_run_is_read_from_answers_files_and_log() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_frames_are_paced() -> None:
     started = time.monotonic()
     OrbSlam3.create(slowdown=2.0).run(frames([5] * 6, interval_s=0.1), CAMERA, seed=0)
@@ -120,14 +120,14 @@ def test_frames_are_paced() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_a_crash_is_an_error_that_says_where() -> None:
     with pytest.raises(SlamError, match=r"ended by SIGSEGV, frame 7; its last output: about to crash"):
         OrbSlam3.create().run(frames([5, 5, 200, 5]), CAMERA, seed=0)
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_a_want_of_memory_is_an_error_that_says_how_to_give_more() -> None:
     with pytest.raises(
         SlamError, match=r"exit status 1 for want of memory: allow more by the run's memory_mb, frame 6"
@@ -136,14 +136,14 @@ def test_a_want_of_memory_is_an_error_that_says_how_to_give_more() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_an_exit_is_an_error_with_its_status() -> None:
     with pytest.raises(SlamError, match="ended with exit status 3, frame 6"):
         OrbSlam3.create().run(frames([5, 204, 5]), CAMERA, seed=0)
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_a_hang_is_an_error_and_the_child_is_gone() -> None:
     started = time.monotonic()
     with pytest.raises(SlamError, match=r"no answer within 3 s, frame 6"):
@@ -152,8 +152,8 @@ def test_a_hang_is_an_error_and_the_child_is_gone() -> None:
 
 
 @pytest.mark.thorough
-def test_a_package_that_does_not_import_is_unsupported(stand_in: Path) -> None:
-    (stand_in / "pyorbslam3.py").write_text("raise ImportError('libEGL.so.1: cannot open shared object file')")
+def test_a_package_that_does_not_import_is_unsupported(fake_package: Path) -> None:
+    (fake_package / "pyorbslam3.py").write_text("raise ImportError('libEGL.so.1: cannot open shared object file')")
     with pytest.raises(Unsupported, match=r"libEGL.so.1.*apt-get install libgl1 libegl1"):
         OrbSlam3.create().run(frames([5, 5]), CAMERA, seed=0)
 
@@ -165,7 +165,7 @@ def test_a_missing_package_is_unsupported() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_frames_of_another_size_are_refused_with_a_reason() -> None:
     given = list(frames([5, 5, 5]))
     given[1] = Frame(6, given[1].timestamp_s, np.zeros((12, 16, 3), np.uint8))
@@ -176,7 +176,7 @@ def test_frames_of_another_size_are_refused_with_a_reason() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("stand_in")
+@pytest.mark.usefixtures("fake_package")
 def test_input_that_cannot_be_used_is_refused() -> None:
     with pytest.raises(SlamError, match="got 1 frame"):
         OrbSlam3.create().run(frames([5]), CAMERA, seed=0)

@@ -11,7 +11,7 @@ from solver_scenes import similarity_from_tangent
 
 from codecbench.slam.mapping.loop_closing import close_loop
 from codecbench.slam.mapping.loop_detection import Loop
-from codecbench.slam.mapping.map_merging import hang_up, take_in
+from codecbench.slam.mapping.map_merging import reroot_spanning_tree, take_in
 from codecbench.slam.mapping.mapper import Mapper
 
 pytestmark = pytest.mark.thorough
@@ -94,7 +94,7 @@ def test_parents_come_first_wherever_the_tree_is_hung_up(rng: np.random.Generato
     slam_map.remove_keyframe(5)
     parents = slam_map.keyframes.parents[:10].copy()
     edges = {frozenset((k, int(parents[k]))) for k in slam_map.alive_keyframes if parents[k] >= 0}
-    order = hang_up(slam_map, 7).tolist()
+    order = reroot_spanning_tree(slam_map, 7).tolist()
     assert sorted(order) == list(range(10))
     assert (order[0], order[-1]) == (7, 5)
     hung = slam_map.keyframes.parents

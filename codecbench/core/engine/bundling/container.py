@@ -27,8 +27,8 @@ from codecbench.core.engine.bundling.manifest import (
     Manifest,
     largest_bytes,
 )
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import json_from_bytes
+from codecbench.core.engine.text import clean_line
 
 _NAME: Final = TypeAdapter(FileName)
 _METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.text import clean_line
 
 FORMAT: Final = 1
 MANIFEST: Final = "manifest.json"

@@ -24,8 +24,8 @@ from typing import Any, Final
 from weakref import WeakValueDictionary
 
 from codecbench.core.contracts import errors
-from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.hosting.wire import Payload, WireError, pack, unpack
+from codecbench.core.engine.text import describe_error
 
 _REMOTE: Final = "codecbench.core.engine.hosting.remote"
 _MOST_BYTES: Final = 64 << 20

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from codecbench.core.contracts.held_folder import HeldFolder, left_running, open_plain
-from codecbench.core.engine.foreign_errors import ended
 from codecbench.core.engine.hosting.channel import (
     CRASH_FILE,
     LONGEST_TRACE,
@@ -32,6 +31,7 @@ from codecbench.core.engine.hosting.channel import (
     SharedMemory,
 )
 from codecbench.core.engine.hosting.confinement import confinement, supervised, wanted
+from codecbench.core.engine.text import ended
 
 __all__ = ["Host", "PluginFault", "PluginLoss", "PluginTimeout"]
 
@@ -46,7 +46,7 @@ HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
 FOLDER_PREFIX: Final = "codecbench-host-"
 """How the names of folders begin in which plugins of others are asked."""
 
-_SERVE: Final = "codecbench.core.engine.serving:serve"
+_SERVE: Final = "codecbench.core.engine.plugins.serving:serve"
 _LIMIT_S: Final = 60.0
 _POLL_MS: Final = 100
 _PATIENCE_S: Final = 1.0

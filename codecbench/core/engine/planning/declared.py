@@ -50,7 +50,8 @@ def _json(part: Metric | View) -> dict[str, Any]:
 def read_declared(kind: type[Any], value: dict[str, Any]) -> Any:
     """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
     names = {field.name for field in fields(kind)}
-    known = {key: part for key, part in value.items() if key in names}
+    current: dict[str, str] = getattr(kind, "__former_names__", {})
+    known = {current.get(key, key): part for key, part in value.items() if current.get(key, key) in names}
     try:
         return TypeAdapter(kind).validate_python(known)
     except (CodecbenchError, ValueError) as error:

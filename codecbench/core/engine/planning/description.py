@@ -16,13 +16,13 @@ from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.foreign_text import clean_line, clean_value
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import suggest
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
+from codecbench.core.engine.text import clean_line, clean_value
 
 _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor", "link")
 _MOST_REPEATS: Final = 100_000
@@ -64,8 +64,8 @@ class Description:
     params: complete, as JSON types. explicit: names of those that are not at their default. identities: what
     distinguishes each repeat, without parameters at their default; empty where `missing` says why there is no instance.
     inert: see PluginSetting. declared: what it says of its meaning, see `planning.declared`. channels: of a codec.
-    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator. awaits:
-    parameters for which stands what other evaluators measure, with the need of their metric.
+    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator.
+    requires: parameters for which stands what other evaluators measure, with the quantity of their metric.
     """
 
     version: str
@@ -80,7 +80,7 @@ class Description:
     exclusive: bool = False
     runs_codec: bool = False
     uses: list[tuple[Kind, str, dict[str, Any]]] = field(default_factory=list)
-    awaits: dict[str, str] = field(default_factory=dict)
+    requires: dict[str, str] = field(default_factory=dict)
 
     def setting(self, kind: Kind, name: str, distribution: str) -> PluginSetting:
         """The setting that is described. distribution: where the plugin is from, empty for codecbench's own."""
@@ -150,7 +150,7 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
         "exclusive": bool(evaluator.exclusive),
         "runs_codec": isinstance(evaluator, CodecEvaluator),
         "uses": [(use.kind, use.name, use.params) for use in evaluator.uses],
-        "awaits": dict(evaluator.awaits),
+        "requires": dict(evaluator.requires),
     }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from codecbench.core.engine.planning.description import Description
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.planning.search_section import Wanted
+from codecbench.core.engine.planning.search_section import SearchSpec
 from codecbench.core.engine.planning.yaml_file import Where
 
 
@@ -28,12 +28,12 @@ class Entry:
     description: Description | None = None
     missing: str | None = None
     faulty: bool = False
-    wanted: Wanted | None = None
+    wanted: SearchSpec | None = None
 
     @property
-    def awaits(self) -> dict[str, str]:
-        """Parameters for which stands what other evaluators measure, with the need of their metric."""
-        return self.description.awaits if self.description else {}
+    def requires(self) -> dict[str, str]:
+        """Parameters for which stands what other evaluators measure, with the quantity of their metric."""
+        return self.description.requires if self.description else {}
 
 
 def distinct(entries: list[Entry]) -> list[Entry]:

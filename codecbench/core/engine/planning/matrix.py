@@ -14,18 +14,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from codecbench.core.contracts.errors import CodecbenchError, MatrixError, Unsupported
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.engine.planning.aim import Aim
-from codecbench.core.engine.planning.awaited import require_sources
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
 from codecbench.core.engine.planning.description import InvalidParams, describe, said_of
 from codecbench.core.engine.planning.entry import Entry, distinct, labelled
+from codecbench.core.engine.planning.inputs import require_sources
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
+from codecbench.core.engine.planning.objective import Objective
 from codecbench.core.engine.planning.plan_bounds import require_plannable
 from codecbench.core.engine.planning.search import Search, made_searches
-from codecbench.core.engine.planning.search_section import read_wanted
-from codecbench.core.engine.planning.until import UntilSection, decided_aim
+from codecbench.core.engine.planning.search_section import read_search_spec
+from codecbench.core.engine.planning.until import UntilSection, decided_objective
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.plugins.registry import Registry, installed
 
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
@@ -62,7 +62,7 @@ class Matrix:
     run: RunSettings
     root: Any
     searches: tuple[Search, ...] = ()
-    until: Aim | None = None
+    until: Objective | None = None
     anchors: tuple[str, ...] | None = None
 
     def problems(self) -> Problems:
@@ -114,7 +114,7 @@ def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry 
     problems.raise_any()
     assert run is not None
     searches = made_searches(sections["codecs"], sections["evaluators"], problems)
-    until = decided_aim(run[1], root, sections["evaluators"], problems)
+    until = decided_objective(run[1], root, sections["evaluators"], problems)
     require_sources(sections["evaluators"], reader.registry, problems)
     problems.raise_any()
     require_plannable(sections, searches, problems)
@@ -160,7 +160,7 @@ class _Reader:
             return
         spanned, wanted = axes(params, (*where, "params"), self.problems), None
         if kind == "codec" and ("search" in item or "at" in item):
-            wanted = read_wanted(item, where, spanned, self.problems)
+            wanted = read_search_spec(item, where, spanned, self.problems)
         for point in points(spanned):
             entry = self.entry(kind, where, str(item["use"]), point)
             if entry is not None:

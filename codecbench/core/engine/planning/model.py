@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import AliasChoices, Field, TypeAdapter
 
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.engine.foreign_text import clean_line, clean_text, clean_value
+from codecbench.core.engine.text import clean_line, clean_text, clean_value
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Cell:
     """One sequence x one codec setting x one evaluator x one repeat.
 
     id: hash of everything that can change the result. job_id: the coding job whose bitstreams it reads, or
-    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None. awaited: what
+    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None. inputs: what
     other cells have measured for it, by the parameter for which that stands.
     """
 
@@ -102,7 +102,7 @@ class Cell:
     exclusive: bool
     job_id: str | None
     unsupported: str | None = None
-    awaited: dict[str, float] = field(default_factory=dict)
+    inputs: dict[str, float] = field(default_factory=dict)
 
     @property
     def plugins(self) -> tuple[PluginSetting, ...]:
@@ -110,7 +110,7 @@ class Cell:
         return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
 
     def tail(self) -> tuple[Any, ...]:
-        """What is the cell's own: its fields after the settings, in order, but what it awaited."""
+        """What is the cell's own: its fields after the settings, in order, but its inputs."""
         return self.repeat, self.seed, self.exclusive, self.job_id, self.unsupported
 
 
@@ -132,15 +132,15 @@ SearchState = Literal["under way", "found", "nearest", "unreachable", "stopped"]
 class SearchFinding:
     """What a search has found on a sequence by now.
 
-    aim: the metric and the value that it is to have. setting: the label of the setting that was found, empty where none
-    was. reached: its value, None where it has none that is finite. trials: settings that were tried. words: a sentence
-    about it. under way: settings are still to be tried; found: this one meets the aim; nearest: no other comes nearer;
-    unreachable: none meets it; stopped: a trial failed or has no value, or the budget is spent.
+    objective: the metric and the value that it is to have. setting: the label of the setting that was found, empty if
+    none was. reached: its value, None if it has none that is finite. trials: settings that were tried. words: a
+    sentence about it. under way: settings are still to be tried; found: this one meets the objective; nearest: no other
+    comes nearer; unreachable: none meets it; stopped: a trial failed or has no value, or the budget is spent.
     """
 
     sequence: str
     codec: str
-    aim: str
+    objective: Annotated[str, Field(validation_alias=AliasChoices("objective", "aim"))]
     state: SearchState
     setting: str
     reached: float | None
@@ -148,7 +148,7 @@ class SearchFinding:
     words: str
 
     def __str__(self) -> str:
-        return f"{self.codec} on {self.sequence}, {self.aim}: {self.words}"
+        return f"{self.codec} on {self.sequence}, {self.objective}: {self.words}"
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Plan:
             "settings": [_json_from_setting(setting) for setting in settings],
             "jobs": jobs,
             "cells": cells,
-            "awaited": {cell.id: cell.awaited for cell in self.cells if cell.awaited},
+            "inputs": {cell.id: cell.inputs for cell in self.cells if cell.inputs},
             "declared": self.declared,
             "searches": [asdict(finding) for finding in self.searches],
         }
@@ -218,7 +218,9 @@ class _PlanBody:
     cells: list[tuple[_Id, int, int, int, int, int, bool, _Id | None, str | None]]
     declared: _Declared = field(default_factory=dict)
     searches: list[SearchFinding] = field(default_factory=list)
-    awaited: dict[_Id, dict[str, float]] = field(default_factory=dict)
+    inputs: Annotated[dict[_Id, dict[str, float]], Field(validation_alias=AliasChoices("inputs", "awaited"))] = field(
+        default_factory=dict
+    )
 
 
 _BODY: Final = TypeAdapter(_PlanBody)
@@ -246,7 +248,7 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
                 exclusive,
                 job_id,
                 unsupported,
-                body.awaited.get(id_, {}),
+                body.inputs.get(id_, {}),
             )
             for id_, at, codec, evaluator, repeat, seed, exclusive, job_id, unsupported in body.cells
         ),

@@ -7,7 +7,7 @@ from typing import Any
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.description import InvalidParams, describe
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 
 def codec(name: str, **params: Any) -> AnyCodec[Any]:

@@ -20,8 +20,8 @@ from codecbench.core.engine.planning.description import (
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, SequenceEntry
-from codecbench.core.engine.planning.search import EVERY, Extent
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
+from codecbench.core.engine.plugins.registry import Registry, installed
 
 _OPENING = 10
 """Opening a sequence may take so many times what other questions to a plugin may: it reads what is on disk."""
@@ -49,7 +49,7 @@ def make_plan(
     matrix: Matrix,
     registry: Registry | None = None,
     *,
-    extent: Extent | None = None,
+    extent: PlanScope | None = None,
     sequences: Sequence[SequenceEntry] = (),
 ) -> Plan:
     """Everything that a matrix asks for, as far as it is asked for by now.
@@ -62,7 +62,7 @@ def make_plan(
     default nothing of the first and all of the second. sequences: those of the matrix, where they were opened before.
     """
     registry = registry or installed()
-    extent = extent or Extent()
+    extent = extent or PlanScope()
     sequences = tuple(sequences) or tuple(_open_sequences(matrix, registry))
     tried = {codec for _, codec, _ in extent.repeats}
     codecs = [_codec_side(entry) for entry in matrix.codecs if entry.wanted is None or entry.setting in tried]
@@ -75,10 +75,10 @@ def make_plan(
             for evaluator in evaluators:
                 of = sequence.name, codec.setting, evaluator.setting.title
                 repeats = extent.planned(*of, searched=codec.searched)
-                awaited = _awaited(evaluator, extent.awaited.get(of))
-                if awaited is None and _unsupported(sequence, codec, evaluator) is None:
+                inputs = _inputs(evaluator, extent.inputs.get(of))
+                if inputs is None and _unsupported(sequence, codec, evaluator) is None:
                     continue
-                for cell in islice(_cells(job, codec, evaluator, matrix.run.seed, awaited), repeats):
+                for cell in islice(_cells(job, codec, evaluator, matrix.run.seed, inputs), repeats):
                     cells.setdefault(cell.id, cell)
                     if cell.job_id is not None and cell.unsupported is None:
                         jobs.setdefault(job.id, job)
@@ -115,14 +115,16 @@ def make_sampled_plan(matrix: Matrix) -> Plan:
     plan = make_plan(matrix)
     titles = [entry.setting.title for entry in matrix.evaluators]
     firsts = [search.settings[0] for search in matrix.searches]
-    sampled = {(entry.name, first, title): EVERY for entry in plan.sequences for first in firsts for title in titles}
+    sampled = {
+        (entry.name, first, title): ALL_REPEATS for entry in plan.sequences for first in firsts for title in titles
+    }
     settings = [*(entry.setting for entry in matrix.codecs if entry.wanted is None), *firsts]
-    awaited: dict[tuple[str, PluginSetting, str], dict[str, float] | str] = {
-        (entry.name, codec, awaiting.setting.title): dict.fromkeys(awaiting.awaits, 0.0)
-        for entry in plan.sequences for codec in settings for awaiting in matrix.evaluators if awaiting.awaits
+    inputs: dict[tuple[str, PluginSetting, str], dict[str, float] | str] = {
+        (entry.name, codec, awaiting.setting.title): dict.fromkeys(awaiting.requires, 0.0)
+        for entry in plan.sequences for codec in settings for awaiting in matrix.evaluators if awaiting.requires
     }  # fmt: skip
-    extent = Extent(sampled, awaited=awaited)
-    return make_plan(matrix, extent=extent, sequences=plan.sequences) if sampled or awaited else plan
+    extent = PlanScope(sampled, inputs=inputs)
+    return make_plan(matrix, extent=extent, sequences=plan.sequences) if sampled or inputs else plan
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
@@ -154,10 +156,10 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
             continue
         entries[name] = replace(sequence, name=name)
     problems.raise_any()
-    return _without_impostors(list(entries.values()))
+    return _reject_duplicate_fingerprints(list(entries.values()))
 
 
-def _without_impostors(entries: list[SequenceEntry]) -> list[SequenceEntry]:
+def _reject_duplicate_fingerprints(entries: list[SequenceEntry]) -> list[SequenceEntry]:
     """The entries, of which those of another distribution that pass for the frames of somebody else are shut."""
     owners: dict[str, SequenceEntry] = {}
     for entry in sorted(entries, key=lambda entry: bool(entry.dataset.distribution)):
@@ -231,19 +233,19 @@ def _used(
     return setting, [kind, name, description.version, description.identities[0]], description.missing
 
 
-def _awaited(evaluator: _Side, found: dict[str, float] | str | None) -> dict[str, float] | str | None:
+def _inputs(evaluator: _Side, found: dict[str, float] | str | None) -> dict[str, float] | str | None:
     """What the cells of an evaluator have been waiting for, or why it never comes; None while it is not there."""
-    return found if evaluator.description is not None and evaluator.description.awaits else {}
+    return found if evaluator.description is not None and evaluator.description.requires else {}
 
 
 def _cells(
-    job: CodingJob, codec: _Side, evaluator: _Side, seed: int, awaited: dict[str, float] | str | None
+    job: CodingJob, codec: _Side, evaluator: _Side, seed: int, inputs: dict[str, float] | str | None
 ) -> Iterator[Cell]:
     description = evaluator.description
-    unsupported = _unsupported(job.sequence, codec, evaluator) or (awaited if isinstance(awaited, str) else None)
+    unsupported = _unsupported(job.sequence, codec, evaluator) or (inputs if isinstance(inputs, str) else None)
     shared = ["cell", RECORD_FORMAT, job.sequence.fingerprint, *codec.identities]
     for repeat, identity in enumerate(evaluator.identities):
-        cell_id = digest([*shared, *identity, seed, *([awaited] if awaited else [])])
+        cell_id = digest([*shared, *identity, seed, *([inputs] if inputs else [])])
         yield Cell(
             id=cell_id,
             sequence=job.sequence,
@@ -254,7 +256,7 @@ def _cells(
             exclusive=bool(description and description.exclusive),
             job_id=None if description and description.runs_codec else job.id,
             unsupported=unsupported,
-            awaited=awaited if isinstance(awaited, dict) else {},
+            inputs=inputs if isinstance(inputs, dict) else {},
         )
 
 

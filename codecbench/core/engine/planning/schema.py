@@ -9,8 +9,8 @@ from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.planning.matrix import RunSection
 from codecbench.core.engine.planning.search_section import PASSES, SearchSection
-from codecbench.core.engine.plugin import Plugin
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.plugin import Plugin
+from codecbench.core.engine.plugins.registry import Registry
 
 _AT: Final = {
     "type": "object",

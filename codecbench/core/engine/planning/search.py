@@ -21,29 +21,29 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.planning.aim import Aim, find_aim, metrics_of
 from codecbench.core.engine.planning.axes import Axis
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
+from codecbench.core.engine.planning.objective import Objective, find_objective, metrics_of
 from codecbench.core.engine.planning.yaml_file import Problems, Where
 
-EVERY: Final = 1 << 30
+ALL_REPEATS: Final = 1 << 30
 """More repeats than an evaluator can have."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """A codec entry with an aim. axes: of more than one value. settings: of all their combinations, the last axis
+    """A codec entry with an objective. axes: of more than one value. settings: of all their combinations, the last axis
     turning fastest. least: of the settings that will do, the one with the least of this column is sought; None where
-    there is one axis, of which the last setting that will do is. aim: None where the coarsest setting is sought that
-    passes what is asked of the run.
+    there is one axis, of which the last setting that will do is. objective: None if the coarsest setting is sought
+    that passes what is asked of the run.
     """
 
-    aim: Aim | None
+    objective: Objective | None
     axes: tuple[Axis, ...]
     settings: tuple[PluginSetting, ...]
     within: float = 0.0
-    budget: int = EVERY
+    budget: int = ALL_REPEATS
     least: tuple[PluginSetting, Metric] | None = None
 
     @property
@@ -53,26 +53,26 @@ class Search:
     @property
     def evaluators(self) -> tuple[PluginSetting, ...]:
         """Those that a trial needs, as far as the matrix says it."""
-        return tuple(dict.fromkeys((*([self.aim.evaluator] if self.aim else ()), *(self.least or ())[:1])))
+        return tuple(dict.fromkeys((*([self.objective.evaluator] if self.objective else ()), *(self.least or ())[:1])))
 
 
 @dataclass(frozen=True)
-class Extent:
+class PlanScope:
     """Which cells belong to the plan where not all do.
 
     repeats: how many of a sequence (by name), codec setting and evaluator (by title). begun: how many of an evaluator
     by title whose repeats are added as needed, where `repeats` does not say; all of the others. Of the settings of a
-    search there are none where `repeats` does not say. awaited: what the cells of an evaluator that awaits something
+    search there are none where `repeats` does not say. inputs: what the cells of an evaluator that awaits something
     have been waiting for, or why it will never be there; those of which it does not say do not belong to the plan yet.
     """
 
     repeats: Mapping[tuple[str, PluginSetting, str], int] = field(default_factory=dict)
     begun: Mapping[str, int] = field(default_factory=dict)
-    awaited: Mapping[tuple[str, PluginSetting, str], dict[str, float] | str] = field(default_factory=dict)
+    inputs: Mapping[tuple[str, PluginSetting, str], dict[str, float] | str] = field(default_factory=dict)
 
     def planned(self, sequence: str, codec: PluginSetting, evaluator: str, searched: bool) -> int:
         """How many repeats are in the plan. searched: the codec setting is one that a search may try."""
-        begun = 0 if searched else self.begun.get(evaluator, EVERY)
+        begun = 0 if searched else self.begun.get(evaluator, ALL_REPEATS)
         return max(begun, self.repeats.get((sequence, codec, evaluator), 0))
 
 
@@ -92,10 +92,12 @@ def made_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems
                 problems.add(where, "a setting passes beside the baseline, and there is none; add the codec raw")
             searches.append(Search(None, wanted.axes, settings))
             continue
-        aim = find_aim(wanted.section, evaluators, where, problems)
-        if aim is not None:
+        objective = find_objective(wanted.section, evaluators, where, problems)
+        if objective is not None:
             least = _rate_of(evaluators) if len(wanted.axes) > 1 else None
-            searches.append(Search(aim, wanted.axes, settings, wanted.section.within, wanted.section.budget, least))
+            searches.append(
+                Search(objective, wanted.axes, settings, wanted.section.within, wanted.section.budget, least)
+            )
     return tuple(searches)
 
 

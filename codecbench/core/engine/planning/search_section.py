@@ -22,7 +22,7 @@ PASSES: Final = "passes"
 _MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
 
 
-class AimSection(BaseModel):
+class ObjectiveSection(BaseModel):
     """A metric and the value that it is to have: `metric` with one of `min`, `max` and `equal`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -33,7 +33,7 @@ class AimSection(BaseModel):
     equal: _Number | None = Field(default=None, description="the value that is to be reached as nearly as can be")
 
     @model_validator(mode="after")
-    def _one_bound(self) -> AimSection:
+    def _one_bound(self) -> ObjectiveSection:
         given = [name for name in _BOUNDS if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"needs one of min, max and equal; got {' and '.join(given) or 'none'}")
@@ -44,7 +44,7 @@ class AimSection(BaseModel):
         return next(name for name in _BOUNDS if getattr(self, name) is not None)
 
 
-class SearchSection(AimSection):
+class SearchSection(ObjectiveSection):
     """The `search:` of a codec entry."""
 
     within: float = Field(default=0.0, ge=0, description="how far from `equal` is near enough, in the metric's unit")
@@ -52,7 +52,7 @@ class SearchSection(AimSection):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SearchSpec:
     """The `search` or `at` of an entry, before its metric is looked up. where: in the file. section: None where the
     setting is sought that passes."""
 
@@ -82,7 +82,9 @@ def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) 
         return None
 
 
-def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems) -> Wanted | None:
+def read_search_spec(
+    item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems
+) -> SearchSpec | None:
     """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
     word = "search" if "search" in item else "at"
     place = (*where, word)
@@ -104,7 +106,7 @@ def read_wanted(item: Mapping[str, Any], where: Where, axes: Sequence[Axis], pro
         return None
     if len(varied) > 1 and find_spec("optuna") is None:
         problems.add(place, _MISSING_EXTRA)
-    return None if section is None and not passes else Wanted(place, section, varied)
+    return None if section is None and not passes else SearchSpec(place, section, varied)
 
 
 def _spelled_out(value: Any) -> Any:

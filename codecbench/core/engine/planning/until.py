@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from codecbench.core.engine.planning.aim import Aim, find_aim
-from codecbench.core.engine.planning.search_section import AimSection
+from codecbench.core.engine.planning.objective import Objective, find_objective
+from codecbench.core.engine.planning.search_section import ObjectiveSection
 from codecbench.core.engine.planning.yaml_file import Problems, plain
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ class UntilSection(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    decided: AimSection = Field(description="a metric of role success by its name, or {metric: NAME, min: NUMBER}")
+    decided: ObjectiveSection = Field(
+        description="a metric of role success by its name, or {metric: NAME, min: NUMBER}"
+    )
 
     @field_validator("decided", mode="before")
     @classmethod
@@ -29,28 +31,32 @@ class UntilSection(BaseModel):
 
     @field_validator("decided")
     @classmethod
-    def _bounded(cls, value: AimSection) -> AimSection:
+    def _bounded(cls, value: ObjectiveSection) -> ObjectiveSection:
         if value.equal is not None:
             raise ValueError("takes min or max: a repeat meets it or does not")
         return value
 
 
-def decided_aim(section: UntilSection | None, root: Any, evaluators: Sequence[Entry], problems: Problems) -> Aim | None:
+def decided_objective(
+    section: UntilSection | None, root: Any, evaluators: Sequence[Entry], problems: Problems
+) -> Objective | None:
     """What is to be decided; None where nothing is, or, with a problem, where it cannot be."""
     if section is None:
         return None
     where = ("run", "until", "decided")
-    aim = find_aim(section.decided, evaluators, where, problems)
-    if aim is None:
+    objective = find_objective(section.decided, evaluators, where, problems)
+    if objective is None:
         return None
-    if isinstance(plain(root["run"]["until"]["decided"]), str) and aim.metric.role != "success":
-        message = f"{aim.metric.name} is no success or failure; give it a limit: {{metric: NAME, max: NUMBER}}"
+    if isinstance(plain(root["run"]["until"]["decided"]), str) and objective.metric.role != "success":
+        message = f"{objective.metric.name} is no success or failure; give it a limit: {{metric: NAME, max: NUMBER}}"
         problems.add(where, message)
         return None
-    if repeats_of(aim.evaluator.title, evaluators) < 2:
-        problems.add(where, f"evaluator {aim.evaluator.title} has a single repeat; give it as many as may be spent")
+    if repeats_of(objective.evaluator.title, evaluators) < 2:
+        problems.add(
+            where, f"evaluator {objective.evaluator.title} has a single repeat; give it as many as may be spent"
+        )
         return None
-    return aim
+    return objective
 
 
 def repeats_of(title: str, evaluators: Sequence[Entry]) -> int:

@@ -10,8 +10,8 @@ from typing import Final
 from codecbench.core.contracts.errors import PluginError, StoreError
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
-from codecbench.core.engine.plugin_code import code_digest, code_label, code_of, files_since
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.fingerprint import code_digest, code_label, code_of, files_since
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.record_index import IndexEntry
 from codecbench.core.engine.storage.store import Store

@@ -27,8 +27,8 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.channel import Exposed
 from codecbench.core.engine.planning.model import Cell, PluginSetting
+from codecbench.core.engine.plugins.serving import created, registry
 from codecbench.core.engine.running.plugins import Plugins
-from codecbench.core.engine.serving import created, registry
 from codecbench.core.engine.storage.record import RECORD_FILE, SAMPLES_FILE
 from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError
 
@@ -62,7 +62,7 @@ def measure(
     """
     check = MeasurementCheck(evaluator, len(sequence))
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
-        context = Context(np.random.default_rng(cell.seed), cell.repeat, Path(folder), plugins, cell.awaited)
+        context = Context(np.random.default_rng(cell.seed), cell.repeat, Path(folder), plugins, cell.inputs)
         position.at("evaluate")
         if isinstance(evaluator, CodecEvaluator):
             found = list(check.checked(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]

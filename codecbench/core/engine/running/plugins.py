@@ -10,10 +10,10 @@ from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.hosting.confinement import paths_named
 from codecbench.core.engine.hosting.host import Host, Role
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.plugin_code import code_label, code_of
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.fingerprint import code_label, code_of
+from codecbench.core.engine.plugins.registry import Registry
 
-_CREATED = "codecbench.core.engine.serving:created"
+_CREATED = "codecbench.core.engine.plugins.serving:created"
 _ROLES: dict[str, Role] = {"dataset": "read", "codec": "decode"}
 """In which a plugin of a kind is made; all others evaluate."""
 

@@ -18,7 +18,7 @@ from typing import Any
 from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.contracts.executor import Status
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.running.code_changes import code_notices
 from codecbench.core.engine.storage.record import cell_description, settings_digest
 from codecbench.core.engine.storage.record_index import IndexEntry

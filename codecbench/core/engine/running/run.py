@@ -14,8 +14,8 @@ from codecbench.core.contracts.executor import Executor, Finished, Status
 from codecbench.core.engine.hosting.confinement import confinement, wanted
 from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
-from codecbench.core.engine.plugin_code import code_label
-from codecbench.core.engine.registry import Registry, installed
+from codecbench.core.engine.plugins.fingerprint import code_label
+from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
 from codecbench.core.engine.running.interruption import Interruption
 from codecbench.core.engine.running.progress import Pace, Progress, measured_words
@@ -68,7 +68,7 @@ def run_plan(
         workers, listener = workers or plan.run.workers, listener or (lambda _: None)
         run = _Run(plan, store, executor, registry, workers, listener, grows=growth is not None)
         try:
-            run.take_up(plan, plan.cells, found)
+            run.enqueue(plan, plan.cells, found)
             run.perform(interruption)
             while growth is not None and not interruption.requested and run.grow(growth(run.plan)):
                 run.perform(interruption)
@@ -109,13 +109,13 @@ class _Run:
         """Go on with a plan that has grown; whether it has."""
         more = tuple(cell for cell in plan.cells if cell.id not in self.statuses)
         if more:
-            self.take_up(plan, more, resume(replace(plan, cells=more, jobs=()), self.store, self.registry))
+            self.enqueue(plan, more, resume(replace(plan, cells=more, jobs=()), self.store, self.registry))
         elif plan != self.plan:
             self.plan = plan
             self.store.write_plan(plan)
         return bool(more)
 
-    def take_up(self, plan: Plan, cells: Sequence[Cell], found: Resumption) -> None:
+    def enqueue(self, plan: Plan, cells: Sequence[Cell], found: Resumption) -> None:
         """Add cells of a plan to the work, without those that an earlier run computed."""
         self.plan = plan
         self.store.write_plan(plan)

@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from codecbench.core.contracts.executor import Finished, Task
-from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.hosting.confinement import wanted
 from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.schedule import Work
-from codecbench.core.engine.running.work import Order, perform
+from codecbench.core.engine.running.work import WorkItem, perform
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.engine.storage.store import Store
+from codecbench.core.engine.text import clean_line, clean_text
 
 
 def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
     """A job or cell as a task. shares_files: the executor's workers see the run folder."""
-    order = Order(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), wanted())
+    order = WorkItem(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), wanted())
     exclusive = isinstance(work, Cell) and work.exclusive
     limits = settings.timeout_s, settings.memory_mb
     return Task(work.id, perform, order, *limits, exclusive)

@@ -20,7 +20,7 @@ from codecbench.core.contracts.hooks import KINDS, Kind
 from codecbench.core.engine.hosting.confinement import VARIABLE, wanted
 from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.planning.model import Cell, PluginSetting
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 if TYPE_CHECKING:
     from codecbench.core.kernels.manifest import Entry

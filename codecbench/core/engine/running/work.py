@@ -19,19 +19,17 @@ from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.executor import Status
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.aggregate import summarise
-from codecbench.core.engine.foreign_errors import describe_error
-from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
 from codecbench.core.engine.hosting.host import PluginLoss
 from codecbench.core.engine.planning.model import Cell, CodingJob
+from codecbench.core.engine.plugins.serving import keep_memory, start_afresh
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
 from codecbench.core.engine.running.measuring import measure, measured_in_host
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
-from codecbench.core.engine.serving import keep_memory, start_afresh
+from codecbench.core.engine.storage.aggregate import summarise
 from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import (
     BitstreamDamage,
@@ -41,6 +39,7 @@ from codecbench.core.engine.storage.bitstream_file import (
 )
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
+from codecbench.core.engine.text import clean_line, clean_text, describe_error
 
 BITSTREAMS: Final = "bitstreams"
 """The name of a coding job's file among the contents of its record, where it was not written by the worker."""
@@ -49,7 +48,7 @@ _FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
-class Order:
+class WorkItem:
     """A coding job to do or a cell to compute.
 
     bitstreams: of a job, the file to write, or None to send them back; of a cell, the file to read or its content, or
@@ -78,7 +77,7 @@ def prepare_worker() -> None:
     gc.freeze()
 
 
-def perform(order: Order, bench: Workbench | None = None) -> Record | BitstreamDamage | OSError:
+def perform(order: WorkItem, bench: Workbench | None = None) -> Record | BitstreamDamage | OSError:
     """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read.
 
     An OSError is a full disk where the bitstreams were to be written, which no plugin is to blame for. bench: by
@@ -159,7 +158,7 @@ def _workbench() -> Workbench:
     return Workbench()
 
 
-def _encode(job: CodingJob, order: Order, bench: Workbench, position: WorkPosition) -> Record:
+def _encode(job: CodingJob, order: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
     sequence = bench.sequence(job.sequence, order.cache_bytes)
     position.at("construct codec")
@@ -185,7 +184,7 @@ def _write_coded(
         write_stream(file, packets, job_id)
 
 
-def _evaluate(cell: Cell, order: Order, bench: Workbench, position: WorkPosition) -> Record:
+def _evaluate(cell: Cell, order: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
     sequence = bench.sequence(cell.sequence, order.cache_bytes)
     position.at("construct codec")

@@ -12,14 +12,14 @@ from codecbench.core.contracts.errors import DatasetError, PluginError
 from codecbench.core.contracts.executor import PATHS_VARIABLE
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.environment import describe_environment, environment_id
 from codecbench.core.engine.hosting.remote import Remote
 from codecbench.core.engine.planning.model import Cell, SequenceEntry
-from codecbench.core.engine.registry import Registry, own
+from codecbench.core.engine.plugins.registry import Registry, own
 from codecbench.core.engine.running.coding.decoding import SharedPictures
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
 from codecbench.core.engine.running.plugins import Plugins
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
+from codecbench.core.engine.storage.environment import describe_environment, environment_id
 
 _OPEN_SEQUENCES: Final = 4
 

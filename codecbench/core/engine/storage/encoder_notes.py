@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.text import clean_line
 
 
 class EncoderNotes:

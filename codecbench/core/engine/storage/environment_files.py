@@ -7,11 +7,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from codecbench.core.engine.environment import environment_id
-from codecbench.core.engine.foreign_text import clean_line, clean_value
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.environment import environment_id
 from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.text import clean_line, clean_value
 
 log = logging.getLogger("codecbench.store")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.storage.plain_file import open_plain
+from codecbench.core.engine.text import clean_line
 
 
 @contextmanager

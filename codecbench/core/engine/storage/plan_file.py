@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.foreign_text import clean_line, clean_text
 from codecbench.core.engine.identity import canonical_json, digest, json_from_bytes
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.origin import is_from_here, origin_here
 from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.text import clean_line, clean_text
 
 log = logging.getLogger("codecbench.store")
 

@@ -11,7 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.executor import Status
-from codecbench.core.engine.foreign_text import clean_line, clean_text, clean_value
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.storage.samples import (
@@ -20,6 +19,7 @@ from codecbench.core.engine.storage.samples import (
     measurement_from_json,
     value_from_json,
 )
+from codecbench.core.engine.text import clean_line, clean_text, clean_value
 
 SCHEMA: Final = 1
 RECORD_FILE: Final = "record.json"
@@ -132,7 +132,7 @@ def cell_description(cell: Cell) -> dict[str, Any]:
         "uses": [{"kind": used.kind, **described(used)} for used in cell.evaluator.uses],
         "repeat": cell.repeat,
         "seed": cell.seed,
-        **({"awaited": cell.awaited} if cell.awaited else {}),
+        **({"inputs": cell.inputs} if cell.inputs else {}),
     }
 
 

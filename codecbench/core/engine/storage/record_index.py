@@ -16,12 +16,12 @@ from typing import Annotated, Final
 
 from pydantic import Strict, TypeAdapter
 
-from codecbench.core.engine.foreign_text import clean_line
 from codecbench.core.engine.identity import content_digest, json_from_bytes
-from codecbench.core.engine.plugin_code import code_digest
+from codecbench.core.engine.plugins.fingerprint import code_digest
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.plain_file import read_plain
 from codecbench.core.engine.storage.record import RECORD_FILE, FileName, Record, settings_digest
+from codecbench.core.engine.text import clean_line
 
 _SEPARATOR: Final = " "
 _LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str, str], Strict(False)])

@@ -10,7 +10,7 @@ import numpy as np
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import Evaluator, Measurement
-from codecbench.core.engine.foreign_text import clean_line
+from codecbench.core.engine.text import clean_line
 
 if TYPE_CHECKING:
     import pyarrow

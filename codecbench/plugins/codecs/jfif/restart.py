@@ -35,7 +35,7 @@ _HEIGHT = 1
 
 
 @dataclass(frozen=True)
-class Salvage:
+class PartialDecode:
     """What is there of a file. file: of the rows that are there, whole. rows: where in the picture each belongs.
 
     rows are rising. header: of the picture as it was.
@@ -46,7 +46,7 @@ class Salvage:
     header: FrameHeader
 
 
-def salvage(fragments: Sequence[Fragment], name: str) -> Salvage:
+def salvage(fragments: Sequence[Fragment], name: str) -> PartialDecode:
     """The intervals of a sequential file in one scan that are there from end to end.
 
     Raises BitstreamError, led by the codec's `name`, where the header is not there, the file has no restart intervals
@@ -75,7 +75,7 @@ def salvage(fragments: Sequence[Fragment], name: str) -> Salvage:
     place = next(segment.offset for segment in segments if segment.code in FRAME_HEADERS) + _HEIGHT
     head = first.data[:place] + struct.pack(">H", len(rows)) + first.data[place + 2 : begin]
     data = [part for index, data in enumerate(found.values()) for part in (_restart(index - 1), data)]
-    return Salvage(head + b"".join(data[1:]) + _END, rows, header)
+    return PartialDecode(head + b"".join(data[1:]) + _END, rows, header)
 
 
 def _mcu_size(header: FrameHeader) -> tuple[int, int]:

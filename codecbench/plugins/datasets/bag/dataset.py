@@ -28,7 +28,7 @@ from codecbench.plugins.datasets.bag.pictures import (
 )
 from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, is_called_a_bag, recording
 from codecbench.plugins.datasets.bag.transforms import frame_name
-from codecbench.plugins.datasets.bag.truth import Wanted, true_path
+from codecbench.plugins.datasets.bag.truth import PoseSource, true_path
 from codecbench.plugins.datasets.calibration import lens_of
 from codecbench.plugins.datasets.files import digest_of, known_facts
 from codecbench.plugins.datasets.selection import (
@@ -113,9 +113,9 @@ class BagSequence(FrameSequence):
             found = params.or_ideal(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
         self.camera = found.camera
         frame = frame_name(first.header.frame_id)
-        wanted = Wanted(params.ground_truth, params.parent_frame, params.child_frame, frame)
+        pose_source = PoseSource(params.ground_truth, params.parent_frame, params.child_frame, frame)
         with without(ground_truth="none"):
-            self.ground_truth, of_truth = true_path(self._recording, wanted)
+            self.ground_truth, of_truth = true_path(self._recording, pose_source)
         compressed = self._topic.type == COMPRESSED
         largest = None if compressed else self._largest_sample()
         of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits, largest)

@@ -16,7 +16,7 @@ _REMEDY: Final = "`ground_truth: none` goes without"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PoseSource:
     """Where the truth is asked for: a topic, `auto` or `none`; between which frames; and the frame of the pictures."""
 
     topic: str
@@ -25,19 +25,19 @@ class Wanted:
     camera_frame: str
 
 
-def true_path(recording: Recording, wanted: Wanted) -> tuple[Trajectory | None, list[str]]:
+def true_path(recording: Recording, pose_source: PoseSource) -> tuple[Trajectory | None, list[str]]:
     """The camera's poses over time, or None, and what has to be said of them. Raises DatasetError."""
-    if wanted.topic == "none":
+    if pose_source.topic == "none":
         return None, []
-    if wanted.topic == "auto":
+    if pose_source.topic == "auto":
         topic, notes = _only_topic(recording)
         if topic is None:
             return None, notes
     else:
-        topic = _named(recording, wanted.topic)
+        topic = _named(recording, pose_source.topic)
     if topic.type in TRANSFORMS:
-        return _from_transforms(recording, topic, wanted)
-    return _from_poses(recording, topic, wanted)
+        return _from_transforms(recording, topic, pose_source)
+    return _from_poses(recording, topic, pose_source)
 
 
 def _only_topic(recording: Recording) -> tuple[Topic | None, list[str]]:
@@ -69,16 +69,16 @@ def _named(recording: Recording, name: str) -> Topic:
     return topic
 
 
-def _from_transforms(recording: Recording, topic: Topic, wanted: Wanted) -> tuple[Trajectory, list[str]]:
-    child = frame_name(wanted.child_frame or wanted.camera_frame)
+def _from_transforms(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
+    child = frame_name(pose_source.child_frame or pose_source.camera_frame)
     tree = FrameTree(recording, topic)
-    parent, path = tree.path(frame_name(wanted.parent_frame) if wanted.parent_frame else None, child)
-    path, notes = _of_camera(tree, path, child, wanted.camera_frame)
+    parent, path = tree.path(frame_name(pose_source.parent_frame) if pose_source.parent_frame else None, child)
+    path, notes = _of_camera(tree, path, child, pose_source.camera_frame)
     return path, [f"ground truth: {len(path)} transforms from {parent!r} to {child!r} of {topic.name}", *notes]
 
 
-def _from_poses(recording: Recording, topic: Topic, wanted: Wanted) -> tuple[Trajectory, list[str]]:
-    edge, child = Edge("", is_static=False), frame_name(wanted.child_frame or "")
+def _from_poses(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
+    edge, child = Edge("", is_static=False), frame_name(pose_source.child_frame or "")
     parents: set[str] = set()
     for time_ns, message in recording.messages(topic):
         edge.times_ns.append(stamp_ns(message.header) or time_ns)
@@ -87,7 +87,7 @@ def _from_poses(recording: Recording, topic: Topic, wanted: Wanted) -> tuple[Tra
         child = child or frame_name(getattr(message, "child_frame_id", ""))
     if len(parents) > 1:
         raise DatasetError(f"{recording.path}: {topic.name} has poses in several frames: {sorted(parents)}; {_REMEDY}")
-    path, notes = _of_camera(FrameTree(recording, None), edge.trajectory(topic.name), child, wanted.camera_frame)
+    path, notes = _of_camera(FrameTree(recording, None), edge.trajectory(topic.name), child, pose_source.camera_frame)
     said = f"ground truth: {len(path)} poses of {topic.name} ({topic.type}); if they are an estimate, {_REMEDY}"
     return path, [said, *notes]
 

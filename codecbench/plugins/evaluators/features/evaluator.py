@@ -22,7 +22,7 @@ from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Conte
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.view import Marks
+from codecbench.core.contracts.view import KeypointOverlay
 from codecbench.plugins.evaluators.features.detectors import (
     SCALE_FACTOR,
     Detector,
@@ -61,12 +61,12 @@ class FrameKeypoints:
     found_at: NDArray[np.int64]
 
 
-def _metrics(prefix: str, finder: str, brief: str) -> tuple[Metric, ...]:
-    """What is measured with the features of one finder. brief: of the headline; none where it is empty."""
+def _metrics(prefix: str, finder: str, column_header: str) -> tuple[Metric, ...]:
+    """What is measured with the features of one finder. column_header: of the headline; none where it is empty."""
     return (
         Metric(
             f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
-            role="task", headline=bool(brief), label=f"features kept, {finder}", brief=brief,
+            role="task", headline=bool(column_header), label=f"features kept, {finder}", column_header=column_header,
         ),
         Metric(
             f"{prefix}descriptor_distance_bits", "bits", "lower",
@@ -118,13 +118,13 @@ class Features(SequenceEvaluator[FeaturesParams]):
                     number = float("nan") if isinstance(value, str) else value
                     yield Measurement(prefix + metric, number, frame=position, reason=reason)
 
-    def marks(self, coded: CodedFrame) -> Marks:
+    def marks(self, coded: CodedFrame) -> KeypointOverlay:
         """The keypoints of the original by the SLAM's finder, and which of them are found again."""
         current = self._keypoints(coded, "", SlamDetector(self.params.keypoints))
         kept = current.found_at >= 0
         share = 100.0 * np.count_nonzero(kept) / max(1, len(kept))
         note = f"{np.count_nonzero(kept)} of {len(kept)} keypoints kept ({share:.0f} %), as in “features kept”"
-        return Marks(current.original.places[:, :2], kept, note)
+        return KeypointOverlay(current.original.places[:, :2], kept, note)
 
     def _keypoints(self, frame: CodedFrame, prefix: str, finder: Detector) -> FrameKeypoints:
         key = ("orb_keypoints", prefix, self.params.keypoints)

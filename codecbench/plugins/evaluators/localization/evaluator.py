@@ -17,13 +17,18 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.simulation.delivery import delivery_of
 from codecbench.core.simulation.pictures import DeliveredPictures
 from codecbench.core.simulation.settings import ReaderSettings, Time
 from codecbench.plugins.evaluators.localization.metrics import METRICS
-from codecbench.plugins.evaluators.localization.survey import Sighting, Survey, Way, survey_of
+from codecbench.plugins.evaluators.localization.reference_map import (
+    LocalizedPose,
+    ReferenceMap,
+    Way,
+    build_reference_map,
+)
 from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
 from codecbench.slam.features.extractor import Features
 
@@ -69,8 +74,8 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         return (PluginUse("slam_backend", _BACKEND, self.params.backend_params), *self.params.link_uses)
 
     @property
-    def awaits(self) -> dict[str, Need]:
-        return self.params.awaits
+    def requires(self) -> dict[str, Quantity]:
+        return self.params.requires
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         sends_features = gets_features(coded.codec, self.params.architecture)
@@ -83,11 +88,11 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             backend.params.model_dump_json(),
             self.params.model_dump_json(exclude={*ReaderSettings.model_fields, "architecture"}),
         )
-        survey = sequence.read(0).cached(
+        reference_map = sequence.read(0).cached(
             (*key, "survey"),
-            lambda _: survey_of(sequence, backend, self.params.association_s, self.params.limit_share),
+            lambda _: build_reference_map(sequence, backend, self.params.association_s, self.params.limit_share),
         )
-        for index, reason in survey.reasons.items():
+        for index, reason in reference_map.reasons.items():
             yield from (Measurement(metric.name, math.nan, frame=index, reason=reason) for metric in METRICS)
         delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
         pictures = None if delivery is None else DeliveredPictures(coded, delivery)
@@ -95,50 +100,55 @@ class Localization(SequenceEvaluator[LocalizationParams]):
 
         def received(index: int) -> Features | None:
             if sends_features:
-                return survey.localizer.features_of(backend.keypoints(coded.features(index)))
+                return reference_map.localizer.features_of(backend.keypoints(coded.features(index)))
             decoded = coded.frame(index).decoded if pictures is None else pictures.picture(index)
-            return None if decoded is None else survey.localizer.extract(decoded)
+            return None if decoded is None else reference_map.localizer.extract(decoded)
 
-        for index in survey.predictions:
+        for index in reference_map.predictions:
             features = None if delivery is not None and index not in read_at else received(index)
-            raw = _raw_sightings(survey, sequence.read(index), key)
-            found = _UNDELIVERED if features is None else survey.sightings(features, index)
-            yield from _measured(survey, index, found, raw)
+            raw = _raw_poses(reference_map, sequence.read(index), key)
+            found = _UNDELIVERED if features is None else reference_map.localize(features, index)
+            yield from _measured(reference_map, index, found, raw)
 
 
-_UNDELIVERED: Final[dict[Way, Sighting | None]] = {"tracked": None, "relocalized": None}
+_UNDELIVERED: Final[dict[Way, LocalizedPose | None]] = {"tracked": None, "relocalized": None}
 """What is found in a frame that does not come in time."""
 
 
-def _raw_sightings(survey: Survey, frame: Frame, key: tuple[object, ...]) -> dict[Way, Sighting | None]:
-    return frame.cached((*key, "raw"), lambda image: survey.sightings(survey.localizer.extract(image), frame.index))
+def _raw_poses(reference_map: ReferenceMap, frame: Frame, key: tuple[object, ...]) -> dict[Way, LocalizedPose | None]:
+    return frame.cached(
+        (*key, "raw"), lambda image: reference_map.localize(reference_map.localizer.extract(image), frame.index)
+    )
 
 
 def _measured(
-    survey: Survey, index: int, found: dict[Way, Sighting | None], raw: dict[Way, Sighting | None]
+    reference_map: ReferenceMap,
+    index: int,
+    found: dict[Way, LocalizedPose | None],
+    raw: dict[Way, LocalizedPose | None],
 ) -> Iterator[Measurement]:
     """All metrics of one frame."""
-    for way, sighting in found.items():
-        yield Measurement(f"{way}_located", float(sighting is not None), frame=index)
-        yield _points(survey, f"{way}_inliers", index, sighting, raw["tracked"])
-        true = survey.truth[index]
-        yield from _distance(way, "error", sighting, true, index, "the frame has no true pose")
+    for way, localized in found.items():
+        yield Measurement(f"{way}_located", float(localized is not None), frame=index)
+        yield _points(reference_map, f"{way}_inliers", index, localized, raw["tracked"])
+        true = reference_map.truth[index]
+        yield from _distance(way, "error", localized, true, index, "the frame has no true pose")
         other = raw[way]
         beside = np.full((4, 4), np.nan) if other is None else other.world_from_camera
-        yield from _distance(way, "to_raw", sighting, beside, index, "the raw frame is not located itself")
-    yield _area(survey, index, found["tracked"], raw["tracked"])
+        yield from _distance(way, "to_raw", localized, beside, index, "the raw frame is not located itself")
+    yield _area(reference_map, index, found["tracked"], raw["tracked"])
 
 
 def _distance(
-    way: Way, what: str, sighting: Sighting | None, reference: np.ndarray, index: int, unknown: str
+    way: Way, what: str, localized: LocalizedPose | None, reference: np.ndarray, index: int, unknown: str
 ) -> Iterator[Measurement]:
     """Distance in millimetres and angle in degrees of a sighting from a pose, both missing where one of them is."""
     names = (f"{way}_position_{what}_mm", f"{way}_rotation_{what}_deg")
-    reason = "the frame is not located" if sighting is None else unknown if np.isnan(reference).any() else None
-    if sighting is None or reason:
+    reason = "the frame is not located" if localized is None else unknown if np.isnan(reference).any() else None
+    if localized is None or reason:
         yield from (Measurement(name, math.nan, frame=index, reason=reason) for name in names)
         return
-    pose = sighting.world_from_camera
+    pose = localized.world_from_camera
     values = (
         1e3 * float(np.linalg.norm(pose[:3, 3] - reference[:3, 3])),
         float(rotation_angles_deg(pose[:3, :3].T @ reference[:3, :3])),
@@ -146,23 +156,27 @@ def _distance(
     yield from (Measurement(name, value, frame=index) for name, value in zip(names, values, strict=True))
 
 
-def _points(survey: Survey, metric: str, index: int, found: Sighting | None, raw: Sighting | None) -> Measurement:
+def _points(
+    reference_map: ReferenceMap, metric: str, index: int, found: LocalizedPose | None, raw: LocalizedPose | None
+) -> Measurement:
     """The map points behind a pose that is right: nearer to the raw frame's than the limits of both its parts."""
     if raw is None:
         return Measurement(metric, math.nan, frame=index, reason="the raw frame is not located itself")
     if found is None:
         return Measurement(metric, 0.0, frame=index)
     pose, beside = found.world_from_camera, raw.world_from_camera
-    near = np.linalg.norm(pose[:3, 3] - beside[:3, 3]) < survey.limit_m
-    right = near and rotation_angles_deg(pose[:3, :3].T @ beside[:3, :3]) < survey.limit_deg
+    near = np.linalg.norm(pose[:3, 3] - beside[:3, 3]) < reference_map.limit_m
+    right = near and rotation_angles_deg(pose[:3, :3].T @ beside[:3, :3]) < reference_map.limit_deg
     return Measurement(metric, float(found.inliers if right else 0), frame=index)
 
 
-def _area(survey: Survey, index: int, found: Sighting | None, raw: Sighting | None) -> Measurement:
+def _area(
+    reference_map: ReferenceMap, index: int, found: LocalizedPose | None, raw: LocalizedPose | None
+) -> Measurement:
     """What the frame adds to the area under the curve of located frames over the distance: 0 to 1."""
     if raw is None:
         return Measurement("located_auc", math.nan, frame=index, reason="the raw frame is not located itself")
     if found is None:
         return Measurement("located_auc", 0.0, frame=index)
     distance_m = np.linalg.norm(found.world_from_camera[:3, 3] - raw.world_from_camera[:3, 3])
-    return Measurement("located_auc", max(0.0, 1.0 - float(distance_m) / survey.limit_m), frame=index)
+    return Measurement("located_auc", max(0.0, 1.0 - float(distance_m) / reference_map.limit_m), frame=index)

@@ -22,7 +22,7 @@ def _of(way: str, how: str) -> tuple[Metric, ...]:
         ),
         Metric(
             f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
-            role="task", headline=way == "tracked", label=f"map points found, {how}", brief="map points",
+            role="task", headline=way == "tracked", label=f"map points found, {how}", column_header="map points",
         ),
         task("position_error_mm", "mm", "distance from the true position", "position error"),
         task("rotation_error_deg", "deg", "angle from the true orientation", "rotation error"),
@@ -35,7 +35,7 @@ METRICS: Final = (
     Metric(
         "located_auc", "1", "higher",
         "max(0, 1 - d / L), d the distance from the raw frame's position",
-        role="task", headline=True, label="localisation AUC", brief="located", enough=0.9,
+        role="task", headline=True, label="localisation AUC", column_header="located", enough=0.9,
     ),
     *(metric for way, how in WAYS.items() for metric in _of(way, how)),
 )  # fmt: skip

@@ -79,7 +79,7 @@ def _metric(family: Family, name: str) -> Metric:
     return Metric(
         f"{family}_{name}", "ops", "lower", f"{_SUMMARIES[name]}, {family} counts", repeatable=family != "machine",
         role="operations", headline=is_headline, label=f"{_LABELS.get(name, name)}, {family}",
-        brief="Mops" if is_headline else "", scale="log", display_unit="Mops", display_factor=1e-6,
+        column_header="Mops" if is_headline else "", scale="log", display_unit="Mops", display_factor=1e-6,
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ class Quality(SequenceEvaluator[NoParams]):
         ),
         Metric(
             "rate_bpp", "bit/px", "lower", "bits per pixel, all channels together",
-            role="rate", headline=True, label="rate", brief="bpp", scale="log", need="per_pixel",
+            role="rate", headline=True, label="rate", column_header="bpp", scale="log", quantity="per_pixel",
         ),
         Metric(
             "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
@@ -50,12 +50,12 @@ class Quality(SequenceEvaluator[NoParams]):
         ),
         Metric(
             "cr_percent", "%", "higher", "100 (1 - size_bytes / bytes of the frame's PNG)",
-            role="rate", headline=True, label="size against PNG", brief="vs\nPNG %", display_factor=-1.0,
-            need="below_png",
+            role="rate", headline=True, label="size against PNG", column_header="vs\nPNG %", display_factor=-1.0,
+            quantity="below_png",
         ),
         Metric(
             "psnr_gray_db", "dB", "higher", "10 log10(255^2 / MSE) of gray",
-            role="quality", headline=True, label="PSNR", brief="PSNR dB", enough=40.0,
+            role="quality", headline=True, label="PSNR", column_header="PSNR dB", enough=40.0,
         ),
         Metric(
             "psnr_rgb_db", "dB", "higher", "PSNR over three channels; color frames only",

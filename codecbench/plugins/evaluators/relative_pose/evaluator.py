@@ -75,7 +75,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         _task("pose_auc_5deg", "1", "higher", "max(0, 1 - pose_error_deg / 5)", "pose AUC to 5°"),
         Metric(
             "pose_auc_10deg", "1", "higher", "max(0, 1 - pose_error_deg / 10)",
-            role="task", headline=True, label="pose AUC to 10°", brief="pose AUC",
+            role="task", headline=True, label="pose AUC to 10°", column_header="pose AUC",
         ),
         _task("pose_auc_20deg", "1", "higher", "max(0, 1 - pose_error_deg / 20)",
               "pose AUC to 20°"),
@@ -86,7 +86,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         Metric(
             "correct_matches", "1", "higher",
             "matches within inlier_px of their true epipolar lines in both frames",
-            role="task", headline=True, label="correct matches", brief="matches",
+            role="task", headline=True, label="correct matches", column_header="matches",
         ),
         _task(
             "matches_lost", "1", "lower",

@@ -35,7 +35,7 @@ class Stream(SequenceEvaluator[StreamParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
             "bitrate_kbps", "kbit/s", "lower", "the frame's bits times the nominal frame rate",
-            role="rate", headline=True, label="bit rate", brief="kbit/s", scale="log",
+            role="rate", headline=True, label="bit rate", column_header="kbit/s", scale="log",
         ),
         Metric("mean_frame_bytes", "bytes", "lower", "mean frame size", role="rate", scale="log"),
         Metric("largest_frame_bytes", "bytes", "lower", "largest frame size", role="rate", scale="log"),
@@ -55,7 +55,7 @@ class Stream(SequenceEvaluator[StreamParams]):
         ),
         Metric(
             "delay_ms", "ms", "lower", "delay_frames at the frame rate",
-            role="time", headline=True, label="coding delay", brief="delay ms",
+            role="time", headline=True, label="coding delay", column_header="delay ms",
         ),
         Metric(
             "first_packet_frames", "frames", "lower", "frames taken after the first before any packet",
@@ -68,7 +68,7 @@ class Stream(SequenceEvaluator[StreamParams]):
         Metric(
             "joining_frames", "frames", "lower",
             "median frames from joining until all later ones are whole",
-            headline=True, label="joining", brief="join",
+            headline=True, label="joining", column_header="join",
         ),
         Metric(
             "joining_worst_frames", "frames", "lower", "joining_frames of the worst join", label="joining, worst",

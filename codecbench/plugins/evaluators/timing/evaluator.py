@@ -21,7 +21,7 @@ from pydantic import Field
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.evaluator import CodecEvaluator, Context, Measurement
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
@@ -36,7 +36,7 @@ from codecbench.plugins.evaluators.timing.in_order import (
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
-_NEEDS: Final[dict[str, Need]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
+_NEEDS: Final[dict[str, Quantity]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
 
 class TimingParams(Params):
@@ -62,12 +62,12 @@ class _Durations:
     yardstick: Duration
 
 
-def _time(name: str, summary: str, label: str, brief: str = "", confirmed_by: str = "") -> Metric:
-    """A time of one frame; a headline where it has a brief name."""
+def _time(name: str, summary: str, label: str, column_header: str = "", confirmed_by: str = "") -> Metric:
+    """A time of one frame; a headline where it has a column_header name."""
     return Metric(
         name, "ms", "lower", summary, (*_AGGREGATES, "max"), False,
-        role="time", headline=bool(brief), label=label, brief=brief, scale="log",
-        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, need=_NEEDS.get(name, ""),
+        role="time", headline=bool(column_header), label=label, column_header=column_header, scale="log",
+        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, quantity=_NEEDS.get(name, ""),
     )  # fmt: skip
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.evaluator import Outcome
-from codecbench.core.contracts.view import Course, Drawing, Lane, Line, Tone
-from codecbench.plugins.evaluators.outcomes import lanes_of_outcomes
+from codecbench.core.contracts.view import Drawing, FrameTimeline, Line, TimelineRow, Tone
+from codecbench.plugins.evaluators.outcomes import rows_of_outcomes
 from codecbench.plugins.evaluators.trajectory import files
 from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
@@ -53,17 +53,17 @@ def drawing(outcome: Outcome) -> Drawing | None:
     )
     success = outcome.value("success")
     holds = None if math.isnan(success) else success == 1.0
-    course = _course(folder, optimised, truth, centre, axes)
-    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds, course=course)
+    timeline = _timeline(folder, optimised, truth, centre, axes)
+    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds, timeline=timeline)
 
 
-def _course(
+def _timeline(
     folder: Path,
     optimised: NDArray[np.float64],
     truth: NDArray[np.float64],
     centre: NDArray[np.float64],
     axes: NDArray[np.float64],
-) -> Course | None:
+) -> FrameTimeline | None:
     """Where each frame that SLAM was given was thought to be in the end, and how far that is from the true path.
 
     Over a link, of every frame that was taken, where the camera was thought to be at that moment.
@@ -71,29 +71,33 @@ def _course(
     if not (folder / files.STATES).exists():
         return None
     with (folder / files.STATES).open(newline="") as stream:
-        rows = [(int(row["frame"]), float(row["timestamp_s"]), row["state"]) for row in csv.DictReader(stream)]
-    indices, stamps_s = np.array([row[0] for row in rows], np.int64), np.array([row[1] for row in rows])
-    states = {frame: state for frame, _, state in rows}
+        records = [(int(row["frame"]), float(row["timestamp_s"]), row["state"]) for row in csv.DictReader(stream)]
+    indices, stamps_s = np.array([row[0] for row in records], np.int64), np.array([row[1] for row in records])
+    states = {frame: state for frame, _, state in records}
     if (folder / files.LIVE).exists():
         live = files.read_live(folder / files.LIVE)
-        if rows:
+        if records:
             stamps_s = live.taken_s + (stamps_s[0] - live.taken_s[live.frames == indices[0]][0])
         else:
             stamps_s = live.taken_s
         errors_m = _distances(live.positions, stamps_s, truth)
-        lanes = (*lanes_of_outcomes(live.outcomes), *_tracking(live.frames, states))
-        return Course(live.frames, (live.positions - centre) @ axes.T, errors_m, "m", lanes, "live position error")
+        rows = (*rows_of_outcomes(live.outcomes), *_tracking(live.frames, states))
+        return FrameTimeline(
+            live.frames, (live.positions - centre) @ axes.T, errors_m, "m", rows, "live position error"
+        )
     at = nearest_stamps(stamps_s, optimised[:, 0], _SAME_S)
-    places = np.full((len(rows), 3), np.nan)
+    places = np.full((len(records), 3), np.nan)
     places[at >= 0] = optimised[at[at >= 0], 1:]
     errors_m = _distances(places, stamps_s, truth)
-    return Course(indices, (places - centre) @ axes.T, errors_m, "m", _tracking(indices, states))
+    return FrameTimeline(indices, (places - centre) @ axes.T, errors_m, "m", _tracking(indices, states))
 
 
-def _tracking(frames: NDArray[np.int64], states: dict[int, str]) -> tuple[Lane, ...]:
-    """Lanes of what SLAM made of the frames that it was given. states: by frame."""
+def _tracking(frames: NDArray[np.int64], states: dict[int, str]) -> tuple[TimelineRow, ...]:
+    """Rows of what SLAM made of the frames that it was given. states: by frame."""
     told = np.array([states.get(frame, "") for frame in frames.tolist()], dtype=object)
-    return tuple(Lane(name, tone, told == state) for state, (name, tone) in _STATES.items() if (told == state).any())
+    return tuple(
+        TimelineRow(name, tone, told == state) for state, (name, tone) in _STATES.items() if (told == state).any()
+    )
 
 
 def _distances(

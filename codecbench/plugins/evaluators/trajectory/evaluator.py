@@ -19,12 +19,12 @@ from codecbench.core.contracts.evaluator import (
     PluginUse,
     SequenceEvaluator,
 )
-from codecbench.core.contracts.metric import Metric, Need
+from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.simulation.delivery import delivery_of
-from codecbench.plugins.evaluators.trajectory import drawn, files, stand_in, verdicts
+from codecbench.plugins.evaluators.trajectory import drawn, files, pseudo_ground_truth, verdicts
 from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
@@ -70,8 +70,8 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         return (PluginUse("slam_backend", self.params.backend, self.params.backend_params), *self.params.link_uses)
 
     @property
-    def awaits(self) -> dict[str, Need]:
-        return self.params.awaits
+    def requires(self) -> dict[str, Quantity]:
+        return self.params.requires
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         offset, seed = self.params.repeat(repeat)
@@ -88,7 +88,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
                 f"slam backend {self.params.backend} cannot run architecture {architecture}; "
                 f"it runs {', '.join(sorted(backend.architectures))}"
             )
-        params = self.params.timed(context.awaited)
+        params = self.params.timed(context.inputs)
         delivery = None if params.link is None else delivery_of(coded, params, context)
         feed = Feed(coded, architecture, offset, delivery, params.read_s)
         camera = coded.sequence.camera
@@ -122,10 +122,10 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"
             reason = "over a link nothing is compared with the raw codec" if over_link else reason
-            for metric in ("starts_in_time", stand_in.METRIC, "ate_to_raw_m", "ate_minus_raw_m"):
+            for metric in ("starts_in_time", pseudo_ground_truth.METRIC, "ate_to_raw_m", "ate_minus_raw_m"):
                 yield Measurement(metric, math.nan, reason=reason)
             return
-        yield stand_in.raw_path_error(outcome, baseline)
+        yield pseudo_ground_truth.raw_path_error(outcome, baseline)
         yield verdicts.starts_in_time(outcome, same, self.params)
         yield _distance(outcome, same)
         difference = outcome.value("ate_rmse_m") - same.value("ate_rmse_m")

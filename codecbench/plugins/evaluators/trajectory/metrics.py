@@ -27,12 +27,12 @@ ACCURACY: Final = (
     Metric(
         "held_ate_m", "m", "lower",
         "RMS position error of all frames, untracked ones at the last known position",
-        _SPREAD, role="task", headline=True, label="error with positions held", brief="held m", scale="log",
+        _SPREAD, role="task", headline=True, label="error with positions held", column_header="held m", scale="log",
     ),
     Metric(
         "ate_rmse_m", "m", "lower",
         "ATE: RMS position error of tracked frames after Sim(3) alignment", _SPREAD,
-        headline=True, label="trajectory error", brief="ATE m", scale="log",
+        headline=True, label="trajectory error", column_header="ATE m", scale="log",
     ),
     _part("held_waiting_m", "before the first pose"),
     _part("held_tracked_m", "of tracked frames"),
@@ -67,15 +67,16 @@ LIVE: Final = (
     Metric(
         "live_position_error_m", "m", "lower",
         "RMS distance between true and newest known position at each capture",
-        _SPREAD, role="task", headline=True, label="live position error", brief="live m", scale="log", need="error",
+        _SPREAD, role="task", headline=True, label="live position error", column_header="live m", scale="log",
+        quantity="error",
     ),
     Metric(
         "idle_error_m", "m", "neither", "live_position_error_m of the constant mean true position",
-        label="error of a reader that gets nothing", scale="log", need="idle",
+        label="error of a reader that gets nothing", scale="log", quantity="idle",
     ),
     Metric(
         "fresh_pose_fraction", "1", "higher", "share of captures with a known pose at most 0.5 s old",
-        label="moments with a fresh pose", need="fresh",
+        label="moments with a fresh pose", quantity="fresh",
     ),
     Metric(
         "first_pose_s", "s", "lower", "from first capture to first known pose",
@@ -95,7 +96,7 @@ BEHAVIOUR: Final = (
     Metric(
         "tracked_fraction", "1", "higher", "share of frames with a final pose",
         ("median", "min"),
-        headline=True, label="tracked share", brief="tracked",
+        headline=True, label="tracked share", column_header="tracked",
     ),
     Metric(
         "initialisation_frames", "frames", "lower", "frames before the first tracked one, in whichever map",
@@ -119,7 +120,7 @@ BEHAVIOUR: Final = (
         "slam_ms_per_frame", "ms", "lower",
         "mean backend time per frame, beside other work",
         _MIDDLE, False,
-        role="time", label="SLAM time", scale="log", need="reading",
+        role="time", label="SLAM time", scale="log", quantity="reading",
     ),
     Metric(
         "sent_size_bytes", "bytes", "lower",
@@ -136,17 +137,17 @@ COMPARED: Final = (
     Metric(
         "success", "1", "higher", "1 if tracked share and error are within their limits, else 0",
         role="success",
-        headline=True, label="tracked like raw", brief="success",
+        headline=True, label="tracked like raw", column_header="success",
     ),
     Metric(
         "starts_in_time", "1", "higher",
         "1 if the first map comes at most delay_frames after raw's from the same start, else 0",
-        role="success", headline=True, label="map starts in time", brief="starts",
+        role="success", headline=True, label="map starts in time", column_header="starts",
     ),
     Metric(
         "raw_path_error_percent", "%", "lower",
         "without ground truth: RMS distance from raw's path over its length, median over other starts",
-        _SPREAD, role="task", headline=True, label="distance from raw's path", brief="off raw %", scale="log",
+        _SPREAD, role="task", headline=True, label="distance from raw's path", column_header="off raw %", scale="log",
         caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
     ),
     Metric(

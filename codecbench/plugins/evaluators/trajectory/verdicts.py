@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from codecbench.core.contracts.evaluator import Measurement, Outcome
-from codecbench.plugins.evaluators.trajectory import stand_in
+from codecbench.plugins.evaluators.trajectory import pseudo_ground_truth
 from codecbench.plugins.evaluators.trajectory.metrics import SPREAD
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
@@ -45,7 +45,7 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     asked = f"tracked at least {f'{params.tracked_to_raw:g} x raw = ' if baseline else ''}{100 * least:.3g} %"
     if tracked < least:
         return Measurement("success", 0.0, reason=asked.replace("at least", f"{100 * tracked:.3g} %, under"))
-    if not stand_in.has_truth(outcome):
+    if not pseudo_ground_truth.has_truth(outcome):
         return _success_beside_raw(outcome, baseline, params, asked)
     raw_m = _median(baseline, "ate_rmse_m")
     limit_m, spread_m = params.ate_limit_m or params.ate_to_raw * raw_m, outcome.value(SPREAD)
@@ -66,7 +66,7 @@ def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryP
     A limit above the spread of the true path would pass any estimate: the best similarity never leaves more.
     """
     spread_m, limit_m = outcome.value(SPREAD), params.ate_to_raw * _median(baseline, "ate_rmse_m")
-    if not stand_in.has_truth(outcome):
+    if not pseudo_ground_truth.has_truth(outcome):
         return ""
     if math.isnan(spread_m):
         before = "measured before the spread of the true path was; measure it again"
@@ -82,13 +82,13 @@ def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryP
 
 def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams, asked: str) -> Measurement:
     """Without ground truth: whether the path is about as near to raw's paths as these are to each other."""
-    apart = stand_in.raw_disagreement_percent(baseline)
+    apart = pseudo_ground_truth.raw_disagreement_percent(baseline)
     if math.isnan(apart):
         return _missing("success", "no ground truth, and not two runs of raw to stand in for it; give start_offsets")
     if apart > params.raw_agrees_percent:
         reason = f"no ground truth, and raw's own runs are {apart:.3g} % of their length apart: too much to judge by"
         return _missing("success", reason)
-    error = stand_in.raw_path_error(outcome, baseline)
+    error = pseudo_ground_truth.raw_path_error(outcome, baseline)
     if math.isnan(error.value):
         return _missing("success", str(error.reason))
     limit, times = params.ate_to_raw * apart, f"{params.ate_to_raw:g} x raw's own = "

@@ -14,7 +14,7 @@ from installed_command import Place
 
 from codecbench import PluginError, Unsupported
 from codecbench.core.engine.planning.description import InvalidParams, describe, described, sequence_described
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 EXECUTOR = """
 {top}

@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 MATRIX = """
 version: 1

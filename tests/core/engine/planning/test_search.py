@@ -78,7 +78,7 @@ def test_a_metric_of_several_evaluators_is_to_be_told_apart(bench: SearchBench) 
     assert "several evaluators measure 'caught'; say which: toss(runs=1).caught, toss(runs=5).caught" in said
     named = text(DIAL % "search: {metric: toss(runs=5).caught, min: 1}", evaluators=two)
     (found,) = bench.matrix(named).searches
-    assert found.aim.evaluator.params["runs"] == 5
+    assert found.objective.evaluator.params["runs"] == 5
 
 
 def test_a_name_may_say_stage_and_aggregate(bench: SearchBench) -> None:
@@ -90,7 +90,7 @@ def test_a_name_may_say_stage_and_aggregate(bench: SearchBench) -> None:
         ("weight_bytes.encode", "mean", "encode"),
     ):
         (found,) = bench.matrix(text(DIAL % f"search: {{metric: {name}, max: 20}}")).searches
-        assert (found.aim.aggregate, found.aim.stage) == (aggregate, stage)
+        assert (found.objective.aggregate, found.objective.stage) == (aggregate, stage)
 
 
 @pytest.mark.parametrize(
@@ -176,8 +176,8 @@ def test_editors_know_searches() -> None:
     (dial,) = [item for item in schema["properties"]["codecs"]["items"]["anyOf"]
                if item.get("properties", {}).get("use") == {"const": "dial"}]  # fmt: skip
     assert {"search", "at"} <= set(dial["properties"])
-    aim, word = dial["properties"]["search"]["anyOf"]
-    assert {"metric", "min", "max", "equal", "within", "budget"} == set(aim["properties"])
+    objective, word = dial["properties"]["search"]["anyOf"]
+    assert {"metric", "min", "max", "equal", "within", "budget"} == set(objective["properties"])
     assert word == {"const": "passes"}
     used = json.dumps(schema)
     for name in ("UntilSection", "AimSection"):

@@ -21,7 +21,7 @@ from codecbench.core.engine.identity import digest
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import run_plan
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.record import RecordDamage, record_from_bytes

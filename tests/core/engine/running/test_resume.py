@@ -17,7 +17,7 @@ from codecbench import Params, ParamsError, PluginUse
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.running.resume import kept_cells, outdated_cells, resume
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store

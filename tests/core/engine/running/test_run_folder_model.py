@@ -29,7 +29,7 @@ from codecbench.core.analysis.collect import open_run
 from codecbench.core.conformance.material import integer_image
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage.store import Store
 

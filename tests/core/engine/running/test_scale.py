@@ -31,9 +31,9 @@ from project import SUPPORT
 from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.aggregate import summarise
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.storage.aggregate import summarise
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
 

@@ -31,7 +31,7 @@ from project import SUPPORT, THIRD_PARTY
 
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import run_plan
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.core.engine.environment import environment_id
+from codecbench.core.engine.storage.environment import environment_id
 from codecbench.core.engine.storage.environment_files import EnvironmentFiles
 
 DESCRIPTION = {"machine": {"cpu": "an abacus"}, "packages": {"numpy": "2"}}

@@ -16,7 +16,7 @@ from project import THIRD_PARTY
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage import atomic, record_index, store
 

@@ -24,7 +24,7 @@ from codecbench.core.conformance.harness import decoded_of
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.stream import Packet
 from codecbench.core.engine.planning.model import CodingJob
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.report.tables import exported

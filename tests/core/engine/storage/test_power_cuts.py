@@ -24,7 +24,7 @@ from project import THIRD_PARTY
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage import atomic, store
 from codecbench.core.engine.storage.store import Store

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from codecbench.core.engine.identity import content_digest, digest
-from codecbench.core.engine.plugin_code import code_digest
+from codecbench.core.engine.plugins.fingerprint import code_digest
 from codecbench.core.engine.storage.record import Record, bytes_from_record
 from codecbench.core.engine.storage.record_index import IndexEntry, RecordIndex, entry_from_record
 

@@ -7,7 +7,7 @@ import sys
 from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, distribution, entry_points
 
 from codecbench.core.contracts import hooks
-from codecbench.core.engine.plugin import OURS
+from codecbench.core.engine.plugins.plugin import OURS
 
 
 def origins() -> list[str]:

@@ -22,8 +22,6 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.entry_points import origin_of, own_first, points_by_origin
-from codecbench.core.engine.foreign_errors import describe_error
 from codecbench.core.engine.hosting.confinement import paths_named
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
@@ -32,11 +30,13 @@ from codecbench.core.engine.hosting.host import (
     PluginLoss,
     PluginTimeout,
 )
-from codecbench.core.engine.loading import load_class
-from codecbench.core.engine.offers import Offers, asked_offers, remembered_offers
-from codecbench.core.engine.plugin import OURS, Plugin, Problem, fault_of, spoken
+from codecbench.core.engine.plugins.entry_points import origin_of, own_first, points_by_origin
+from codecbench.core.engine.plugins.loading import load_class
+from codecbench.core.engine.plugins.offers import Offers, asked_offers, remembered_offers
+from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, spoken
+from codecbench.core.engine.text import describe_error
 
-_CALLED = "codecbench.core.engine.serving:called"
+_CALLED = "codecbench.core.engine.plugins.serving:called"
 _AT_ONCE = os.cpu_count() or 1
 """So many distributions are asked at once what they offer."""
 _MOST_PLUGINS = 1000

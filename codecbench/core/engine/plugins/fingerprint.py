@@ -24,7 +24,7 @@ from typing import Final
 
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.identity import digest
-from codecbench.core.engine.plugin import OURS, Plugin, module_spec
+from codecbench.core.engine.plugins.plugin import OURS, Plugin, module_spec
 
 _CORE: Final = f"{OURS}.core"
 _COMPILED: Final = (".pyc", ".pyo", ".nbi", ".nbc")

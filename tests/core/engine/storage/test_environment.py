@@ -12,8 +12,8 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from codecbench.core.engine import environment
-from codecbench.core.engine.environment import describe_environment, environment_id
+from codecbench.core.engine.storage import environment
+from codecbench.core.engine.storage.environment import describe_environment, environment_id
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,8 @@ def test_it_names_what_can_change_a_result(described: dict) -> None:  # type: ig
 
 def test_its_id_is_the_same_in_another_process(described: dict) -> None:  # type: ignore[type-arg]
     code = """
-from codecbench.core.engine.environment import describe_environment, environment_id
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.storage.environment import describe_environment, environment_id
+from codecbench.core.engine.plugins.registry import installed
 print(environment_id(describe_environment()))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)

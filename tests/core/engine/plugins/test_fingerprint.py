@@ -10,9 +10,9 @@ import pytest
 from distributions import install_posterize, install_source
 
 from codecbench.core.contracts.hooks import PluginSpec
-from codecbench.core.engine.plugin import Plugin
-from codecbench.core.engine.plugin_code import _led_to, _outside_core, code_digest, code_of, files_since
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.fingerprint import _led_to, _outside_core, code_digest, code_of, files_since
+from codecbench.core.engine.plugins.plugin import Plugin
+from codecbench.core.engine.plugins.registry import installed
 
 POSTERIZE = Plugin("codec", PluginSpec("posterize", "codecbench_posterize.codec:Posterize", ""),
                    "codecbench-posterize 0.3.0", hosted=True)  # fmt: skip

@@ -71,7 +71,7 @@ def test_an_answer_that_no_file_can_hold_is_taken_and_not_remembered(tmp_path: P
     counted = Counted(tmp_path)
     counted.offer()
     module = counted.place.site / "counted.py"
-    patch = "from codecbench.core.engine.registry import Registry\nRegistry.entry_point = lambda *_: {1}\n"
+    patch = "from codecbench.core.engine.plugins.registry import Registry\nRegistry.entry_point = lambda *_: {1}\n"
     module.write_text(module.read_text() + patch)
     assert [counted.listed() for _ in range(2)] == [("counts", None, [])] * 2
     assert counted.imports == 2
@@ -82,7 +82,7 @@ def test_an_answer_about_a_setting_that_is_nonsense_costs_that_setting(tmp_path:
     counted.offer()
     module = counted.place.site / "counted.py"
     module.write_text(
-        f"{module.read_text()}\nimport codecbench.core.engine.serving as s\ns.called = lambda *_: {{1}}\n"
+        f"{module.read_text()}\nimport codecbench.core.engine.plugins.serving as s\ns.called = lambda *_: {{1}}\n"
     )
     matrix = {
         "version": 1,

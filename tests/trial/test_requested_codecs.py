@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from codecbench.core.contracts.errors import ParamsError, PluginError
-from codecbench.core.engine.registry import installed
-from codecbench.trial.wanted_codecs import read_codec
+from codecbench.core.engine.plugins.registry import installed
+from codecbench.trial.requested_codecs import read_codec
 
 
 @pytest.mark.parametrize(

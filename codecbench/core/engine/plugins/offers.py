@@ -15,11 +15,11 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError
 from codecbench.core.contracts.hooks import GROUP, KINDS, PluginSpec
 from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.identity import digest
-from codecbench.core.engine.plugin import Plugin, Problem, fault_of
-from codecbench.core.engine.plugin_code import fingerprint
+from codecbench.core.engine.plugins.fingerprint import fingerprint
+from codecbench.core.engine.plugins.plugin import Plugin, Problem, fault_of
 from codecbench.core.kernels.cache_folder import cache_folder
 
-_ASKED: Final = "codecbench.core.engine.serving:offers"
+_ASKED: Final = "codecbench.core.engine.plugins.serving:offers"
 
 
 @dataclass(frozen=True)

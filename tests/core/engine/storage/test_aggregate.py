@@ -9,8 +9,8 @@ import pytest
 
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine import aggregate as aggregate_module
-from codecbench.core.engine.aggregate import AGGREGATES, aggregate, median_interval, percentile, summarise
+from codecbench.core.engine.storage import aggregate as aggregate_module
+from codecbench.core.engine.storage.aggregate import AGGREGATES, aggregate, median_interval, percentile, summarise
 
 
 @pytest.mark.parametrize(

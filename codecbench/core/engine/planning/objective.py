@@ -11,12 +11,12 @@ from codecbench.core.contracts.metric import AGGREGATES, Metric
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.planning.search_section import AimSection, Bound
+from codecbench.core.engine.planning.search_section import Bound, ObjectiveSection
 from codecbench.core.engine.planning.yaml_file import Problems, Where
 
 
 @dataclass(frozen=True)
-class Aim:
+class Objective:
     """An aggregate of a metric of an evaluator's setting, and the value that it is to have."""
 
     evaluator: PluginSetting
@@ -31,7 +31,7 @@ class Aim:
         return value >= self.value if self.bound == "min" else value <= self.value
 
     def distance(self, value: float) -> float:
-        """How far a value is from the aim: a difference, or that of logarithms on a logarithmic scale."""
+        """How far a value is from the objective: a difference, or that of logarithms on a logarithmic scale."""
         if math.isnan(value):
             return math.inf
         if self.metric.scale == "log" and min(value, self.value) > 0:
@@ -49,8 +49,10 @@ class Aim:
         return ".".join(filter(None, parts))
 
 
-def find_aim(section: AimSection, evaluators: Sequence[Entry], where: Where, problems: Problems) -> Aim | None:
-    """The aim of a section among what the evaluators of a matrix declare; None, and a problem, where none is meant."""
+def find_objective(
+    section: ObjectiveSection, evaluators: Sequence[Entry], where: Where, problems: Problems
+) -> Objective | None:
+    """Find the metric that a section names among those of the evaluators; None, and a problem, if there is none."""
     found = list(_meanings(section.metric, evaluators))
     if len(found) == 1:
         evaluator, metric, stage, how = found[0]
@@ -59,7 +61,7 @@ def find_aim(section: AimSection, evaluators: Sequence[Entry], where: Where, pro
             problems.add((*where, "metric"), message)
             return None
         bound = section.bound
-        return Aim(evaluator, metric, stage, how, bound, float(getattr(section, bound)))
+        return Objective(evaluator, metric, stage, how, bound, float(getattr(section, bound)))
     place = (*where, "metric")
     if found:
         names = ", ".join(f"{evaluator.title}.{section.metric}" for evaluator, *_ in found)

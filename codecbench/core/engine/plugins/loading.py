@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind, PluginSpec
-from codecbench.core.engine.foreign_errors import describe_error
+from codecbench.core.engine.text import describe_error
 
 _BASES: Final[dict[Kind, tuple[str, ...]]] = {
     "codec": ("codec:Codec", "codec:StreamCodec", "codec:FeatureCodec"),

@@ -12,7 +12,7 @@ from typing import Any, Final
 from codecbench.core.contracts.errors import CodecbenchError, ParamsError
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry
 
 _SPELLING: Final = "NAME, NAME:VALUE, NAME:FIRST..LAST or NAME:PARAM=..,PARAM=.., such as jpeg:5..90 or h264:crf=18..40"
 _RANGE: Final = re.compile(r"(?P<first>-?[\d.]+?)\.\.(?P<last>-?\d+(?:\.\d+)?)(?:/(?P<count>\d+))?")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from codecbench.core.engine.foreign_errors import describe_error, ended
+from codecbench.core.engine.text import describe_error, ended
 
 
 class Untold(Exception):

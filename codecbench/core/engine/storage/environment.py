@@ -16,8 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from codecbench.core.engine.entry_points import origins
 from codecbench.core.engine.identity import digest
+from codecbench.core.engine.plugins.entry_points import origins
 
 _DISTRIBUTIONS: Final = (
     "codecbench", "numpy", "scipy", "numba", "llvmlite", "opencv-python-headless", "opencv-python", "glymur",

@@ -24,7 +24,7 @@ Way = Literal["tracked", "relocalized"]
 
 
 @dataclass(frozen=True)
-class Sighting:
+class LocalizedPose:
     """Where a frame was found: `world_from_camera` (4, 4) in metres and the true frame, on `inliers` map points."""
 
     world_from_camera: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Survey:
+class ReferenceMap:
     """The map of a sequence's raw frames.
 
     world_from_map: the similarity that aligns the map's trajectory with the truth. predictions: by frame, the pose
@@ -49,22 +49,24 @@ class Survey:
     limit_m: float
     limit_deg: float
 
-    def sightings(self, features: Features, index: int) -> dict[Way, Sighting | None]:
+    def localize(self, features: Features, index: int) -> dict[Way, LocalizedPose | None]:
         """Where frame `index` is found, each way, by features of it."""
         return {
-            "tracked": self._sighting(self.localizer.locate_near(features, self.predictions[index])),
-            "relocalized": self._sighting(self.localizer.locate(features)),
+            "tracked": self._localized(self.localizer.locate_near(features, self.predictions[index])),
+            "relocalized": self._localized(self.localizer.locate(features)),
         }
 
-    def _sighting(self, location: Location | None) -> Sighting | None:
+    def _localized(self, location: Location | None) -> LocalizedPose | None:
         if location is None:
             return None
         map_from_camera = se3_inverse(location.camera_from_world)[None]
         aligned = self.world_from_map.trajectory(Trajectory(np.zeros(1), map_from_camera))
-        return Sighting(aligned.world_from_camera[0], location.inliers)
+        return LocalizedPose(aligned.world_from_camera[0], location.inliers)
 
 
-def survey_of(sequence: FrameSequence, backend: Orb, association_s: float, limit_share: float) -> Survey:
+def build_reference_map(
+    sequence: FrameSequence, backend: Orb, association_s: float, limit_share: float
+) -> ReferenceMap:
     """Map the raw frames. Raises Unsupported where they make no map, or one that cannot be aligned with the truth."""
     truth, camera = true_poses(sequence, association_s), sequence.camera
     if camera is None or sequence.ground_truth is None:
@@ -79,7 +81,9 @@ def survey_of(sequence: FrameSequence, backend: Orb, association_s: float, limit
         raise Unsupported(f"the map of {sequence.name} cannot be aligned with the truth: {why}") from why
     limit_m = limit_share * world_from_map.scale * built.localizer.scene_depth()
     predictions, reasons = _predictions(built, len(sequence))
-    return Survey(built.localizer, world_from_map, predictions, reasons, truth, limit_m, math.degrees(limit_share))
+    return ReferenceMap(
+        built.localizer, world_from_map, predictions, reasons, truth, limit_m, math.degrees(limit_share)
+    )
 
 
 def _predictions(built: BuiltMap, frames: int) -> tuple[dict[int, NDArray[np.float64]], dict[int, str]]:

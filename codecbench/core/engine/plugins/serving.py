@@ -20,11 +20,11 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from codecbench.core.contracts.hooks import KINDS
-from codecbench.core.engine.entry_points import points_of
 from codecbench.core.engine.hosting.channel import CRASH_FILE, Channel, Exposed, SharedMemory
-from codecbench.core.engine.plugin import OURS
-from codecbench.core.engine.plugin_code import code_of
-from codecbench.core.engine.registry import Registry
+from codecbench.core.engine.plugins.entry_points import points_of
+from codecbench.core.engine.plugins.fingerprint import code_of
+from codecbench.core.engine.plugins.plugin import OURS
+from codecbench.core.engine.plugins.registry import Registry
 
 _PR_SET_PDEATHSIG: Final = 1
 _M_TRIM_THRESHOLD: Final = -1

@@ -1,4 +1,4 @@
-"""Text that plugins, records and plans bring, made fit to be shown: no control characters, and never endless.
+"""Text made fit to be shown: of plugins, records and plans without control characters and never endless; and counts.
 
 It passes here once, where it comes in: when something fails in a worker, and when a run folder is read. What shows it
 then only escapes what its format would take for markup.
@@ -7,6 +7,7 @@ then only escapes what its format would take for markup.
 from __future__ import annotations
 
 import re
+import signal
 from typing import Any, Final
 
 LINE_LIMIT: Final = 1_000
@@ -52,3 +53,27 @@ def _cut(text: str, limit: int) -> str:
 
     mark = content_digest(text.encode("utf-8", "backslashreplace"))[:8]
     return f"{text[:limit]}... ({len(text):,} characters, digest {mark})"
+
+
+def describe_error(error: BaseException) -> str:
+    """The kind and the message of an exception, also of one that cannot say it: `ValueError: no such table`."""
+    kind = type(error).__name__
+    try:
+        return f"{kind}: {error}"
+    except BaseException as second:  # noqa: BLE001 - a message that cannot be made is no reason to fail here
+        return f"{kind}, whose message raises {type(second).__name__}"
+
+
+def ended(status: int) -> str:
+    """How a process ended by its status, which is negative where a signal ended it."""
+    if status >= 0:
+        return f"it ended its process with status {status}"
+    try:
+        return f"it ended its process by {signal.Signals(-status).name}"
+    except ValueError:  # signals without a name
+        return f"it ended its process by signal {-status}"
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 frame`, `1,204 frames`."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"

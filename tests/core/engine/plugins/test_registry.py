@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from distributions import install_posterize, install_source
 
-import codecbench
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.hooks import KINDS
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 HOOK_MODULE = """
 from codecbench import PluginSpec, hookimpl
@@ -181,7 +180,7 @@ TARGETS = {
 }
 LOADING = """
 import sys
-from codecbench.core.engine.registry import installed
+from codecbench.core.engine.plugins.registry import installed
 
 for name in sys.argv[1:]:
     try:
@@ -205,12 +204,3 @@ def test_a_target_that_breaks_the_contract_is_named(tmp_path: Path) -> None:
         assert said.startswith("PluginError: "), said
         assert words in said
         assert f"liar-{name} 1" in said
-
-
-def test_the_former_names_still_work_and_say_the_new_ones() -> None:
-    with pytest.warns(DeprecationWarning, match=r"codecbench\.Offer is now called codecbench\.PluginSpec"):
-        assert codecbench.Offer is codecbench.PluginSpec
-    frame = codecbench.Frame(0, 0.0, np.zeros((2, 3), np.uint8))
-    with pytest.warns(DeprecationWarning, match=r"Frame\.fact is now called Frame\.cached"):
-        assert frame.fact("size", lambda image: image.size) == 6
-    assert frame.cached("size", lambda image: 0) == 6
