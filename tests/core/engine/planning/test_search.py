@@ -180,7 +180,7 @@ def test_editors_know_searches() -> None:
     assert {"metric", "min", "max", "equal", "within", "budget"} == set(objective["properties"])
     assert word == {"const": "passes"}
     used = json.dumps(schema)
-    for name in ("UntilSection", "AimSection"):
+    for name in ("UntilSection", "ObjectiveSection"):
         assert f"#/$defs/{name}" in used
         assert name in schema["$defs"]
 
