@@ -29,7 +29,7 @@ from codecbench.plugins.codecs.multilevel.context.predictors import DC_PLACES, P
 from codecbench.plugins.codecs.multilevel.context.quantisation import quantise, steps_from_table
 from codecbench.plugins.codecs.multilevel.context.transform import forward_transform
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
-from codecbench.plugins.datasets.synthetic.photographs import photograph
+from codecbench.plugins.datasets.synthetic.textures import photograph
 
 PHOTOGRAPHS = (
     "astronaut", "brick", "camera", "cat", "coffee", "coins", "grass", "gravel", "moon", "motorcycle", "rocket",

@@ -12,7 +12,7 @@ from project import DOCS
 from codecbench.plugins.codecs.multilevel.context import predictors, priors
 from codecbench.plugins.codecs.multilevel.context.dc import dc_prediction
 from codecbench.plugins.codecs.multilevel.context.edges import edge_prediction
-from codecbench.plugins.datasets.synthetic.photographs import FILES
+from codecbench.plugins.datasets.synthetic.textures import PHOTOGRAPH_FILES
 
 sys.path.insert(0, str(DOCS))
 import context_training
@@ -55,7 +55,7 @@ def test_least_squares_finds_the_weights_that_there_are() -> None:
 
 
 def test_every_picture_comes_with_a_dependency_or_is_rendered() -> None:
-    assert set(context_training.PHOTOGRAPHS) <= set(FILES)
+    assert set(context_training.PHOTOGRAPHS) <= set(PHOTOGRAPH_FILES)
     shapes = {image.ndim for image in context_training.photographs()}
     assert shapes == {2, 3}, "gray photographs have no chroma to learn from"
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from codecbench.plugins.datasets.synthetic.photographs import photograph
 from codecbench.plugins.datasets.synthetic.scene import Panel, upright
+from codecbench.plugins.datasets.synthetic.textures import photograph
 
 
 def walls(side_m: float) -> list[Panel]:

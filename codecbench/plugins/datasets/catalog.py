@@ -12,8 +12,7 @@ from pathlib import Path
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.kernels.cache_folder import cache_folder
-from codecbench.plugins.datasets.archive import unpack
-from codecbench.plugins.datasets.download import Progress, ResumingDownloader
+from codecbench.plugins.datasets.download import Progress, ResumingDownloader, unpack
 
 _TUM_CITATION = (
     "J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A Benchmark for the Evaluation of RGB-D SLAM "

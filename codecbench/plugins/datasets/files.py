@@ -18,8 +18,8 @@ from PIL import Image as PillowImage
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
+from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
 from codecbench.plugins.datasets.selection import Color, converted, without
-from codecbench.plugins.datasets.source_compression import jpeg_notes
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
@@ -208,3 +208,11 @@ def _check_all_there(content: Content) -> None:
 def _skipping(content: Content, indices: Sequence[int]) -> dict[str, Any]:
     """The parameters that leave out these frames of the sequence, none where its dataset has no `skip`."""
     return {"skip": [content.numbers[index] for index in indices]} if len(content.numbers) else {}
+
+
+def jpeg_notes(content: bytes) -> tuple[str, ...]:
+    """What is to be said of pictures like the one in this file: nothing where it is no JPEG file."""
+    if not content.startswith(_JPEG_START):
+        return ()
+    coded = quality_from_jpeg(content) or "JPEG"
+    return (f"its frames are decoded {coded}: raw is what that left of them, and JPEG is at an advantage",)

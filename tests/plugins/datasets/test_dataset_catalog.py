@@ -14,9 +14,8 @@ import pytest
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets import catalog, download
-from codecbench.plugins.datasets.archive import unpack
 from codecbench.plugins.datasets.catalog import CatalogEntry, fetch_entry
-from codecbench.plugins.datasets.download import ResumingDownloader
+from codecbench.plugins.datasets.download import ResumingDownloader, unpack
 
 
 class Server(ThreadingHTTPServer):

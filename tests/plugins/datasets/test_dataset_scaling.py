@@ -13,9 +13,9 @@ from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.adapted import scaled_camera
 from codecbench.plugins.datasets.folder import Folder
 from codecbench.plugins.datasets.synthetic import dataset, rendered
-from codecbench.plugins.datasets.synthetic.atlas import make_atlas
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, room_camera
 from codecbench.plugins.datasets.synthetic.render import Renderer
+from codecbench.plugins.datasets.synthetic.scene import make_atlas
 from codecbench.plugins.datasets.tum import Tum
 
 WIDTH, HEIGHT = 160, 120

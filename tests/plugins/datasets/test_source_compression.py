@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from skimage import data
 
+from codecbench.plugins.datasets.files import jpeg_notes
 from codecbench.plugins.datasets.folder import Folder
-from codecbench.plugins.datasets.source_compression import jpeg_notes
 from codecbench.plugins.datasets.video import Video
 
 

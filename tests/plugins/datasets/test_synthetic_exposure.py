@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from codecbench.core.contracts.sequence import Camera
-from codecbench.plugins.datasets.synthetic.atlas import make_atlas
-from codecbench.plugins.datasets.synthetic.path import looking_pose
-from codecbench.plugins.datasets.synthetic.photographs import photograph
+from codecbench.plugins.datasets.synthetic.paths import looking_pose
 from codecbench.plugins.datasets.synthetic.render import LANE, Renderer
-from codecbench.plugins.datasets.synthetic.scene import box, upright
+from codecbench.plugins.datasets.synthetic.scene import box, make_atlas, upright
+from codecbench.plugins.datasets.synthetic.textures import photograph
 from codecbench.plugins.datasets.synthetic.worlds import exposure
 from codecbench.plugins.datasets.synthetic.worlds.exposure import (
     MOST_SAMPLES,

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from codecbench.core.contracts.sequence import Camera
-from codecbench.plugins.datasets.synthetic.atlas import make_atlas
-from codecbench.plugins.datasets.synthetic.photographs import photograph
 from codecbench.plugins.datasets.synthetic.render import Renderer
-from codecbench.plugins.datasets.synthetic.scene import Panel, box, placed, upright
-from codecbench.plugins.datasets.synthetic.textures import halved, resized, strewn
+from codecbench.plugins.datasets.synthetic.scene import Panel, box, make_atlas, placed, upright
+from codecbench.plugins.datasets.synthetic.textures import halved, photograph, resized, strewn
 
 CAMERA = Camera(320, 240, 262.0, 258.0, 158.5, 121.0)
 OFFSETS = np.array([[-1 / 3, 0.0], [0.0, 1 / 3], [1 / 3, -1 / 3]])

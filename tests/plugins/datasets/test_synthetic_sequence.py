@@ -17,12 +17,18 @@ from pydantic import ValidationError
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image, png_bytes
 from codecbench.plugins.datasets.files import read_image_file
-from codecbench.plugins.datasets.synthetic import photographs, rendered
-from codecbench.plugins.datasets.synthetic.dataset import Synthetic, _renderer, room_camera
-from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
-from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, LOOP_S, HandheldPath
+from codecbench.plugins.datasets.synthetic import rendered, textures
+from codecbench.plugins.datasets.synthetic.dataset import (
+    READ_NOISE,
+    SHOT_NOISE,
+    Synthetic,
+    _renderer,
+    room_camera,
+    sensed,
+)
+from codecbench.plugins.datasets.synthetic.paths import FRAME_RATE_HZ, LOOP_S, HandheldPath
+from codecbench.plugins.datasets.synthetic.rendered import FrameStore
 from codecbench.plugins.datasets.synthetic.room import HALF_X, HALF_Y, HEIGHT
-from codecbench.plugins.datasets.synthetic.sensor import READ_NOISE, SHOT_NOISE, sensed
 
 PICTURES = GOLDEN / "synthetic"
 
@@ -303,10 +309,10 @@ def test_an_index_out_of_range_is_refused():
 
 
 def test_a_missing_photograph_is_named(monkeypatch):
-    monkeypatch.setitem(photographs.FILES, "moon", "no_such_photograph.png")
-    photographs.photographs_digest.cache_clear()
+    monkeypatch.setitem(textures.PHOTOGRAPH_FILES, "moon", "no_such_photograph.png")
+    textures.photographs_digest.cache_clear()
     try:
         with pytest.raises(DatasetError, match=r"no_such_photograph\.png is missing; reinstall scikit-image"):
             small(frames=1)
     finally:
-        photographs.photographs_digest.cache_clear()
+        textures.photographs_digest.cache_clear()

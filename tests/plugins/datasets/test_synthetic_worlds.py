@@ -16,12 +16,12 @@ from pydantic import ValidationError
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.datasets.synthetic import rendered
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic, SyntheticParams
-from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
+from codecbench.plugins.datasets.synthetic.paths import Route
 from codecbench.plugins.datasets.synthetic.render import Renderer
+from codecbench.plugins.datasets.synthetic.textures import photographs_digest
 from codecbench.plugins.datasets.synthetic.worlds import places, sequence
 from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between, moved
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
-from codecbench.plugins.datasets.synthetic.worlds.paths import Route
 from codecbench.plugins.datasets.synthetic.worlds.places import atlas_of, faded
 from codecbench.plugins.datasets.synthetic.worlds.presets import STREET_CORNERS_M, WORLD_NAMES, WORLDS
 

@@ -16,6 +16,7 @@ from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
+from codecbench.plugins.datasets.bag.ground_truth import PoseSource, frame_name, true_path
 from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
 from codecbench.plugins.datasets.bag.pictures import (
     bits_of,
@@ -27,8 +28,6 @@ from codecbench.plugins.datasets.bag.pictures import (
     said_of_image,
 )
 from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, is_called_a_bag, recording
-from codecbench.plugins.datasets.bag.transforms import frame_name
-from codecbench.plugins.datasets.bag.truth import PoseSource, true_path
 from codecbench.plugins.datasets.calibration import lens_of
 from codecbench.plugins.datasets.files import digest_of, known_facts
 from codecbench.plugins.datasets.selection import (

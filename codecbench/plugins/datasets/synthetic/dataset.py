@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence
 from codecbench.plugins.datasets.selection import Selection
-from codecbench.plugins.datasets.synthetic.path import FRAME_RATE_HZ, HandheldPath
-from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
+from codecbench.plugins.datasets.synthetic.paths import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
+from codecbench.plugins.datasets.synthetic.textures import photographs_digest, rounded
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLD_NAMES, WORLDS, WorldName
 from codecbench.plugins.datasets.synthetic.worlds.sequence import WorldSequence
 
@@ -99,7 +99,6 @@ class SyntheticSequence(RenderedSequence):
         super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, picture)
 
     def render(self, source: int) -> Image:
-        from codecbench.plugins.datasets.synthetic.sensor import sensed
 
         params = self._params
         light = _renderer(params.width, params.height).mean_of_samples(
@@ -127,3 +126,30 @@ def _renderer(width: int, height: int) -> Any:
     from codecbench.plugins.datasets.synthetic.room import room_atlas
 
     return Renderer(room_atlas(), room_camera(width, height))
+
+
+READ_NOISE = 1.0
+"""Standard deviation in gray levels at black."""
+
+SHOT_NOISE = 0.02
+"""Variance per gray level of brightness: with READ_NOISE, a deviation of 1.9 at 128, as of an indoor webcam."""
+
+_CORNER_LOSS = 0.22
+
+
+def sensed(light: NDArray[np.float32], noise: float, rng: np.random.Generator) -> Image:
+    """The picture (H, W, 3) that the sensor gives for `light`, 0..255; `noise` scales both deviations."""
+    exposed = light * _vignette(*light.shape[:2])
+    if noise > 0.0:
+        deviation = np.sqrt(np.float32(READ_NOISE**2) + np.float32(SHOT_NOISE) * exposed) * np.float32(noise)
+        exposed += deviation * rng.standard_normal(light.shape, dtype=np.float32)
+    return rounded(exposed)
+
+
+@cache
+def _vignette(height: int, width: int) -> NDArray[np.float32]:
+    """(H, W, 1) factors: 1 in the middle, falling with the square of the distance."""
+    rows = (np.arange(height) - (height - 1) / 2)[:, None]
+    columns = (np.arange(width) - (width - 1) / 2)[None, :]
+    squares = (rows**2 + columns**2) / (((height - 1) / 2) ** 2 + ((width - 1) / 2) ** 2 + 1e-9)
+    return np.asarray((1.0 - _CORNER_LOSS * squares)[:, :, None], dtype=np.float32)

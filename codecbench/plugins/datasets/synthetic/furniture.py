@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.datasets.synthetic.photographs import photograph
 from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, upright
-from codecbench.plugins.datasets.synthetic.textures import Color, crop, matted, resized, strewn, toned, wood
+from codecbench.plugins.datasets.synthetic.textures import Color, crop, matted, photograph, resized, strewn, toned, wood
 
 Rng = np.random.Generator
 

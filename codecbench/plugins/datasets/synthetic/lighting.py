@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.kernels.compiled import compiled
-from codecbench.plugins.datasets.synthetic.atlas import edges_of
-from codecbench.plugins.datasets.synthetic.scene import Panel
+from codecbench.plugins.datasets.synthetic.scene import Panel, edges_of
 from codecbench.plugins.datasets.synthetic.textures import rounded
 
 Floats = NDArray[np.float64]

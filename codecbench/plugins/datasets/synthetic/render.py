@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.sequence import Camera
 from codecbench.core.kernels.compiled import compiled
-from codecbench.plugins.datasets.synthetic.atlas import Atlas
+from codecbench.plugins.datasets.synthetic.scene import Atlas
 
 Floats = NDArray[np.float64]
 _LEVEL_BIAS = 0.33

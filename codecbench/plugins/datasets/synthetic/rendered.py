@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import tempfile
 from abc import abstractmethod
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,10 +18,52 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.plugins.datasets.selection import Selection, converted
-from codecbench.plugins.datasets.synthetic.frame_store import FrameStore
+
+_DIGEST_BYTES = 32
 
 
-class Path(Protocol):
+class FrameStore:
+    """Frames of one shape in a folder, by index.
+
+    Any number of processes may read and write at once: a file appears complete, and its first bytes are the
+    SHA-256 of the rest. A folder that cannot be written costs time and nothing else.
+    """
+
+    def __init__(self, folder: Path, shape: tuple[int, int, int]) -> None:
+        self.folder = folder
+        self.shape = shape
+
+    def file(self, index: int) -> Path:
+        return self.folder / f"{index:06d}.rgb"
+
+    def load(self, index: int) -> Image | None:
+        """The frame, or None where it is not there or not as it was written."""
+        try:
+            content = self.file(index).read_bytes()
+        except OSError:
+            return None
+        pixels = memoryview(content)[_DIGEST_BYTES:]
+        if len(pixels) != int(np.prod(self.shape)) or hashlib.sha256(pixels).digest() != content[:_DIGEST_BYTES]:
+            return None
+        return np.frombuffer(pixels, np.uint8).reshape(self.shape).copy()
+
+    def save(self, index: int, image: Image) -> None:
+        """Keep a frame, as far as the disk allows."""
+        pixels = image.tobytes()
+        unfinished = None
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            handle, unfinished = tempfile.mkstemp(prefix=".new-", dir=self.folder)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(hashlib.sha256(pixels).digest())
+                stream.write(pixels)
+            os.replace(unfinished, self.file(index))
+        except OSError:
+            if unfinished is not None:
+                Path(unfinished).unlink(missing_ok=True)
+
+
+class CameraPath(Protocol):
     """A camera's way. loop_s: when it first comes to see its beginning again."""
 
     loop_s: float
@@ -35,7 +80,14 @@ class RenderedSequence(FrameSequence):
     """
 
     def __init__(
-        self, name: str, selection: Selection, frames: int, rate_hz: float, camera: Camera, path: Path, picture: Any
+        self,
+        name: str,
+        selection: Selection,
+        frames: int,
+        rate_hz: float,
+        camera: Camera,
+        path: CameraPath,
+        picture: Any,
     ) -> None:
         self.name = name
         self.frame_rate_hz = rate_hz / selection.stride
@@ -49,7 +101,7 @@ class RenderedSequence(FrameSequence):
         poses = np.array([path.world_from_camera(time_s) for time_s in self.timestamps_s])
         self.ground_truth = Trajectory(self.timestamps_s, poses)
         self.has_loop = bool(self.timestamps_s[-1] - self.timestamps_s[0] >= path.loop_s)
-        digest = _digest(picture)
+        digest = _digest(pixel_inputs)
         self.fingerprint = _digest([digest, list(self._indices), self.channels])
         folder = cache_folder() / "synthetic" / digest[:16]
         self._store = FrameStore(folder, (camera.height, camera.width, 3))

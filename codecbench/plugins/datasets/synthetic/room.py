@@ -10,12 +10,10 @@ from functools import cache
 import numpy as np
 
 from codecbench.plugins.datasets.synthetic import furniture
-from codecbench.plugins.datasets.synthetic.atlas import Atlas, make_atlas
 from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, texels
 from codecbench.plugins.datasets.synthetic.lighting import lit
-from codecbench.plugins.datasets.synthetic.photographs import photograph
-from codecbench.plugins.datasets.synthetic.scene import Panel, Point, box, placed, upright
-from codecbench.plugins.datasets.synthetic.textures import crop, planks, strewn, toned
+from codecbench.plugins.datasets.synthetic.scene import Atlas, Panel, Point, box, make_atlas, placed, upright
+from codecbench.plugins.datasets.synthetic.textures import crop, photograph, planks, strewn, toned
 
 HALF_X, HALF_Y, HEIGHT = 2.7, 2.3, 2.6
 TABLE_TOP = 0.74

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.sequence import Camera
 from codecbench.core.kernels.compiled import compiled
-from codecbench.plugins.datasets.synthetic.atlas import Atlas
 from codecbench.plugins.datasets.synthetic.render import (
     LANE,
     TEXEL_WEIGHT,
@@ -21,6 +20,7 @@ from codecbench.plugins.datasets.synthetic.render import (
     texel,
     texture_level,
 )
+from codecbench.plugins.datasets.synthetic.scene import Atlas
 
 Floats = NDArray[np.float64]
 Pose = Callable[[float], Floats]

@@ -8,9 +8,8 @@ from functools import cache, lru_cache
 import numpy as np
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.datasets.synthetic.atlas import Atlas, make_atlas
 from codecbench.plugins.datasets.synthetic.room import furnished_room, room_atlas
-from codecbench.plugins.datasets.synthetic.scene import Panel
+from codecbench.plugins.datasets.synthetic.scene import Atlas, Panel, make_atlas
 from codecbench.plugins.datasets.synthetic.textures import rounded
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
 from codecbench.plugins.datasets.synthetic.worlds.field import farmland

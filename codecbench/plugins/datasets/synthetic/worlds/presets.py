@@ -7,10 +7,18 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import Literal, get_args
 
-from codecbench.plugins.datasets.synthetic.path import HandheldPath
-from codecbench.plugins.datasets.synthetic.rendered import Path
+from codecbench.plugins.datasets.synthetic.paths import (
+    Drive,
+    Flight,
+    HandheldPath,
+    Panning,
+    Route,
+    RouteWalk,
+    Slider,
+    Turning,
+)
+from codecbench.plugins.datasets.synthetic.rendered import CameraPath
 from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between
-from codecbench.plugins.datasets.synthetic.worlds.paths import Drive, Flight, Panning, Route, RouteWalk, Slider, Turning
 
 WorldName = Literal[
     "room",
@@ -33,16 +41,16 @@ Place = Literal["room", "corridor", "street", "street_and_van", "field"]
 WORLD_NAMES: tuple[WorldName, ...] = get_args(WorldName)
 
 
-def _by_hand(conditions: Conditions, seed: int) -> Path:
+def _by_hand(conditions: Conditions, seed: int) -> CameraPath:
     return HandheldPath(seed, conditions.speed_m_s / 0.7, conditions.tremor)
 
 
-def _round_the_corridor(conditions: Conditions, seed: int) -> Path:
+def _round_the_corridor(conditions: Conditions, seed: int) -> CameraPath:
     route = Route(CORRIDOR_CORNERS_M, conditions.radius_m)
     return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
 
 
-def _round_the_blocks(conditions: Conditions, seed: int) -> Path:
+def _round_the_blocks(conditions: Conditions, seed: int) -> CameraPath:
     route = Route(STREET_CORNERS_M, conditions.radius_m)
     cut_m = (8 - 2 * pi) * conditions.radius_m
     return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
@@ -60,7 +68,7 @@ class World:
     place: Place
     calm: Conditions
     hard: Conditions
-    way: Callable[[Conditions, int], Path] = _by_hand
+    way: Callable[[Conditions, int], CameraPath] = _by_hand
     width: int = 640
     height: int = 480
     rate_hz: float = 30.0
@@ -71,7 +79,7 @@ class World:
         """The conditions at a severity, 0 to 1."""
         return between(self.calm, self.hard, severity)
 
-    def path(self, conditions: Conditions, seed: int) -> Path:
+    def path(self, conditions: Conditions, seed: int) -> CameraPath:
         """The camera's path under these conditions."""
         return self.way(conditions, seed)
 

@@ -10,9 +10,9 @@ import numpy as np
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.selection import Selection
-from codecbench.plugins.datasets.synthetic.photographs import photographs_digest
+from codecbench.plugins.datasets.synthetic.paths import Drive
 from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
-from codecbench.plugins.datasets.synthetic.worlds.paths import Drive
+from codecbench.plugins.datasets.synthetic.textures import photographs_digest
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS, Place, WorldName
 
 if TYPE_CHECKING:
