@@ -34,7 +34,7 @@ from codecbench.core.report.picks import measured
 from codecbench.core.report.tables import cell, table
 from codecbench.paper.measured import Measured
 from codecbench.paper.page import contradicted, deviations, tracking_limits
-from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
+from codecbench.plugins.datasets.synthetic.worlds.conditions import changing_conditions
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 
 IMAGES: Final = Path(__file__).parents[1] / "images"
@@ -379,7 +379,9 @@ def conditions() -> Iterator[str]:
     """What severity moves in each world."""
     rows = []
     for name, world in WORLDS.items():
-        scaled = [f"{field} {low:g} → {high:g}" for field, (low, high) in moved(world.calm, world.hard).items()]
+        scaled = [
+            f"{field} {low:g} → {high:g}" for field, (low, high) in changing_conditions(world.calm, world.hard).items()
+        ]
         size = f"{world.width} x {world.height}, {world.rate_hz:g} Hz"
         rows.append([f"`{name}`", world.about, size, world.frames(0.5, world.rate_hz), ", ".join(scaled)])
     yield table(["world", "what", "pictures", "frames at 0.5", "severity 0 → 1 moves"], rows)

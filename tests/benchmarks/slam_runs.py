@@ -26,7 +26,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
 from codecbench.plugins.codecs.jpeg import Jpeg
-from codecbench.plugins.datasets.calibration import miscalibrated
+from codecbench.plugins.datasets.calibration import miscalibrate
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 from codecbench.plugins.datasets.tum import Tum
@@ -43,7 +43,7 @@ HEADS: Final = ("sequence", "codec", "starts", "wait", "tracked %", "median mm",
 def system_of(sequence: FrameSequence, options: slam.Options | None = None, error: float = 0.0) -> slam.System:
     """A SLAM for the camera of a sequence, or for one that is miscalibrated by `error`."""
     assert sequence.camera is not None
-    camera = miscalibrated(sequence.camera, error)
+    camera = miscalibrate(sequence.camera, error)
     numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     return slam.System(slam.Camera(*numbers, camera.distortion, camera.model), options)
 

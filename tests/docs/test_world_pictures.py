@@ -13,7 +13,7 @@ from project import DOCS
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
-from codecbench.plugins.datasets.synthetic.worlds.conditions import moved
+from codecbench.plugins.datasets.synthetic.worlds.conditions import changing_conditions
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 from codecbench.plugins.datasets.tum import Tum
 
@@ -23,7 +23,7 @@ SHEET = DOCS / "images" / "worlds.jpg"
 
 def test_what_severity_moves_is_explained() -> None:
     for world in WORLDS.values():
-        for name in moved(world.calm, world.hard):
+        for name in changing_conditions(world.calm, world.hard):
             assert f"| `{name}` |" in PAGE, f"{name} is not explained"
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin
-from codecbench.plugins.datasets.calibration import miscalibrated
+from codecbench.plugins.datasets.calibration import miscalibrate
 
 MIN_SIDE_PX = 16
 """Pixels: smaller frames show nothing, and no synthetic one is smaller."""
@@ -49,7 +49,7 @@ class MiscalibratedSequence(AdaptedSequence):
         super().__init__(source)
         if source.camera is None:
             raise DatasetError(f"{source.name}: no camera is known that could be wrong", {"calibration_error": 0.0})
-        self.camera = miscalibrated(source.camera, error)
+        self.camera = miscalibrate(source.camera, error)
         self.name += f"-k1{error:+g}"
         self.as_calibrated = source.fingerprint
         self.fingerprint = hashlib.sha256(f"{source.fingerprint} miscalibrated by {error!r}".encode()).hexdigest()

@@ -67,10 +67,10 @@ class YamlFile:
 
     def numbers(self, key: str, counts: tuple[int, ...]) -> list[float]:
         """A list of finite numbers of one of the given lengths. Raises DatasetError."""
-        return numbers_in(self.get(key), counts, self.where(key), key)
+        return finite_numbers(self.get(key), counts, self.where(key), key)
 
 
-def numbers_in(value: Any, counts: tuple[int, ...], where: str, key: str) -> list[float]:
+def finite_numbers(value: Any, counts: tuple[int, ...], where: str, key: str) -> list[float]:
     """`value` as a list of finite numbers of one of the given lengths. Raises DatasetError."""
     good = isinstance(value, list) and all(
         isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number) for number in value
@@ -90,7 +90,7 @@ def camera_from_model(
     return Camera(*size, *intrinsics, distortion=padded if any(padded[5:]) else padded[:5], model=known)
 
 
-def lens_of(camera: Camera) -> str:
+def describe_lens(camera: Camera) -> str:
     """How a camera's pictures are distorted, in the field's words."""
     if camera.model == "equidistant":
         return "equidistant fisheye (Kannala-Brandt)"
@@ -105,7 +105,7 @@ def camera_from_view(width: int, height: int, fov_deg: float) -> Camera:
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def miscalibrated(camera: Camera, error: float) -> Camera:
+def miscalibrate(camera: Camera, error: float) -> Camera:
     """A camera as a calibration that is slightly wrong gives it: k1 too large by `error`, the focal length by half."""
     k1, *others = camera.distortion
     focal = 1.0 + error / 2

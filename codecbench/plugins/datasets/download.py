@@ -119,7 +119,7 @@ def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, 
     try:
         count = 0
         for name, stream in _members(archive):
-            path = _checked(name, archive)
+            path = _safe_path(name, archive)
             if inside and path.parts[: len(PurePosixPath(inside).parts)] != PurePosixPath(inside).parts:
                 continue
             if any(fnmatch(name, pattern) for pattern in leave_out):
@@ -164,7 +164,7 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
                 yield member.name, content
 
 
-def _checked(name: str, archive: Path) -> PurePosixPath:
+def _safe_path(name: str, archive: Path) -> PurePosixPath:
     path = PurePosixPath(name)
     if not path.parts:
         raise DatasetError(f"{archive}: a file is called {name!r}, which names none; nothing was unpacked")

@@ -11,17 +11,17 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
-from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, numbers_in
+from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, finite_numbers
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import Described, FoundCamera, Located, without
-from codecbench.plugins.datasets.tables import checked_rotation, increasing, read_rows, trajectory_from_quaternions
+from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCamera, workaround
+from codecbench.plugins.datasets.tables import increasing_times, orthonormalize, read_rows, trajectory_from_quaternions
 
 Floats = NDArray[np.float64]
 _USUAL_RATE_HZ = 20.0
-_UNMOVED = "without calibration the poses are those of the vehicle's sensor, which are taken as the camera's"
+_SENSOR_POSES_NOTE = "without calibration the poses are those of the vehicle's sensor, which are taken as the camera's"
 
 
-class EurocParams(Located, Described):
+class EurocParams(FolderSelection, RecordedCamera):
     """Parameters of `euroc`."""
 
     camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
@@ -57,19 +57,19 @@ class Euroc(Dataset[EurocParams]):
         if not folder.is_dir():
             raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds mav0/")
         rows = read_rows(folder / "data.csv", "the list of frames", 2, ",")
-        times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
+        times_s = increasing_times([row.seconds_from_ns(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "data.csv"))
         files = tuple(folder / "data" / rows[index].fields[1] for index in chosen)
-        with without(calibration="none"):
+        with workaround(calibration="none"):
             sensor = _sensor(params, folder / "sensor.yaml")
-            known = FoundCamera() if sensor is None else FoundCamera(_camera(sensor), sensor.file.name)
+            known = KnownCamera() if sensor is None else KnownCamera(_camera(sensor), sensor.file.name)
             frames_hz = _rate_hz(sensor)
-        found = params.or_ideal(known, lambda: frame_size(files[0], chosen[0]))
+        found = params.or_ideal_camera(known, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
-            with without(ground_truth=False):
+            with workaround(ground_truth=False):
                 truth = _trajectory(root / "mav0", sensor)
-        notes = found.notes if sensor or not params.ground_truth else (*found.notes, _UNMOVED)
+        notes = found.notes if sensor or not params.ground_truth else (*found.notes, _SENSOR_POSES_NOTE)
         content = Content(
             name=root.resolve().name,
             where=str(folder),
@@ -81,7 +81,7 @@ class Euroc(Dataset[EurocParams]):
             uncalibrated={"calibration": "none"},
             ground_truth=truth,
             color=params.color,
-            notes=(*params.notes_of_part(len(rows)), *notes),
+            notes=(*params.subset_notes(len(rows)), *notes),
             origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
         )
         return params.as_asked(FileSequence(content))
@@ -128,20 +128,20 @@ def _mounting(sensor: YamlFile) -> Floats:
     """body_from_sensor (4, 4) of a sensor.yaml. Raises DatasetError."""
     entry: Any = sensor.get("T_BS")
     values = entry.get("data") if isinstance(entry, dict) else None
-    matrix = np.array(numbers_in(values, (16,), sensor.where("T_BS"), "T_BS.data")).reshape(4, 4)
-    return checked_rotation(matrix, sensor.where("T_BS"))
+    matrix = np.array(finite_numbers(values, (16,), sensor.where("T_BS"), "T_BS.data")).reshape(4, 4)
+    return orthonormalize(matrix, sensor.where("T_BS"))
 
 
 def _trajectory(mav: Path, camera: YamlFile | None) -> Trajectory:
     """The path of the camera that is described, else of the body's sensor. Raises DatasetError."""
     folder = mav / "state_groundtruth_estimate0"
     rows = read_rows(folder / "data.csv", "ground truth", 8, ",")
-    times_s = increasing([row.nanoseconds_s(0) for row in rows], rows)
+    times_s = increasing_times([row.seconds_from_ns(0) for row in rows], rows)
     poses = np.array([[row.number(column) for column in range(1, 8)] for row in rows])
     sensor = trajectory_from_quaternions(times_s, poses, "wxyz", rows)
     if camera is None:
         return sensor
-    described = folder / "sensor.yaml"
-    body_from_sensor = _mounting(YamlFile(described, "mounting")) if described.is_file() else np.eye(4)
+    sensor_file = folder / "sensor.yaml"
+    body_from_sensor = _mounting(YamlFile(sensor_file, "mounting")) if sensor_file.is_file() else np.eye(4)
     sensor_from_camera = np.linalg.inv(body_from_sensor) @ _mounting(camera)
     return Trajectory(times_s, sensor.world_from_camera @ sensor_from_camera)

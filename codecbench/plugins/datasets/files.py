@@ -19,7 +19,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
 from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
-from codecbench.plugins.datasets.selection import Color, converted, without
+from codecbench.plugins.datasets.selection import Color, convert_color, workaround
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
@@ -49,12 +49,12 @@ def read_image_file(file: Path) -> Image:
 
 def frame_size(file: Path, number: int) -> tuple[int, int]:
     """Width and height in pixels of frame `number` of a recording. Raises DatasetError as `read_image_file`."""
-    with without(skip=[number]):
+    with workaround(skip=[number]):
         height, width = read_image_file(file).shape[:2]
     return width, height
 
 
-def _size_in_head(file: Path) -> tuple[int, int] | None:
+def _header_size(file: Path) -> tuple[int, int] | None:
     """Width and height as a file says without being decoded; None where that is not understood."""
     try:
         with catch_warnings(action="ignore"), PillowImage.open(file) as picture:
@@ -70,22 +70,22 @@ def _rgb_from_stored(stored: Any) -> Image:
     return np.asarray(cv2.cvtColor(stored, order), dtype=np.uint8)
 
 
-def digest_of(value: Any) -> str:
+def json_digest(value: Any) -> str:
     """Hex digest of a value of JSON types."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
-def digest_of_file(file: Path) -> str:
+def file_digest(file: Path) -> str:
     """Hex digest of a file's bytes, remembered while its size and time of change stay. Raises DatasetError."""
     try:
         status = file.stat()
-        return _digest_of_version(file, status.st_size, status.st_mtime_ns)
+        return _version_digest(file, status.st_size, status.st_mtime_ns)
     except OSError as error:
         raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
 
 
 @cache
-def _digest_of_version(file: Path, size_bytes: int, mtime_ns: int) -> str:
+def _version_digest(file: Path, size_bytes: int, mtime_ns: int) -> str:
     with open(file, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -124,22 +124,22 @@ class FileSequence(FrameSequence):
         self.camera = content.camera
         self.ground_truth = content.ground_truth
         self._content = content
-        _check_all_there(content)
+        _check_files_exist(content)
         first = self._image(0)
         self.channels = channel_count(first)
         self._size = first.shape[:2]
         self.notes = (*content.notes, *jpeg_notes(content.files[0].read_bytes()))
-        with without(**content.uncalibrated):
+        with workaround(**content.uncalibrated):
             self._check(first, content.files[0])
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
         """Digest over the bytes of all frames, times, camera and ground truth; the first use reads every file."""
-        return digest_of(
+        return json_digest(
             {
-                "frames": [digest_of_file(file) for file in self._content.files],
+                "frames": [file_digest(file) for file in self._content.files],
                 "channels": self.channels,
-                **known_facts(self),
+                **fingerprint_facts(self),
             }
         )
 
@@ -149,20 +149,20 @@ class FileSequence(FrameSequence):
         found = self._content.origin
         if not self._content.sizes_differ:
             return found
-        sizes = sorted({size for file in self._content.files if (size := _size_in_head(file)) is not None})
+        sizes = sorted({size for file in self._content.files if (size := _header_size(file)) is not None})
         return replace(found, sizes=tuple(sizes)) if len(sizes) > 1 else found
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._content.where}: frame {index} is not in 0..{len(self) - 1}")
         image = self._image(index)
-        with without(**_skipping(self._content, [index])):
+        with workaround(**_skip_params(self._content, [index])):
             self._check(image, self._content.files[index])
         return Frame(index, float(self.timestamps_s[index]), image)
 
     def _image(self, index: int) -> Image:
-        with without(**_skipping(self._content, [index])):
-            return converted(read_image_file(self._content.files[index]), self._content.color)
+        with workaround(**_skip_params(self._content, [index])):
+            return convert_color(read_image_file(self._content.files[index]), self._content.color)
 
     def _check(self, image: Image, file: Path) -> None:
         height, width = image.shape[:2]
@@ -178,7 +178,7 @@ class FileSequence(FrameSequence):
             raise DatasetError(f"{file}: is {width}x{height}, but the calibration is for {size}; scale one of them")
 
 
-def known_facts(sequence: FrameSequence) -> dict[str, Any]:
+def fingerprint_facts(sequence: FrameSequence) -> dict[str, Any]:
     """Times, camera and ground truth of a sequence as JSON types, for its fingerprint."""
     truth = sequence.ground_truth
     return {
@@ -196,16 +196,16 @@ def _camera_facts(camera: Camera) -> dict[str, Any]:
     return facts if camera.model != "pinhole" else {name: facts[name] for name in facts if name != "model"}
 
 
-def _check_all_there(content: Content) -> None:
+def _check_files_exist(content: Content) -> None:
     files = content.files
     missing = [index for index, file in enumerate(files) if not file.is_file()]
     if missing:
         more = f" (and {len(missing) - 1} more of {len(files)})" if len(missing) > 1 else ""
         said = f"{files[missing[0]]}: frame is missing{more}; fetch or copy the sequence again"
-        raise DatasetError(said, _skipping(content, missing) if 2 * len(missing) <= len(files) else {})
+        raise DatasetError(said, _skip_params(content, missing) if 2 * len(missing) <= len(files) else {})
 
 
-def _skipping(content: Content, indices: Sequence[int]) -> dict[str, Any]:
+def _skip_params(content: Content, indices: Sequence[int]) -> dict[str, Any]:
     """The parameters that leave out these frames of the sequence, none where its dataset has no `skip`."""
     return {"skip": [content.numbers[index] for index in indices]} if len(content.numbers) else {}
 

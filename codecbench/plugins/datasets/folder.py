@@ -12,10 +12,10 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import Located, OwnCamera
+from codecbench.plugins.datasets.selection import FolderSelection, GivenCamera
 
 
-class FolderParams(Located, OwnCamera):
+class FolderParams(FolderSelection, GivenCamera):
     """Parameters of `folder`."""
 
     frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0
@@ -39,7 +39,7 @@ class Folder(Dataset[FolderParams]):
         folder = params.folder("image files")
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
-        found = params.own_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
+        found = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
@@ -50,7 +50,7 @@ class Folder(Dataset[FolderParams]):
             camera=found.camera,
             color=params.color,
             sizes_differ=True,
-            notes=(*params.notes_of_part(len(files)), *found.notes),
+            notes=(*params.subset_notes(len(files)), *found.notes),
             origin=Origin("folder of pictures", found.source),
         )
         return params.as_asked(FileSequence(content))

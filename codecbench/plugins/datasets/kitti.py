@@ -13,15 +13,15 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import Described, FoundCamera, Located, without
-from codecbench.plugins.datasets.tables import checked_rotation, increasing, rate_hz, read_rows
+from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCamera, workaround
+from codecbench.plugins.datasets.tables import increasing_times, orthonormalize, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
 _Camera = Literal["image_0", "image_1", "image_2", "image_3"]
-_UNMOVED = "without calibration the poses are those of camera 0, which are taken as this camera's"
+_CAMERA_0_POSES_NOTE = "without calibration the poses are those of camera 0, which are taken as this camera's"
 
 
-class KittiParams(Located, Described):
+class KittiParams(FolderSelection, RecordedCamera):
     """Parameters of `kitti`."""
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
@@ -46,9 +46,17 @@ class Kitti(Dataset[KittiParams]):
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
         """The folder with sequences/ and poses/, whose first sequence is meant, or one of its sequences."""
-        one = path.resolve() if (path / "times.txt").is_file() and path.resolve().parent.name == "sequences" else None
-        root = one.parent.parent if one else path / "dataset" if (path / "dataset").is_dir() else path
-        folders = [one] if one else sorted(root.glob("sequences/[0-9][0-9]"))
+        sequence_folder = (
+            path.resolve() if (path / "times.txt").is_file() and path.resolve().parent.name == "sequences" else None
+        )
+        root = (
+            sequence_folder.parent.parent
+            if sequence_folder
+            else path / "dataset"
+            if (path / "dataset").is_dir()
+            else path
+        )
+        folders = [sequence_folder] if sequence_folder else sorted(root.glob("sequences/[0-9][0-9]"))
         cameras = [found for found in get_args(_Camera) if folders and (folders[0] / found).is_dir()]
         if not cameras:
             return None
@@ -65,16 +73,16 @@ class Kitti(Dataset[KittiParams]):
         if not folder.is_dir():
             raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds sequences/ and poses/")
         rows = read_rows(folder / "times.txt", "the list of times", 1)
-        times_s = increasing([row.number(0) for row in rows], rows)
+        times_s = increasing_times([row.number(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "times.txt"))
         files = tuple(folder / params.camera / f"{index:06d}.png" for index in chosen)
-        with without(calibration="none"):
+        with workaround(calibration="none"):
             found, projection = _camera(params, folder, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
-            with without(ground_truth=False):
+            with workaround(ground_truth=False):
                 truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
-        unmoved = () if truth is None or projection is not None else (_UNMOVED,)
+        unmoved = () if truth is None or projection is not None else (_CAMERA_0_POSES_NOTE,)
         content = Content(
             name=f"kitti_{params.sequence}",
             where=str(folder),
@@ -85,7 +93,7 @@ class Kitti(Dataset[KittiParams]):
             camera=found.camera,
             ground_truth=truth,
             color=params.color,
-            notes=(*params.notes_of_part(len(rows)), *found.notes, *unmoved),
+            notes=(*params.subset_notes(len(rows)), *found.notes, *unmoved),
             origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
         )
         return params.as_asked(FileSequence(content))
@@ -107,17 +115,17 @@ def read_projection(file: Path, name: str) -> Floats:
 
 def _camera(
     params: KittiParams, folder: Path, size: Callable[[], tuple[int, int]]
-) -> tuple[FoundCamera, Floats | None]:
+) -> tuple[KnownCamera, Floats | None]:
     """The camera and its projection matrix; None of a sequence without calibration, if that was said or fov_deg is.
 
     KITTI's files do not give the frames' size: the first frame does.
     """
     file = folder / "calib.txt"
     if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
-        return params.or_ideal(FoundCamera(), size), None
+        return params.or_ideal_camera(KnownCamera(), size), None
     projection = read_projection(file, f"P{params.camera[-1]}")
     fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return params.or_ideal(FoundCamera(Camera(*size(), fx, fy, cx, cy), file.name), size), projection
+    return params.or_ideal_camera(KnownCamera(Camera(*size(), fx, fy, cx, cy), file.name), size), projection
 
 
 def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Trajectory:
@@ -128,7 +136,7 @@ def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Traje
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     for index, row in enumerate(rows):
         poses[index, :3] = np.array(row.numbers()).reshape(3, 4)
-        poses[index] = checked_rotation(poses[index], row.where)
+        poses[index] = orthonormalize(poses[index], row.where)
     if projection is None:
         return Trajectory(times_s, poses)
     zero_from_camera = np.eye(4)

@@ -60,7 +60,7 @@ class Selection(Params):
             raise DatasetError(f"{where}: skip leaves no frame of those from {self.start} to {stop - 1}")
         return chosen
 
-    def notes_of_part(self, count: int) -> tuple[str, ...]:
+    def subset_notes(self, count: int) -> tuple[str, ...]:
         """What is to be said of a recording of `count` frames of which only some are used."""
         chosen = self.indices(count, "")
         if len(chosen) == count:
@@ -82,7 +82,7 @@ class Selection(Params):
 
 
 @contextmanager
-def without(**params: Any) -> Iterator[None]:
+def workaround(**params: Any) -> Iterator[None]:
     """What is wrong inside costs itself: an error says that these parameters open the rest, if it says no others."""
     try:
         yield
@@ -92,7 +92,7 @@ def without(**params: Any) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class FoundCamera:
+class KnownCamera:
     """A camera or None, what it was taken from, and what is to be said of it."""
 
     camera: Camera | None = None
@@ -108,7 +108,7 @@ class FieldOfView(Params):
         Field(gt=0.0, lt=180.0, description="without calibration: horizontal field of view of an ideal pinhole camera"),
     ] = None
 
-    def or_ideal(self, known: FoundCamera, frame_size: Callable[[], tuple[int, int]]) -> FoundCamera:
+    def or_ideal_camera(self, known: KnownCamera, frame_size: Callable[[], tuple[int, int]]) -> KnownCamera:
         """The camera that is `known`, else the ideal one if its field of view was given.
 
         frame_size: width and height of the frames in pixels, asked for if they are needed.
@@ -120,10 +120,10 @@ class FieldOfView(Params):
             unused = f"the field of view of {view} (`fov_deg`) is not used: the camera is known from {known.source}"
             return replace(known, notes=(*known.notes, unused))
         ideal = f"the camera is an ideal one of {view}: calibrate it before you trust a path"
-        return FoundCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
+        return KnownCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
 
 
-class Described(FieldOfView):
+class RecordedCamera(FieldOfView):
     """The camera of recordings that bring a file of their own for it."""
 
     calibration: Annotated[
@@ -131,7 +131,7 @@ class Described(FieldOfView):
     ] = "auto"
 
 
-class OwnCamera(FieldOfView):
+class GivenCamera(FieldOfView):
     """The camera of recordings that bring none: from a calibration file, or an ideal one by its field of view."""
 
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
@@ -142,26 +142,26 @@ class OwnCamera(FieldOfView):
             raise ValueError("give `calibration` or `fov_deg`, not both")
         return self
 
-    def refuse_beside(self, camera: str) -> None:
+    def check_one_camera_source(self, camera: str) -> None:
         """Raise ValueError where `camera`, which may be `auto` or `none`, and another parameter both say the camera."""
         if camera != "auto" and self.calibration is not None:
             raise ValueError("give `camera` or `calibration`, not both")
         if camera not in ("auto", "none") and self.fov_deg is not None:
             raise ValueError("give `camera` or `fov_deg`, not both")
 
-    def own_camera(self, frame_size: Callable[[], tuple[int, int]]) -> FoundCamera:
+    def given_camera(self, frame_size: Callable[[], tuple[int, int]]) -> KnownCamera:
         """The camera, if one was given. Raises DatasetError for a wrong file."""
-        known = FoundCamera() if self.calibration is None else found_in_file(self.calibration)[0]
-        return self.or_ideal(known, frame_size)
+        known = KnownCamera() if self.calibration is None else read_camera_file(self.calibration)[0]
+        return self.or_ideal_camera(known, frame_size)
 
 
-def found_in_file(calibration: Path) -> tuple[FoundCamera, float | None]:
+def read_camera_file(calibration: Path) -> tuple[KnownCamera, float | None]:
     """The camera in a calibration file, and the frame rate if the file has one. Raises DatasetError."""
     camera, fps = camera_from_file(calibration)
-    return FoundCamera(camera, calibration.name), fps
+    return KnownCamera(camera, calibration.name), fps
 
 
-class Located(Selection):
+class FolderSelection(Selection):
     """Selection from a folder on disk: one's own, or one that `codecbench data fetch` brought."""
 
     path: Annotated[PathParam | None, Field(description="folder of the sequence")] = None
@@ -184,7 +184,7 @@ class Located(Selection):
         return self.path
 
 
-def converted(image: Image, color: Color) -> Image:
+def convert_color(image: Image, color: Color) -> Image:
     """The image with the channels that `color` asks for."""
     if color == "gray":
         return gray_from_image(image)

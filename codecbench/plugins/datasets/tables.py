@@ -45,7 +45,7 @@ class Row:
         """The fields from `first` on as finite numbers. Raises DatasetError."""
         return [self.number(column) for column in range(first, len(self.fields))]
 
-    def nanoseconds_s(self, column: int) -> float:
+    def seconds_from_ns(self, column: int) -> float:
         """A field that counts nanoseconds, in seconds. Raises DatasetError."""
         text = self.fields[column]
         if not text.isascii() or not text.isdigit():
@@ -88,7 +88,7 @@ def _rows(file: Path, text: str, separator: str | None) -> Iterator[Row]:
             yield Row(file, line, tuple(field.strip() for field in content.split(separator)))
 
 
-def increasing(times_s: Sequence[float], rows: Sequence[Row]) -> Floats:
+def increasing_times(times_s: Sequence[float], rows: Sequence[Row]) -> Floats:
     """The times as an array. Raises DatasetError at the first row whose time is not after the one before."""
     for before, now, row in zip(times_s, times_s[1:], rows[1:], strict=False):
         if now <= before:
@@ -142,7 +142,7 @@ def _rotations(quaternions: Floats) -> Floats:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def checked_rotation(transform: Floats, where: str) -> Floats:
+def orthonormalize(transform: Floats, where: str) -> Floats:
     """A transform (4, 4) whose rotation is one, made exactly orthonormal. Raises DatasetError.
 
     Files give a few decimals; the nearest rotation is taken (polar decomposition).

@@ -13,13 +13,19 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import FREIBURG
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FoundCamera, Located, OwnCamera, found_in_file, without
-from codecbench.plugins.datasets.tables import increasing, rate_hz, read_rows, trajectory_from_quaternions
+from codecbench.plugins.datasets.selection import (
+    FolderSelection,
+    GivenCamera,
+    KnownCamera,
+    read_camera_file,
+    workaround,
+)
+from codecbench.plugins.datasets.tables import increasing_times, rate_hz, read_rows, trajectory_from_quaternions
 
 _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
 
 
-class TumParams(Located, OwnCamera):
+class TumParams(FolderSelection, GivenCamera):
     """Parameters of `tum`."""
 
     camera: Annotated[
@@ -30,7 +36,7 @@ class TumParams(Located, OwnCamera):
 
     @model_validator(mode="after")
     def _camera_once(self) -> Self:
-        self.refuse_beside(self.camera)
+        self.check_one_camera_source(self.camera)
         return self
 
 
@@ -57,16 +63,16 @@ class Tum(Dataset[TumParams]):
         params = self.params
         folder = params.folder("rgb.txt")
         rows = read_rows(folder / "rgb.txt", "the list of frames", 2)
-        times_s = increasing([row.number(0) for row in rows], rows)
+        times_s = increasing_times([row.number(0) for row in rows], rows)
         uncalibrated = {} if params.calibration else {"camera": "none"}
-        with without(**uncalibrated):
+        with workaround(**uncalibrated):
             known, fps = _known_camera(params, folder)
         chosen = params.indices(len(rows), str(folder / "rgb.txt"))
         files = tuple(folder / rows[index].fields[1] for index in chosen)
-        found = params.or_ideal(known, lambda: frame_size(files[0], chosen[0]))
+        found = params.or_ideal_camera(known, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
-            with without(ground_truth=False):
+            with workaround(ground_truth=False):
                 truth = read_tum_trajectory(folder / "groundtruth.txt")
         content = Content(
             name=folder.resolve().name,
@@ -79,7 +85,7 @@ class Tum(Dataset[TumParams]):
             uncalibrated=uncalibrated,
             ground_truth=truth,
             color=params.color,
-            notes=(*params.notes_of_part(len(rows)), *found.notes),
+            notes=(*params.subset_notes(len(rows)), *found.notes),
             origin=Origin("TUM RGB-D folder", found.source),
         )
         return params.as_asked(FileSequence(content))
@@ -89,27 +95,27 @@ def read_tum_trajectory(file: Path) -> Trajectory:
     """Poses from lines `time tx ty tz qx qy qz qw`: seconds, metres, world from camera. Raises DatasetError."""
     rows = read_rows(file, "ground truth", 8, exact=True)
     table = np.array([row.numbers() for row in rows])
-    times_s = increasing(table[:, 0].tolist(), rows)
+    times_s = increasing_times(table[:, 0].tolist(), rows)
     return trajectory_from_quaternions(times_s, table[:, 1:], "xyzw", rows)
 
 
-def _known_camera(params: TumParams, folder: Path) -> tuple[FoundCamera, float | None]:
+def _known_camera(params: TumParams, folder: Path) -> tuple[KnownCamera, float | None]:
     """The camera that is published or described, and the frame rate if the description has one."""
     if params.camera == "none":
-        return FoundCamera(), None
+        return KnownCamera(), None
     if params.camera != "auto":
-        return FoundCamera(FREIBURG[params.camera], params.camera), None
+        return KnownCamera(FREIBURG[params.camera], params.camera), None
     beside = folder / "calib.yaml"
     if params.calibration is not None:
-        return found_in_file(params.calibration)
+        return read_camera_file(params.calibration)
     if beside.is_file():
-        return found_in_file(beside)
+        return read_camera_file(beside)
     named = _FOLDER_NAME.search(folder.resolve().name)
     if named is None and params.fov_deg is not None:
-        return FoundCamera(), None
+        return KnownCamera(), None
     if named is None:
         raise DatasetError(
             f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "
             "give `camera`, `calibration`, `fov_deg`, or `camera: none`"
         )
-    return FoundCamera(FREIBURG[named[0]], f"the folder's name ({named[0]})"), None
+    return KnownCamera(FREIBURG[named[0]], f"the folder's name ({named[0]})"), None

@@ -17,8 +17,8 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
-from codecbench.plugins.datasets.files import EXTENSIONS, digest_of, digest_of_file, known_facts
-from codecbench.plugins.datasets.selection import OwnCamera, Selection, converted, without
+from codecbench.plugins.datasets.files import EXTENSIONS, file_digest, fingerprint_facts, json_digest
+from codecbench.plugins.datasets.selection import GivenCamera, Selection, convert_color, workaround
 
 _SKIP_AT_MOST = 64
 """Frames ahead that are decoded and dropped before a jump is tried."""
@@ -36,7 +36,7 @@ _LEAST_LOSS_S = 1.0
 """A file that ends this much, and 2 %, before its own length is damaged: containers round."""
 
 
-class VideoParams(Selection, OwnCamera):
+class VideoParams(Selection, GivenCamera):
     """Parameters of `video`."""
 
     path: Annotated[PathParam, Field(description="video file")]
@@ -75,11 +75,11 @@ class _Index:
     width: int
     height: int
     coding: str
-    gray: bool
-    lost: str
+    is_gray: bool
+    truncation: str
 
     @cached_property
-    def timed(self) -> bool:
+    def has_times(self) -> bool:
         """Whether the times increase from frame to frame; bare streams have none."""
         return all(before < now for before, now in zip(self.times_s, self.times_s[1:], strict=False))
 
@@ -90,31 +90,31 @@ class VideoSequence(FrameSequence):
     def __init__(self, params: VideoParams) -> None:
         self._params = params
         self._file = params.path
-        index = indexed(self._file)
-        if index.lost and params.stop is None:
-            raise DatasetError(f"{self._file}: {index.lost}", {"stop": len(index.times_s)})
+        index = index_video(self._file)
+        if index.truncation and params.stop is None:
+            raise DatasetError(f"{self._file}: {index.truncation}", {"stop": len(index.times_s)})
         chosen = params.indices(len(index.times_s), str(self._file))
         self._indices = chosen
         self._index = index
-        if not index.timed and params.frame_rate_hz is None:
+        if not index.has_times and params.frame_rate_hz is None:
             raise DatasetError(f"{self._file}: its frames have no increasing times; give `frame_rate_hz`")
         self.name = self._file.stem
         rate_hz = params.frame_rate_hz or index.rate_hz
         times_s = np.arange(len(index.times_s)) / rate_hz if params.frame_rate_hz else np.array(index.times_s)
         self.timestamps_s = times_s[np.array(chosen)]
         self.frame_rate_hz = rate_hz / params.stride
-        self._color = "gray" if params.color == "as_is" and index.gray else params.color
+        self._color = "gray" if params.color == "as_is" and index.is_gray else params.color
         self.channels = 1 if self._color == "gray" else 3
-        found = params.own_camera(lambda: (index.width, index.height))
-        self.camera = found.camera
+        camera = params.given_camera(lambda: (index.width, index.height))
+        self.camera = camera.camera
         self.ground_truth = None
         self.notes = (
-            *params.notes_of_part(len(index.times_s)),
-            *found.notes,
-            *([f"the file {index.lost}"] if index.lost else []),
+            *params.subset_notes(len(index.times_s)),
+            *camera.notes,
+            *([f"the file {index.truncation}"] if index.truncation else []),
         )
         coding = f"{index.coding} video".strip()
-        self._origin = Origin(coding, found.source)
+        self._origin = Origin(coding, camera.source)
         if index.coding.upper() not in _LOSSLESS:
             self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
@@ -133,16 +133,16 @@ class VideoSequence(FrameSequence):
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
         """Digest over the file's bytes, the selection, times and camera."""
-        picture = {"video": digest_of_file(self._file), "indices": list(self._indices), "channels": self.channels}
-        return digest_of({**picture, **known_facts(self)})
+        picture = {"video": file_digest(self._file), "indices": list(self._indices), "channels": self.channels}
+        return json_digest({**picture, **fingerprint_facts(self)})
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._file}: frame {index} is not in 0..{len(self) - 1}")
         source = self._indices[index]
-        with without(skip=[source]):
+        with workaround(skip=[source]):
             image = self._decode(source)
-        return Frame(index, float(self.timestamps_s[index]), converted(image, self._color))
+        return Frame(index, float(self.timestamps_s[index]), convert_color(image, self._color))
 
     def _decode(self, source: int) -> Image:
         capture = self._at(source)
@@ -151,7 +151,7 @@ class VideoSequence(FrameSequence):
         if not done:
             self._capture = None
             raise DatasetError(f"{self._file}: frame {source} cannot be decoded; the file is damaged or has changed")
-        if self._index.gray and stored.ndim == 3:
+        if self._index.is_gray and stored.ndim == 3:
             return np.ascontiguousarray(stored[:, :, 0], dtype=np.uint8)
         code = cv2.COLOR_GRAY2RGB if stored.ndim == 2 else cv2.COLOR_BGR2RGB
         return np.asarray(cv2.cvtColor(stored, code), dtype=np.uint8)
@@ -160,20 +160,20 @@ class VideoSequence(FrameSequence):
         """The file, about to decode frame `source`."""
         capture = self._capture
         if capture is not None and not self._next <= source <= self._next + _SKIP_AT_MOST:
-            capture = self._jumped(capture, source)
+            capture = self._jump(capture, source)
         if capture is None:
-            capture, self._next = _opened(self._file), 0
+            capture, self._next = _open_capture(self._file), 0
         for skipped in range(self._next, source):
             if not capture.grab():
                 raise DatasetError(f"{self._file}: frame {skipped} cannot be decoded; the file has changed")
         self._capture = capture
         return capture
 
-    def _jumped(self, capture: cv2.VideoCapture, source: int) -> cv2.VideoCapture | None:
+    def _jump(self, capture: cv2.VideoCapture, source: int) -> cv2.VideoCapture | None:
         """The capture after a jump to the frame before `source`, or None where it does not land exactly there."""
         if (
             source == 0
-            or not self._index.timed
+            or not self._index.has_times
             or not capture.set(cv2.CAP_PROP_POS_FRAMES, source - 1)
             or not capture.grab()
         ):
@@ -184,41 +184,41 @@ class VideoSequence(FrameSequence):
         return capture
 
 
-def indexed(file: Path) -> _Index:
+def index_video(file: Path) -> _Index:
     """Decode a file once to learn its frames' times; remembered while the file stays. Raises DatasetError."""
     try:
         status = file.stat()
     except OSError as error:
         raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
-    return _indexed(file, status.st_size, status.st_mtime_ns)
+    return _index_version(file, status.st_size, status.st_mtime_ns)
 
 
 @cache
-def _indexed(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
-    capture = _opened(file)
+def _index_version(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
+    capture = _open_capture(file)
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
     if not 0.0 < rate_hz < 1e5:
         rate_hz = _USUAL_RATE_HZ
     width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
     coding = "".join(character for character in code.decode("latin-1") if character.isascii() and character.isalnum())
-    gray = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little", signed=True) in _GRAY_FORMATS
-    promised = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    is_gray = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little", signed=True) in _GRAY_FORMATS
+    declared_frames = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     times_s: list[float] = []
     while capture.grab():
         times_s.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     capture.release()
     if not times_s:
         raise DatasetError(f"{file}: holds no frame that OpenCV can decode")
-    index = _Index(tuple(times_s), rate_hz, width, height, coding, gray, "")
-    length_s, promised_s = times_s[-1] - times_s[0], promised / rate_hz
-    if not index.timed or length_s >= 0.98 * promised_s - _LEAST_LOSS_S:
+    index = _Index(tuple(times_s), rate_hz, width, height, coding, is_gray, "")
+    length_s, declared_s = times_s[-1] - times_s[0], declared_frames / rate_hz
+    if not index.has_times or length_s >= 0.98 * declared_s - _LEAST_LOSS_S:
         return index
-    said = f"{length_s:.1f} s of {promised_s:.1f} s can be decoded, {len(times_s):,} frames"
-    return replace(index, lost=f"is cut short: {said}")
+    said = f"{length_s:.1f} s of {declared_s:.1f} s can be decoded, {len(times_s):,} frames"
+    return replace(index, truncation=f"is cut short: {said}")
 
 
-def _opened(file: Path) -> cv2.VideoCapture:
+def _open_capture(file: Path) -> cv2.VideoCapture:
     capture = cv2.VideoCapture(str(file))
     if not capture.isOpened():
         if _begins_as_mp4(file) and not _has_index(file):

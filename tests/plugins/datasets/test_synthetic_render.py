@@ -8,8 +8,8 @@ import pytest
 
 from codecbench.core.contracts.sequence import Camera
 from codecbench.plugins.datasets.synthetic.render import Renderer
-from codecbench.plugins.datasets.synthetic.scene import Panel, box, make_atlas, placed, upright
-from codecbench.plugins.datasets.synthetic.textures import halved, photograph, resized, strewn
+from codecbench.plugins.datasets.synthetic.scene import Panel, box, make_atlas, place_panels, upright
+from codecbench.plugins.datasets.synthetic.textures import halve, photograph, resize, scatter_patches
 
 CAMERA = Camera(320, 240, 262.0, 258.0, 158.5, 121.0)
 OFFSETS = np.array([[-1 / 3, 0.0], [0.0, 1 / 3], [1 / 3, -1 / 3]])
@@ -132,7 +132,9 @@ def test_a_panel_is_seen_from_its_front_only():
 
 
 def test_every_box_face_looks_outwards():
-    faces = placed(box((0, 0, 0), (1, 2, 3), lambda *_: np.zeros((1, 1, 3), np.uint8), 33.0), (5.0, 1.0, 0.0), 71.0)
+    faces = place_panels(
+        box((0, 0, 0), (1, 2, 3), lambda *_: np.zeros((1, 1, 3), np.uint8), 33.0), (5.0, 1.0, 0.0), 71.0
+    )
     center = np.array([5.0, 1.0, 1.5])
     assert len(faces) == 6
     for face in faces:
@@ -149,14 +151,14 @@ def test_fine_detail_far_away_becomes_its_mean_and_does_not_flicker(rng):
 
 def test_reductions_keep_the_mean():
     image = photograph("cat").astype(np.float32)[:300, :450]
-    np.testing.assert_allclose(halved(image).mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=1e-4)
+    np.testing.assert_allclose(halve(image).mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=1e-4)
     expected = cv2.resize(photograph("cat")[:300, :448], (224, 150), interpolation=cv2.INTER_AREA)
-    assert np.abs(resized(photograph("cat")[:300, :448], 150, 224).astype(int) - expected).max() <= 1
+    assert np.abs(resize(photograph("cat")[:300, :448], 150, 224).astype(int) - expected).max() <= 1
 
 
 def test_strewn_surfaces_keep_brightness_and_contrast_of_the_photograph(rng):
     gravel = photograph("gravel")[:, :, 1]
-    surface = strewn("gravel", 700, 900, rng, 120)[:, :, 1]
+    surface = scatter_patches("gravel", 700, 900, rng, 120)[:, :, 1]
     assert surface.shape == (700, 900)
     assert abs(float(surface.mean()) - float(gravel.mean())) < 6
     assert surface.std() == pytest.approx(gravel.std(), rel=0.15)

@@ -23,8 +23,8 @@ from codecbench.plugins.datasets.synthetic.dataset import (
     SHOT_NOISE,
     Synthetic,
     _renderer,
+    expose_and_digitize,
     room_camera,
-    sensed,
 )
 from codecbench.plugins.datasets.synthetic.paths import FRAME_RATE_HZ, LOOP_S, HandheldPath
 from codecbench.plugins.datasets.synthetic.rendered import FrameStore
@@ -219,7 +219,10 @@ def test_pictures_are_those_of_this_version(index):
 
 def test_noise_has_the_stated_deviation(rng):
     light = np.full((400, 500, 3), 120.0, np.float32)
-    clean, noisy = sensed(light, 0.0, rng).astype(float), sensed(light, 2.0, rng).astype(float)
+    clean, noisy = (
+        expose_and_digitize(light, 0.0, rng).astype(float),
+        expose_and_digitize(light, 2.0, rng).astype(float),
+    )
     middle = (slice(180, 220), slice(220, 280))
     assert clean[middle].mean() == pytest.approx(120, abs=1)
     expected = np.sqrt(4 * (READ_NOISE**2 + SHOT_NOISE * 120) + 1 / 12)

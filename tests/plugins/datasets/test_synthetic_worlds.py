@@ -20,9 +20,13 @@ from codecbench.plugins.datasets.synthetic.paths import Route
 from codecbench.plugins.datasets.synthetic.render import Renderer
 from codecbench.plugins.datasets.synthetic.textures import photographs_digest
 from codecbench.plugins.datasets.synthetic.worlds import places, sequence
-from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between, moved
+from codecbench.plugins.datasets.synthetic.worlds.conditions import (
+    Conditions,
+    changing_conditions,
+    interpolate_conditions,
+)
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
-from codecbench.plugins.datasets.synthetic.worlds.places import atlas_of, faded
+from codecbench.plugins.datasets.synthetic.worlds.places import place_atlas, scale_contrast
 from codecbench.plugins.datasets.synthetic.worlds.presets import STREET_CORNERS_M, WORLD_NAMES, WORLDS
 
 EVERY_WORLD = pytest.mark.parametrize("world", WORLD_NAMES)
@@ -43,7 +47,7 @@ def plain_places(monkeypatch):
     """The corridor and the town have but four walls, so that they are made at once."""
     monkeypatch.setattr(places, "corridor", lambda distinctness: walls(60.0))
     monkeypatch.setattr(places, "town", lambda: walls(1000.0))
-    for module, name in ((places, "_panels"), (places, "atlas_of"), (sequence, "_exposure")):
+    for module, name in ((places, "_panels"), (places, "place_atlas"), (sequence, "_exposure")):
         monkeypatch.setattr(module, name, getattr(module, name).__wrapped__)  # nothing of them is kept
 
 
@@ -106,7 +110,7 @@ def test_severity_moves_every_condition_one_way(world):
     preset = WORLDS[world]
     steps = [preset.at(k / 8) for k in range(9)]
     assert steps[0] == preset.calm
-    scaled = moved(preset.calm, preset.hard)
+    scaled = changing_conditions(preset.calm, preset.hard)
     assert scaled, "something must get worse"
     for name, (low, high) in scaled.items():
         values = np.array([getattr(step, name) for step in steps])
@@ -116,7 +120,9 @@ def test_severity_moves_every_condition_one_way(world):
 
 
 def test_ratios_move_by_equal_factors_and_the_rest_by_equal_steps():
-    middle = between(Conditions(electrons=100, exposure=0.1), Conditions(electrons=10000, exposure=0.5), 0.5)
+    middle = interpolate_conditions(
+        Conditions(electrons=100, exposure=0.1), Conditions(electrons=10000, exposure=0.5), 0.5
+    )
     assert middle.electrons == pytest.approx(1000)
     assert middle.exposure == pytest.approx(0.3)
 
@@ -207,7 +213,7 @@ def test_every_setting_has_a_fingerprint_of_its_own():
 def test_every_frame_shows_something_everywhere_and_moves_as_the_truth_says(world):
     sequence = Synthetic.create(world=world, severity=0.0, width=320, height=240, rate_hz=30).open()
     camera, conditions = sequence.camera, sequence.conditions
-    renderer = Renderer(atlas_of(WORLDS[world].place, conditions.contrast, conditions.distinctness), camera)
+    renderer = Renderer(place_atlas(WORLDS[world].place, conditions.contrast, conditions.distinctness), camera)
     truth = sequence.ground_truth.world_from_camera
     for index in np.linspace(5, len(sequence) - 6, 4).astype(int):
         panels, depth = renderer.visible(truth[index])
@@ -278,8 +284,8 @@ def test_fading_keeps_colours_and_scales_contrast(rng):
 
     texture = rng.integers(60, 190, (40, 50, 3), dtype=np.uint8)
     panel = Panel(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, -1.0]), texture)
-    (faint,) = faded([panel], 0.25)
+    (faint,) = scale_contrast([panel], 0.25)
     np.testing.assert_allclose(faint.texture.mean(axis=(0, 1)), texture.mean(axis=(0, 1)), atol=0.2)
     assert faint.texture.std() == pytest.approx(0.25 * texture.std(), rel=0.02)
     glowing = Panel(panel.corner, panel.right, panel.down, texture, glows=True)
-    assert faded([glowing], 0.25)[0] is glowing
+    assert scale_contrast([glowing], 0.25)[0] is glowing

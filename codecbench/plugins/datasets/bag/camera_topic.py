@@ -54,10 +54,10 @@ def camera_from_topic(recording: Recording, topic: Topic, images: Topic) -> Came
     model = str(info.distortion_model)
     if rectified or not (any(distortion) or model in _FISHEYE):
         return Camera(*sizes)
-    return _distorted(sizes, model, distortion, where)
+    return _distorted_camera(sizes, model, distortion, where)
 
 
-def _distorted(sizes: Any, model: str, distortion: list[float], where: str) -> Camera:
+def _distorted_camera(sizes: Any, model: str, distortion: list[float], where: str) -> Camera:
     known = ", ".join(_FEWEST)
     if model not in _FEWEST or len(distortion) < _FEWEST[model]:
         raise DatasetError(

@@ -16,27 +16,27 @@ from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
-from codecbench.plugins.datasets.bag.ground_truth import PoseSource, frame_name, true_path
+from codecbench.plugins.datasets.bag.ground_truth import PoseSource, find_ground_truth, frame_name
 from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
 from codecbench.plugins.datasets.bag.pictures import (
     bits_of,
-    is_read,
+    compressed_notes,
+    image_notes,
+    is_supported,
     largest_sample,
     picture_from_compressed,
     picture_from_image,
-    said_of_compressed,
-    said_of_image,
 )
-from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, is_called_a_bag, recording
-from codecbench.plugins.datasets.calibration import lens_of
-from codecbench.plugins.datasets.files import digest_of, known_facts
+from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, has_bag_name, open_recording
+from codecbench.plugins.datasets.calibration import describe_lens
+from codecbench.plugins.datasets.files import fingerprint_facts, json_digest
 from codecbench.plugins.datasets.selection import (
-    FoundCamera,
-    OwnCamera,
+    GivenCamera,
+    KnownCamera,
     Selection,
-    converted,
-    found_in_file,
-    without,
+    convert_color,
+    read_camera_file,
+    workaround,
 )
 from codecbench.plugins.datasets.tables import rate_hz
 
@@ -45,7 +45,7 @@ _MOST_LISTED: Final = 40
 _SAMPLED_FRAMES: Final = 9
 
 
-class BagParams(Selection, OwnCamera):
+class BagParams(Selection, GivenCamera):
     """Parameters of `bag`."""
 
     path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
@@ -70,7 +70,7 @@ class BagParams(Selection, OwnCamera):
 
     @model_validator(mode="after")
     def _camera_once(self) -> Self:
-        self.refuse_beside(self.camera)
+        self.check_one_camera_source(self.camera)
         return self
 
 
@@ -84,7 +84,7 @@ class Bag(Dataset[BagParams]):
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
         """A file whose name says that it is a bag, or a folder that holds such files of ROS 2."""
-        return {"path": str(path)} if is_called_a_bag(path) else None
+        return {"path": str(path)} if has_bag_name(path) else None
 
     def open(self) -> FrameSequence:
         return self.params.as_asked(BagSequence(self.params))
@@ -95,9 +95,9 @@ class BagSequence(FrameSequence):
 
     def __init__(self, params: BagParams) -> None:
         self._params = params
-        self._recording = recording(params.path)
+        self._recording = open_recording(params.path)
         self._topic = image_topic(self._recording, params.topic)
-        times_ns, numbers, said = _ordered(self._recording, self._topic, params.time)
+        times_ns, numbers, said = _sort_messages(self._recording, self._topic, params.time)
         self._chosen = params.indices(len(numbers), f"{params.path} {self._topic.name}")
         chosen = np.array(self._chosen)
         self._numbers = numbers[chosen]
@@ -108,37 +108,37 @@ class BagSequence(FrameSequence):
         self.channels = channel_count(image)
         self._size = image.shape[1::-1]
         uncalibrated = {} if params.calibration else {"camera": "none"}
-        with without(**uncalibrated):
-            found = params.or_ideal(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
+        with workaround(**uncalibrated):
+            found = params.or_ideal_camera(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
         self.camera = found.camera
         frame = frame_name(first.header.frame_id)
         pose_source = PoseSource(params.ground_truth, params.parent_frame, params.child_frame, frame)
-        with without(ground_truth="none"):
-            self.ground_truth, of_truth = true_path(self._recording, pose_source)
+        with workaround(ground_truth="none"):
+            self.ground_truth, of_truth = find_ground_truth(self._recording, pose_source)
         compressed = self._topic.type == COMPRESSED
         largest = None if compressed else self._largest_sample()
-        of_picture = said_of_compressed(first) if compressed else said_of_image(first, params.bits, largest)
+        of_picture = compressed_notes(first) if compressed else image_notes(first, params.bits, largest)
         self.origin = Origin(
             f"{self._recording.kind}, topic {self._topic.name}",
             found.source,
             params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
         )
-        part = params.notes_of_part(len(numbers))
-        self.notes = (*self._recording.remarks, described(self._recording, self._topic), *part, *of_picture, *said)
+        part = params.subset_notes(len(numbers))
+        self.notes = (*self._recording.remarks, describe_topic(self._recording, self._topic), *part, *of_picture, *said)
         self.notes += (*found.notes, *of_truth)
-        with without(**uncalibrated):
+        with workaround(**uncalibrated):
             self._check(image, int(self._numbers[0]))
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
         """Digest over the messages of all frames, times, camera and ground truth; the first use reads every frame."""
         messages = (self._recording.raw(self._topic, number) for number in self._numbers.tolist())
-        return digest_of(
+        return json_digest(
             {
                 "messages": [hashlib.sha256(message).hexdigest() for message in messages],
                 "bits": self._params.bits,
                 "channels": self.channels,
-                **known_facts(self),
+                **fingerprint_facts(self),
             }
         )
 
@@ -146,7 +146,7 @@ class BagSequence(FrameSequence):
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._params.path}: frame {index} is not in 0..{len(self) - 1}")
         image, _ = self._picture(index)
-        with without(skip=[self._chosen[index]]):
+        with workaround(skip=[self._chosen[index]]):
             self._check(image, int(self._numbers[index]))
         return Frame(index, float(self.timestamps_s[index]), image)
 
@@ -154,10 +154,10 @@ class BagSequence(FrameSequence):
         """A frame and its message."""
         picture = picture_from_compressed if self._topic.type == COMPRESSED else picture_from_image
         number = int(self._numbers[index])
-        with without(skip=[self._chosen[index]]):
+        with workaround(skip=[self._chosen[index]]):
             message = self._recording.message(self._topic, number)
             image = picture(message, self._params.bits, self._recording.where(self._topic, number))
-        return converted(image, self._params.color), message
+        return convert_color(image, self._params.color), message
 
     def _largest_sample(self) -> int | None:
         """The largest sample of a few frames over the whole, of pictures of 16 bits."""
@@ -171,28 +171,28 @@ class BagSequence(FrameSequence):
                 found.append(largest)
         return max(found, default=None)
 
-    def _known_camera(self) -> FoundCamera:
+    def _known_camera(self) -> KnownCamera:
         params = self._params
         if params.calibration is not None:
-            return found_in_file(params.calibration)[0]
+            return read_camera_file(params.calibration)[0]
         if params.camera == "none":
-            return FoundCamera()
+            return KnownCamera()
         if params.camera == "auto":
             topic = camera_topic(self._recording, self._topic)
         else:
-            topic = _camera_named(self._recording, params.camera)
+            topic = _find_camera_topic(self._recording, params.camera)
         if topic is None:
             if params.fov_deg is not None:
-                return FoundCamera()
+                return KnownCamera()
             remedy = "`calibration: FILE` or `fov_deg` gives one"
-            return FoundCamera(notes=(f"no camera: there is no camera_info beside the pictures; {remedy}",))
+            return KnownCamera(notes=(f"no camera: there is no camera_info beside the pictures; {remedy}",))
         camera = camera_from_topic(self._recording, topic, self._topic)
         if camera is None:
-            return FoundCamera(
+            return KnownCamera(
                 notes=(f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)",)
             )
-        said = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {lens_of(camera)}"
-        return FoundCamera(camera, "camera_info", (said,))
+        said = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {describe_lens(camera)}"
+        return KnownCamera(camera, "camera_info", (said,))
 
     def _check(self, image: Image, number: int) -> None:
         where = self._recording.where(self._topic, number)
@@ -212,7 +212,7 @@ def image_topic(found: Recording, name: str | None) -> Topic:
     images = {topic.name: topic for topic in found.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)}
     if name is not None and name in images:
         return images[name]
-    readable = {name: topic for name, topic in images.items() if _may_be_read(found, topic)}
+    readable = {name: topic for name, topic in images.items() if _may_be_supported(found, topic)}
     if name is None and len(readable or images) == 1:
         return next(iter((readable or images).values()))
     if not images:
@@ -220,20 +220,20 @@ def image_topic(found: Recording, name: str | None) -> Topic:
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
         raise DatasetError(f"{found.path}: holds no pictures; topics: {listed or 'none'}")
     images = readable or images
-    listed = "".join(f"\n  {described(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
+    listed = "".join(f"\n  {describe_topic(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
     what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
     raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}")
 
 
-def _may_be_read(found: Recording, topic: Topic) -> bool:
+def _may_be_supported(found: Recording, topic: Topic) -> bool:
     """Whether the encoding of a topic's first picture is one that is read; a damaged one may be."""
     try:
-        return is_read(found.message(topic, 0))
+        return is_supported(found.message(topic, 0))
     except DatasetError:
         return True
 
 
-def described(found: Recording, topic: Topic) -> str:
+def describe_topic(found: Recording, topic: Topic) -> str:
     """A topic of pictures in words: its name, type, size and count."""
     try:
         message = found.message(topic, 0)
@@ -248,7 +248,7 @@ def described(found: Recording, topic: Topic) -> str:
     return f"{topic.name}: {len(topic)} of {topic.type}, {size}"
 
 
-def _camera_named(found: Recording, name: str) -> Topic:
+def _find_camera_topic(found: Recording, name: str) -> Topic:
     topic = found.topics.get(name)
     if topic is None or topic.type != CAMERA_INFO or not len(topic):
         known = [topic.name for topic in found.topics.values() if topic.type == CAMERA_INFO]
@@ -256,7 +256,7 @@ def _camera_named(found: Recording, name: str) -> Topic:
     return topic
 
 
-def _ordered(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
+def _sort_messages(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
     """Times in ns, strictly increasing, the numbers of their messages, and what has to be said of both."""
     (times_ns, headers_ns, damage), said = found.index(topic), []
     if damage is not None:
@@ -266,9 +266,9 @@ def _ordered(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integ
             said.append("times are those of the recording, because headers have none")
         else:
             times_ns = headers_ns
-    kept_ns, numbers = np.unique(times_ns, return_index=True)
-    if (repeated := len(times_ns) - len(kept_ns)) > 0:
+    unique_ns, numbers = np.unique(times_ns, return_index=True)
+    if (repeated := len(times_ns) - len(unique_ns)) > 0:
         said.append(f"{repeated} frames are left out because they repeat the time of another")
     if (np.diff(times_ns) < 0).any():
         said.append("frames are in the order of their times, which is not that of the recording")
-    return kept_ns, numbers.astype(np.int64), said
+    return unique_ns, numbers.astype(np.int64), said

@@ -68,11 +68,17 @@ class FrameTree:
         Times are those of the transform on the way that comes most often; between its own times a transform is
         interpolated (linearly, rotations along the arc). Raises DatasetError where there is no way or nothing moves.
         """
-        way = self._way(parent, child)
-        top = self.edges[way[-1]].parent if way else child
-        moving = {name: self.edges[name].trajectory(self._name(name)) for name in way if not self.edges[name].is_static}
+        chain = self._ancestors(parent, child)
+        top = self.edges[chain[-1]].parent if chain else child
+        moving = {
+            name: self.edges[name].trajectory(self._edge_label(name))
+            for name in chain
+            if not self.edges[name].is_static
+        }
         if not moving:
-            raise DatasetError(f"{self._where}: nothing moves between {top!r} and {child!r}; {self._known()}")
+            raise DatasetError(
+                f"{self._where}: nothing moves between {top!r} and {child!r}; {self._describe_transforms()}"
+            )
         start_s = max(path.timestamps_s[0] for path in moving.values())
         end_s = min(path.timestamps_s[-1] for path in moving.values())
         times_s = max((path.timestamps_s for path in moving.values()), key=len)
@@ -80,9 +86,11 @@ class FrameTree:
         if not len(times_s):
             raise DatasetError(f"{self._where}: the transforms between {top!r} and {child!r} are of different times")
         whole = np.tile(np.eye(4), (len(times_s), 1, 1))
-        for name in way:
+        for name in chain:
             edge = self.edges[name]
-            whole = (edge.constant(self._name(name)) if edge.is_static else interpolated(moving[name], times_s)) @ whole
+            whole = (
+                edge.constant(self._edge_label(name)) if edge.is_static else interpolate_poses(moving[name], times_s)
+            ) @ whole
         return top, Trajectory(times_s, whole)
 
     def _add(self, transform: Any, is_static: bool) -> None:
@@ -93,16 +101,18 @@ class FrameTree:
         edge.times_ns.append(stamp_ns(transform.header))
         edge.numbers.extend(pose_numbers(transform.transform.translation, transform.transform.rotation))
 
-    def _way(self, parent: str | None, child: str) -> list[str]:
+    def _ancestors(self, parent: str | None, child: str) -> list[str]:
         """The frames from the child up to the one below the parent."""
-        way: list[str] = []
+        chain: list[str] = []
         frame = child
-        while frame != parent and frame in self.edges and len(way) < _DEEPEST:
-            way.append(frame)
+        while frame != parent and frame in self.edges and len(chain) < _DEEPEST:
+            chain.append(frame)
             frame = self.edges[frame].parent
-        if len(way) == _DEEPEST or (parent is not None and frame != parent):
-            raise DatasetError(f"{self._where}: no transforms lead from {parent!r} to {child!r}; {self._known()}")
-        return way
+        if len(chain) == _DEEPEST or (parent is not None and frame != parent):
+            raise DatasetError(
+                f"{self._where}: no transforms lead from {parent!r} to {child!r}; {self._describe_transforms()}"
+            )
+        return chain
 
     def _static_root(self, frame: str) -> tuple[str, Floats]:
         whole = np.eye(4)
@@ -110,18 +120,18 @@ class FrameTree:
             edge = self.edges.get(frame)
             if edge is None or not edge.is_static:
                 break
-            whole, frame = edge.constant(self._name(frame)) @ whole, edge.parent
+            whole, frame = edge.constant(self._edge_label(frame)) @ whole, edge.parent
         return frame, whole
 
-    def _name(self, child: str) -> str:
+    def _edge_label(self, child: str) -> str:
         return f"{self._where}: transforms of {child!r}"
 
-    def _known(self) -> str:
+    def _describe_transforms(self) -> str:
         pairs = ", ".join(f"{edge.parent} -> {child}" for child, edge in sorted(self.edges.items())[:30])
         return f"give `parent_frame` and `child_frame`; transforms: {pairs or 'none'}"
 
 
-def interpolated(path: Trajectory, times_s: Floats) -> Floats:
+def interpolate_poses(path: Trajectory, times_s: Floats) -> Floats:
     """Poses (N, 4, 4) of a path at times within it."""
     from scipy.spatial.transform import Rotation, Slerp  # takes most of a second, and few bags need it
 
@@ -165,7 +175,7 @@ class PoseSource:
     camera_frame: str
 
 
-def true_path(recording: Recording, pose_source: PoseSource) -> tuple[Trajectory | None, list[str]]:
+def find_ground_truth(recording: Recording, pose_source: PoseSource) -> tuple[Trajectory | None, list[str]]:
     """The camera's poses over time, or None, and what has to be said of them. Raises DatasetError."""
     if pose_source.topic == "none":
         return None, []
@@ -174,23 +184,23 @@ def true_path(recording: Recording, pose_source: PoseSource) -> tuple[Trajectory
         if topic is None:
             return None, notes
     else:
-        topic = _named(recording, pose_source.topic)
+        topic = _find_topic(recording, pose_source.topic)
     if topic.type in TRANSFORMS:
-        return _from_transforms(recording, topic, pose_source)
-    return _from_poses(recording, topic, pose_source)
+        return _path_from_transforms(recording, topic, pose_source)
+    return _path_from_poses(recording, topic, pose_source)
 
 
 def _only_topic(recording: Recording) -> tuple[Topic | None, list[str]]:
     poses = [topic for topic in recording.topics.values() if topic.type in POSE_TYPES and len(topic)]
     if len(poses) == 1:
         return poses[0], []
-    names = ", ".join(topic.name for topic in poses or _moving(recording))
+    names = ", ".join(topic.name for topic in poses or _transform_topics(recording))
     if not names:
         return None, []
     return None, [f"no ground truth was taken; `ground_truth: TOPIC` takes that of a topic of poses: {names}"]
 
 
-def _moving(recording: Recording) -> list[Topic]:
+def _transform_topics(recording: Recording) -> list[Topic]:
     return [
         topic
         for topic in recording.topics.values()
@@ -198,26 +208,26 @@ def _moving(recording: Recording) -> list[Topic]:
     ]
 
 
-def _named(recording: Recording, name: str) -> Topic:
+def _find_topic(recording: Recording, name: str) -> Topic:
     topic = recording.topics.get(name)
     if topic is None or not len(topic) or topic.type not in (*POSE_TYPES, *TRANSFORMS):
-        found = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
+        candidates = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
         what = "is not there" if topic is None else f"holds {len(topic)} messages of {topic.type}"
         raise DatasetError(
-            f"{recording.path}: ground_truth {name!r} {what}; topics of poses: {', '.join(found) or 'none'}; {_REMEDY}"
+            f"{recording.path}: ground_truth {name!r} {what}; topics of poses: {', '.join(candidates) or 'none'}; {_REMEDY}"
         )
     return topic
 
 
-def _from_transforms(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
+def _path_from_transforms(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
     child = frame_name(pose_source.child_frame or pose_source.camera_frame)
     tree = FrameTree(recording, topic)
     parent, path = tree.path(frame_name(pose_source.parent_frame) if pose_source.parent_frame else None, child)
-    path, notes = _of_camera(tree, path, child, pose_source.camera_frame)
+    path, notes = _move_to_camera(tree, path, child, pose_source.camera_frame)
     return path, [f"ground truth: {len(path)} transforms from {parent!r} to {child!r} of {topic.name}", *notes]
 
 
-def _from_poses(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
+def _path_from_poses(recording: Recording, topic: Topic, pose_source: PoseSource) -> tuple[Trajectory, list[str]]:
     edge, child = Edge("", is_static=False), frame_name(pose_source.child_frame or "")
     parents: set[str] = set()
     for time_ns, message in recording.messages(topic):
@@ -227,7 +237,9 @@ def _from_poses(recording: Recording, topic: Topic, pose_source: PoseSource) -> 
         child = child or frame_name(getattr(message, "child_frame_id", ""))
     if len(parents) > 1:
         raise DatasetError(f"{recording.path}: {topic.name} has poses in several frames: {sorted(parents)}; {_REMEDY}")
-    path, notes = _of_camera(FrameTree(recording, None), edge.trajectory(topic.name), child, pose_source.camera_frame)
+    path, notes = _move_to_camera(
+        FrameTree(recording, None), edge.trajectory(topic.name), child, pose_source.camera_frame
+    )
     said = f"ground truth: {len(path)} poses of {topic.name} ({topic.type}); if they are an estimate, {_REMEDY}"
     return path, [said, *notes]
 
@@ -239,7 +251,7 @@ def _pose(message: Any, type_: str) -> tuple[float, ...]:
     return pose_numbers(pose.position, pose.orientation)
 
 
-def _of_camera(tree: FrameTree, path: Trajectory, child: str, camera_frame: str) -> tuple[Trajectory, list[str]]:
+def _move_to_camera(tree: FrameTree, path: Trajectory, child: str, camera_frame: str) -> tuple[Trajectory, list[str]]:
     """The path of the camera from that of a frame which it is fixed to by static transforms."""
     camera_frame = frame_name(camera_frame)
     if child == camera_frame and child:

@@ -35,7 +35,7 @@ def _types(encoding: str) -> Any:
     return types
 
 
-def deserialized(content: bytes, type_: str, encoding: str, where: str) -> Any:
+def deserialize(content: bytes, type_: str, encoding: str, where: str) -> Any:
     """A message. Raises DatasetError, naming `where`, for bytes that are none of this type."""
     type_ = TRANSFORMS[0] if type_ in TRANSFORMS else type_
     types = _types(encoding)

@@ -97,7 +97,7 @@ def eight_bits(samples: NDArray[Any], bits: int) -> Image:
     return np.asarray(np.minimum(samples >> (bits - 8), 255), dtype=np.uint8)
 
 
-def is_read(message: Any) -> bool:
+def is_supported(message: Any) -> bool:
     """Whether an Image or a CompressedImage holds a picture by its encoding; depths in metres, 32FC1, are none."""
     if hasattr(message, "format"):
         return "compressedDepth" not in message.format
@@ -156,7 +156,7 @@ def _check_header(content: NDArray[np.uint8], where: str) -> None:
         raise DatasetError(f"{where}: the JPEG picture is cut short")
 
 
-def said_of_image(message: Any, bits: int, largest: int | None) -> list[str]:
+def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
     """What was done to the samples of a sensor_msgs/Image, in sentences.
 
     largest: the largest sample that was seen of 16 bits, None for others.
@@ -176,7 +176,7 @@ def said_of_image(message: Any, bits: int, largest: int | None) -> list[str]:
     return notes
 
 
-def said_of_compressed(message: Any) -> list[str]:
+def compressed_notes(message: Any) -> list[str]:
     """What the frames of a sensor_msgs/CompressedImage have lost already, in sentences."""
     from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
 

@@ -27,7 +27,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.plugins.datasets.bag.messages import ENCODINGS, deserialized
+from codecbench.plugins.datasets.bag.messages import ENCODINGS, deserialize
 from codecbench.plugins.datasets.folder import natural_key
 
 if sys.version_info >= (3, 14):
@@ -90,12 +90,12 @@ class _RosFile(BagFile):
         self._reader.open()
 
     def topics(self) -> Iterator[Topic]:
-        for each in self._reader.connections:
-            encoding = getattr(each.ext, "serialization_format", "ros1")
-            yield Topic(each.topic, type_from_name(each.msgtype), encoding, each.msgcount)
+        for connection in self._reader.connections:
+            encoding = getattr(connection.ext, "serialization_format", "ros1")
+            yield Topic(connection.topic, type_from_name(connection.msgtype), encoding, connection.msgcount)
 
     def messages(self, topic: str, start_ns: int) -> Iterator[Stamped]:
-        connections = [each for each in self._reader.connections if each.topic == topic]
+        connections = [connection for connection in self._reader.connections if connection.topic == topic]
         if connections:
             for _, time_ns, content in self._reader.messages(connections, start=start_ns):
                 yield time_ns, content
@@ -146,9 +146,9 @@ class Recording:
         self._paths = files
         self._process = 0
         self._indexes: dict[str, tuple[Integers, Integers, str | None]] = {}
-        opened = self._files()
-        self.kind = "ROS 2 bag" if path.is_dir() else opened[0].kind
-        self.topics = {topic.name: topic for topic in self._merged(opened)}
+        open_files = self._files()
+        self.kind = "ROS 2 bag" if path.is_dir() else open_files[0].kind
+        self.topics = {topic.name: topic for topic in self._merge_topics(open_files)}
         logs = [file.with_name(f"{file.name}-wal") for file in files]
         self.remarks = [
             f"what is only in {log.name} is not read: "
@@ -174,12 +174,12 @@ class Recording:
 
     def message(self, topic: Topic, number: int) -> Any:
         """A message, deserialised. Raises DatasetError."""
-        return deserialized(self.raw(topic, number), topic.type, topic.encoding, self.where(topic, number))
+        return deserialize(self.raw(topic, number), topic.type, topic.encoding, self.where(topic, number))
 
     def messages(self, topic: Topic) -> Iterator[tuple[int, Any]]:
         """When each message of a topic was recorded, in ns, and the message, in this order. Raises DatasetError."""
         for number, (time_ns, content) in enumerate(self._stream(topic, 0)):
-            yield time_ns, deserialized(content, topic.type, topic.encoding, self.where(topic, number))
+            yield time_ns, deserialize(content, topic.type, topic.encoding, self.where(topic, number))
 
     def where(self, topic: Topic, number: int) -> str:
         """What to call a message in errors."""
@@ -209,25 +209,25 @@ class Recording:
         """The open files; a forked process opens its own, because a place in a shared file is shared, too."""
         if self._process != os.getpid():
             self._next, self._cursor = ("", -1), iter(())
-            opened = []
+            open_files = []
             for file in self._paths:
                 with _damage_of(file):
-                    opened.append(_KINDS[file.suffix](file))
-            self._opened, self._process = opened, os.getpid()
-        return self._opened
+                    open_files.append(_KINDS[file.suffix](file))
+            self._open_files, self._process = open_files, os.getpid()
+        return self._open_files
 
-    _opened: list[BagFile]
+    _open_files: list[BagFile]
     _next: tuple[str, int]
     _cursor: Iterator[Stamped]
 
     def _stream(self, topic: Topic, start_ns: int) -> Iterator[Stamped]:
         parts = [
-            _told(path, file.messages(topic.name, start_ns))
+            _expand_messages(path, file.messages(topic.name, start_ns))
             for path, file in zip(self._paths, self._files(), strict=True)
         ]
         return merge(*parts, key=lambda stamped: stamped[0])
 
-    def _merged(self, files: list[BagFile]) -> Iterator[Topic]:
+    def _merge_topics(self, files: list[BagFile]) -> Iterator[Topic]:
         """Topics from those of all files. Raises DatasetError where a topic has two types."""
         parts: dict[str, list[Topic]] = {}
         for file in files:
@@ -256,7 +256,7 @@ def _damage_of(file: Path) -> Iterator[None]:
         ) from error
 
 
-def _told(file: Path, messages: Iterator[Stamped]) -> Iterator[Stamped]:
+def _expand_messages(file: Path, messages: Iterator[Stamped]) -> Iterator[Stamped]:
     with _damage_of(file):
         for time_ns, content in messages:
             packed = content[:4] == _ZSTD_MAGIC
@@ -279,30 +279,30 @@ def _header_time_ns(content: bytes, encoding: str, where: str) -> int:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def _several(files: list[Path]) -> bool:
+def _are_several_recordings(files: list[Path]) -> bool:
     """Whether files are of several recordings: those of one are numbered, `walk_0.db3`, `walk_1.db3`."""
     return len({(_NUMBER.sub("", file.stem), file.suffix) for file in files}) > 1
 
 
-def is_called_a_bag(path: Path) -> bool:
+def has_bag_name(path: Path) -> bool:
     """Whether a file's name, or those of a folder's files, say that it is one."""
     if not path.is_dir():
         return path.suffix in _KINDS and path.is_file()
     return any(file.suffix in _IN_FOLDERS and file.is_file() for file in path.iterdir())
 
 
-def recording(path: Path) -> Recording:
+def open_recording(path: Path) -> Recording:
     """The recording at `path`, indexed once a process while its files stay as they are. Raises DatasetError."""
     files = _files(path)
     try:
         versions = tuple((file, file.stat().st_size, file.stat().st_mtime_ns) for file in files)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from error
-    return _recording(path, versions)
+    return _open_version(path, versions)
 
 
 @lru_cache(maxsize=_OPEN_AT_ONCE)
-def _recording(path: Path, versions: tuple[tuple[Path, int, int], ...]) -> Recording:
+def _open_version(path: Path, versions: tuple[tuple[Path, int, int], ...]) -> Recording:
     return Recording(path, [file for file, _, _ in versions])
 
 
@@ -317,7 +317,7 @@ def _files(path: Path) -> list[Path]:
             )
         return [path]
     files = sorted((file for file in path.iterdir() if file.suffix in _KINDS and file.is_file()), key=natural_key)
-    if _several(files):
+    if _are_several_recordings(files):
         names = ", ".join(file.name for file in files[:_MOST_NAMES]) + (", ..." if len(files) > _MOST_NAMES else "")
         raise DatasetError(f"{path}: holds several recordings; `path` names one of them: {names}")
     if files and files[0].suffix in _IN_FOLDERS:

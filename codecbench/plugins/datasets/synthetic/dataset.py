@@ -14,7 +14,7 @@ from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence
 from codecbench.plugins.datasets.selection import Selection
 from codecbench.plugins.datasets.synthetic.paths import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
-from codecbench.plugins.datasets.synthetic.textures import photographs_digest, rounded
+from codecbench.plugins.datasets.synthetic.textures import photographs_digest, round_to_uint8
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLD_NAMES, WORLDS, WorldName
 from codecbench.plugins.datasets.synthetic.worlds.sequence import WorldSequence
 
@@ -45,7 +45,7 @@ class SyntheticParams(Selection):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_the_world(cls, values: Any) -> Any:
+    def _fill_in_from_world(cls, values: Any) -> Any:
         """Fill in what a world brings, so that two spellings of a setting are one."""
         if not isinstance(values, dict) or values.get("world") not in WORLD_NAMES:
             return values
@@ -58,7 +58,7 @@ class SyntheticParams(Selection):
         return filled
 
     @model_validator(mode="after")
-    def _either_way(self) -> Self:
+    def _check_world_or_conditions(self) -> Self:
         """A world has severity instead of single conditions, and only worlds have severity and rate."""
         names = ("severity", "rate_hz") if self.world is None else ("speed", "noise", "motion_blur")
         for name in names:
@@ -104,7 +104,7 @@ class SyntheticSequence(RenderedSequence):
         light = _renderer(params.width, params.height).mean_of_samples(
             self._exposure_poses(source / FRAME_RATE_HZ), np.array(_OFFSETS_PX)
         )
-        return sensed(light, params.noise, np.random.default_rng([params.seed, 2, source]))
+        return expose_and_digitize(light, params.noise, np.random.default_rng([params.seed, 2, source]))
 
     def _exposure_poses(self, time_s: float) -> NDArray[np.float64]:
         """Poses (S, 4, 4) spread evenly over the exposure, whose middle is the frame's time."""
@@ -137,13 +137,13 @@ SHOT_NOISE = 0.02
 _CORNER_LOSS = 0.22
 
 
-def sensed(light: NDArray[np.float32], noise: float, rng: np.random.Generator) -> Image:
+def expose_and_digitize(light: NDArray[np.float32], noise: float, rng: np.random.Generator) -> Image:
     """The picture (H, W, 3) that the sensor gives for `light`, 0..255; `noise` scales both deviations."""
     exposed = light * _vignette(*light.shape[:2])
     if noise > 0.0:
         deviation = np.sqrt(np.float32(READ_NOISE**2) + np.float32(SHOT_NOISE) * exposed) * np.float32(noise)
         exposed += deviation * rng.standard_normal(light.shape, dtype=np.float32)
-    return rounded(exposed)
+    return round_to_uint8(exposed)
 
 
 @cache

@@ -9,7 +9,16 @@ import numpy as np
 
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, upright
-from codecbench.plugins.datasets.synthetic.textures import Color, crop, matted, photograph, resized, strewn, toned, wood
+from codecbench.plugins.datasets.synthetic.textures import (
+    Color,
+    add_mat,
+    crop,
+    photograph,
+    recolor,
+    resize,
+    scatter_patches,
+    wood,
+)
 
 Rng = np.random.Generator
 
@@ -29,7 +38,7 @@ def texels(size_m: float, density: float = _DENSITY) -> int:
     return max(4, round(size_m * density))
 
 
-def wooden(rng: Rng, color: Color, density: float = _DENSITY) -> Skin:
+def wood_skin(rng: Rng, color: Color, density: float = _DENSITY) -> Skin:
     """Wood on every face, the grain along the longer side."""
 
     def skin(face: str, width: float, height: float) -> Image:
@@ -40,12 +49,12 @@ def wooden(rng: Rng, color: Color, density: float = _DENSITY) -> Skin:
     return skin
 
 
-def covered(name: str, rng: Rng, density: float = _DENSITY, zoom: float = 1.0, color: Color | None = None) -> Skin:
+def photo_skin(name: str, rng: Rng, density: float = _DENSITY, zoom: float = 1.0, color: Color | None = None) -> Skin:
     """On every face another place of one photograph, in its own colours or in shades of one."""
 
     def skin(face: str, width: float, height: float) -> Image:
         piece = crop(name, texels(height, density), texels(width, density), rng, zoom)
-        return piece if color is None else toned(piece, color)
+        return piece if color is None else recolor(piece, color)
 
     return skin
 
@@ -54,16 +63,16 @@ def picture(name: str, width: float, rng: Rng, frame: Color = WALNUT, mat_m: flo
     """A whole photograph behind a mat in a wooden frame; the origin is the middle of its back."""
     photo = photograph(name)
     inner_width = texels(width - 2 * mat_m - 0.06, 600.0)
-    image = resized(photo, round(inner_width * photo.shape[0] / photo.shape[1]), inner_width)
-    front = matted(image, texels(mat_m, 600.0)) if mat_m else image
-    front = _framed(front, texels(0.03, 600.0), rng, frame)
+    image = resize(photo, round(inner_width * photo.shape[0] / photo.shape[1]), inner_width)
+    front = add_mat(image, texels(mat_m, 600.0)) if mat_m else image
+    front = _add_frame(front, texels(0.03, 600.0), rng, frame)
     height = width * front.shape[0] / front.shape[1]
-    sides = wooden(rng, frame)
+    sides = wood_skin(rng, frame)
     skin: Skin = lambda face, w, h: front if face == "front" else sides(face, w, h)  # noqa: E731
     return box((0.0, -0.015, -height / 2), (width, 0.03, height), skin, leave_out=("back",))
 
 
-def _framed(image: Image, border: int, rng: Rng, color: Color) -> Image:
+def _add_frame(image: Image, border: int, rng: Rng, color: Color) -> Image:
     height, width = image.shape[0] + 2 * border, image.shape[1] + 2 * border
     frame = wood(height, width, rng, color)
     frame[border:-border, border:-border] = image
@@ -72,7 +81,7 @@ def _framed(image: Image, border: int, rng: Rng, color: Color) -> Image:
 
 def bookcase(width: float, height: float, shelves: int, rng: Rng, color: Color, depth: float = 0.28) -> list[Panel]:
     """Shelves full of books, each row a little behind the boards."""
-    skin = wooden(rng, color)
+    skin = wood_skin(rng, color)
     board = 0.022
     middle = -depth / 2
     panels = box((0, -0.01, 0), (width, 0.02, height), skin, leave_out=("back", "bottom"))
@@ -110,13 +119,13 @@ def _spine(height: int, width: int, rng: Rng) -> Image:
     """The back of one book: lettering on a colour, or a piece of a photograph."""
     if rng.random() < 0.6:
         name, color = str(rng.choice(("page", "text"))), _COVER_COLORS[int(rng.integers(len(_COVER_COLORS)))]
-        return toned(np.ascontiguousarray(np.rot90(crop(name, width, height, rng, zoom=0.8))), color, 1.5)
+        return recolor(np.ascontiguousarray(np.rot90(crop(name, width, height, rng, zoom=0.8))), color, 1.5)
     return crop(str(rng.choice(_COVERS)), height, width, rng, zoom=0.4)
 
 
 def table(width: float, depth: float, height: float, rng: Rng, color: Color) -> list[Panel]:
     """Four legs and a top; the origin is below its middle."""
-    skin = wooden(rng, color, 700.0)
+    skin = wood_skin(rng, color, 700.0)
     panels = box((0, 0, height - 0.035), (width, depth, 0.035), skin)
     panels += box((0, 0, height - 0.12), (width - 0.10, depth - 0.10, 0.085), skin, leave_out=("top",))
     for x in (-width / 2 + 0.07, width / 2 - 0.07):
@@ -127,8 +136,8 @@ def table(width: float, depth: float, height: float, rng: Rng, color: Color) -> 
 
 def chair(rng: Rng, color: Color, fabric: str) -> list[Panel]:
     """Seat, legs and a back with slats; the origin is below its middle."""
-    skin = wooden(rng, color)
-    cushion = covered(fabric, rng, 500.0, 0.8)
+    skin = wood_skin(rng, color)
+    cushion = photo_skin(fabric, rng, 500.0, 0.8)
     panels = box((0, 0, 0.41), (0.42, 0.42, 0.03), skin) + box((0, 0, 0.44), (0.39, 0.39, 0.035), cushion)
     for x in (-0.19, 0.19):
         panels += box((x, -0.19, 0), (0.035, 0.035, 0.41), skin, leave_out=("bottom", "top"))
@@ -141,14 +150,14 @@ def chair(rng: Rng, color: Color, fabric: str) -> list[Panel]:
 def cabinet(width: float, height: float, doors: tuple[str, ...], rng: Rng, color: Color) -> list[Panel]:
     """A sideboard, a photograph on each of its doors."""
     depth = 0.38
-    skin = wooden(rng, color)
+    skin = wood_skin(rng, color)
     panels = box((0, -depth / 2, 0), (width, depth, height), skin, leave_out=("back", "bottom"))
     door_width = width / len(doors) - 0.03
     for number, name in enumerate(doors):
         x = (number + 0.5) * width / len(doors) - width / 2
         face = crop(name, texels(height - 0.12, 500.0), texels(door_width, 500.0), rng, zoom=1.2)
-        front = _framed(face, 12, rng, color)
-        sides = wooden(rng, color)
+        front = _add_frame(face, 12, rng, color)
+        sides = wood_skin(rng, color)
         door: Skin = lambda side, w, h, f=front, s=sides: f if side == "front" else s(side, w, h)  # type: ignore[misc]  # noqa: E731
         panels += box((x, -depth - 0.008, 0.05), (door_width, 0.016, height - 0.08), door, leave_out=("back",))
     return panels
@@ -159,7 +168,7 @@ def sofa(rng: Rng, color: Color, cushions: tuple[str, ...]) -> list[Panel]:
     width, depth = 1.9, 0.80
 
     def fabric(face: str, w: float, h: float) -> Image:
-        return toned(strewn("grass", texels(h), texels(w), rng, 96, 0.5), color, 0.8)
+        return recolor(scatter_patches("grass", texels(h), texels(w), rng, 96, 0.5), color, 0.8)
 
     panels = box((0, -depth / 2, 0.08), (width, depth, 0.34), fabric, leave_out=("back", "bottom"))
     panels += box((0, -0.10, 0.42), (width, 0.20, 0.42), fabric, leave_out=("back", "bottom"))
@@ -167,21 +176,21 @@ def sofa(rng: Rng, color: Color, cushions: tuple[str, ...]) -> list[Panel]:
         panels += box((x, -depth / 2, 0.42), (0.18, depth, 0.20), fabric, leave_out=("back", "bottom"))
     for number, name in enumerate(cushions):
         x = (number + 0.5) * 1.45 / len(cushions) - 0.725
-        print_ = covered(name, rng, 700.0, 1.0)
+        print_ = photo_skin(name, rng, 700.0, 1.0)
         panels += box((x, -0.28, 0.42), (0.40, 0.13, 0.38), print_, float(rng.uniform(-12, 12)), ("bottom",))
     return panels
 
 
 def carton(size: tuple[float, float, float], name: str, rng: Rng, density: float = _NEAR_DENSITY) -> list[Panel]:
     """A printed box; the origin is below its middle."""
-    return box((0, 0, 0), size, covered(name, rng, density, 1.6), leave_out=("bottom",))
+    return box((0, 0, 0), size, photo_skin(name, rng, density, 1.6), leave_out=("bottom",))
 
 
 def book_lying(rng: Rng, width: float = 0.17, depth: float = 0.23, height: float = 0.035) -> list[Panel]:
     """A book that lies on its back cover; the origin is below its middle."""
     cover = str(rng.choice(_COVERS))
-    skin = covered(cover, rng, _NEAR_DENSITY, 1.3)
-    pages = covered("page", rng, _NEAR_DENSITY, 0.7)
+    skin = photo_skin(cover, rng, _NEAR_DENSITY, 1.3)
+    pages = photo_skin("page", rng, _NEAR_DENSITY, 0.7)
     return box(
         (0, 0, 0), (width, depth, height), lambda f, w, h: (skin if f == "top" else pages)(f, w, h), 0, ("bottom",)
     )

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
 from codecbench.core.kernels.compiled import compiled
-from codecbench.plugins.datasets.synthetic.scene import Panel, edges_of
-from codecbench.plugins.datasets.synthetic.textures import rounded
+from codecbench.plugins.datasets.synthetic.scene import Panel, panel_edges
+from codecbench.plugins.datasets.synthetic.textures import round_to_uint8
 
 Floats = NDArray[np.float64]
 
@@ -30,28 +30,30 @@ _LIFT_M = 1e-4
 """Rays start this far in front of their surface."""
 
 
-def lit(panels: Sequence[Panel], lamps: Floats, rng: np.random.Generator) -> list[Panel]:
+def bake_light(panels: Sequence[Panel], lamps: Floats, rng: np.random.Generator) -> list[Panel]:
     """The panels with light in their textures. lamps: (L, 3) points on lamps that shine downwards."""
-    edges = edges_of(panels)
+    edges = panel_edges(panels)
     sky = _cosine_directions(rng)
-    return [panel if panel.glows else replace(panel, texture=_lit(panel, edges, lamps, sky)) for panel in panels]
+    return [
+        panel if panel.glows else replace(panel, texture=_lit_texture(panel, edges, lamps, sky)) for panel in panels
+    ]
 
 
-def _lit(panel: Panel, edges: Floats, lamps: Floats, sky: Floats) -> Image:
+def _lit_texture(panel: Panel, edges: Floats, lamps: Floats, sky: Floats) -> Image:
     counts = [max(2, min(_GRID_MOST, int(np.sqrt(edge @ edge) / _GRID_M) + 1)) for edge in (panel.down, panel.right)]
     along, below = ((np.arange(count) + 0.5) / count for count in (counts[1], counts[0]))
     points = panel.corner + below[:, None, None] * panel.down + along[None, :, None] * panel.right
     starts = points.reshape(-1, 3) + _LIFT_M * panel.normal
-    light = _light(starts, panel.normal, edges, _within(panel, edges, _SKY_REACH_M), lamps, sky)
+    light = _light(starts, panel.normal, edges, _nearby_panels(panel, edges, _SKY_REACH_M), lamps, sky)
     height, width = panel.texture.shape[:2]
-    shade = _spread(light.reshape(counts[0], counts[1]), height, width)
-    return rounded(panel.texture.astype(np.float32) * shade[:, :, None])
+    shade = _upsample_grid(light.reshape(counts[0], counts[1]), height, width)
+    return round_to_uint8(panel.texture.astype(np.float32) * shade[:, :, None])
 
 
-def _within(panel: Panel, edges: Floats, reach: float) -> Floats:
+def _nearby_panels(panel: Panel, edges: Floats, reach: float) -> Floats:
     """The panels whose bounding boxes come within `reach` of this panel's."""
     low, high = _bounds(edges)
-    own_low, own_high = _bounds(edges_of([panel]))
+    own_low, own_high = _bounds(panel_edges([panel]))
     return np.ascontiguousarray(edges[((low - reach <= own_high) & (high + reach >= own_low)).all(axis=1)])
 
 
@@ -60,7 +62,7 @@ def _bounds(edges: Floats) -> tuple[Floats, Floats]:
     return corners.min(axis=1), corners.max(axis=1)
 
 
-def _spread(grid: Floats, height: int, width: int) -> NDArray[np.float32]:
+def _upsample_grid(grid: Floats, height: int, width: int) -> NDArray[np.float32]:
     """The grid, whose values lie at cell centres, at every texel: linear between centres."""
     rows = np.clip((np.arange(height) + 0.5) * grid.shape[0] / height - 0.5, 0, grid.shape[0] - 1.0)
     columns = np.clip((np.arange(width) + 0.5) * grid.shape[1] / width - 0.5, 0, grid.shape[1] - 1.0)
@@ -97,7 +99,7 @@ def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: A
         for ray in range(len(sky)):
             for k in range(3):
                 towards[k] = _SKY_REACH_M * (sky[ray, 0] * first[k] + sky[ray, 1] * second[k] + sky[ray, 2] * normal[k])
-            free += 1.0 - _kept_off(point, towards, nearby, nearby_normals)
+            free += 1.0 - _occlusion(point, towards, nearby, nearby_normals)
         direct = 0.0
         for lamp in range(len(lamps)):
             square, incidence = 0.0, 0.0
@@ -105,7 +107,7 @@ def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: A
                 towards[k] = lamps[lamp, k] - point[k]
                 square += towards[k] * towards[k]
                 incidence += towards[k] * normal[k]
-            if incidence > 0.0 and towards[2] > 0.0 and _kept_off(point, towards, edges, normals) == 0.0:
+            if incidence > 0.0 and towards[2] > 0.0 and _occlusion(point, towards, edges, normals) == 0.0:
                 direct += incidence * towards[2] / (square * square + 0.5 * square)
         light[i] = _SKY * free / len(sky) + _LAMP * direct / len(lamps)
     return light
@@ -128,7 +130,7 @@ def _cross(a: Any, b: Any, out: Any) -> None:
 
 
 @compiled
-def _kept_off(point: Any, towards: Any, edges: Any, normals: Any) -> float:
+def _occlusion(point: Any, towards: Any, edges: Any, normals: Any) -> float:
     """How much of the light from one direction an obstacle keeps off: 1 at hand, falling to 0 at point + towards.
 
     Obstacles are the fronts of panels: a ray into a box enters through one.

@@ -86,12 +86,12 @@ def _target(phase: float) -> Floats:
 def looking_pose(position: Floats, direction: Floats, turn: Floats) -> Floats:
     """The pose (4, 4) of a level camera at `position` that looks along `direction`, then turned by `turn` (radians)."""
     pose = np.eye(4)
-    pose[:3, :3] = _looking(direction) @ _small_rotation(turn)
+    pose[:3, :3] = _looking_rotation(direction) @ _small_rotation(turn)
     pose[:3, 3] = position
     return pose
 
 
-def _looking(direction: Floats) -> Floats:
+def _looking_rotation(direction: Floats) -> Floats:
     """The rotation (3, 3) of a level camera that looks along `direction`; columns are its axes in the world."""
     forward = direction / np.sqrt(direction @ direction)
     right = np.array([forward[1], -forward[0], 0.0])
@@ -142,10 +142,10 @@ class Route:
         if distance_m != self.length_m:
             distance_m %= self.length_m
         start, position, heading, bend = next(piece for piece in reversed(self._pieces) if piece[0] <= distance_m)
-        gone = distance_m - start
+        distance_m = distance_m - start
         if bend == 0.0:
-            return position + gone * np.array([cos(heading), sin(heading)])
-        end = heading + bend * gone
+            return position + distance_m * np.array([cos(heading), sin(heading)])
+        end = heading + bend * distance_m
         return position + np.array([sin(end) - sin(heading), cos(heading) - cos(end)]) / bend
 
 
@@ -167,8 +167,8 @@ class RouteWalk:
 
     def world_from_camera(self, time_s: float) -> Floats:
         """The exact pose (4, 4) at a time."""
-        gone = self._speed_m_s * time_s
-        here, there = self._route.at(gone), self._route.at(gone + self._ahead_m)
+        distance_m = self._speed_m_s * time_s
+        here, there = self._route.at(distance_m), self._route.at(distance_m + self._ahead_m)
         tremor = self._tremor.at(time_s)
         position = np.array([*here, self._height_m]) + tremor[:3]
         return looking_pose(position, np.array([*(there - here), -0.02 * self._ahead_m]), tremor[3:])
@@ -250,9 +250,9 @@ class Slider:
 
     def world_from_camera(self, time_s: float) -> Floats:
         """The exact pose (4, 4) at a time. The fourth power of a sine begins with no speed and no acceleration."""
-        gone = self._LENGTH_M * sin(pi * time_s / self.loop_s) ** 4
+        distance_m = self._LENGTH_M * sin(pi * time_s / self.loop_s) ** 4
         tremor = self._tremor.at(time_s)
-        position = np.array(self._START_M) + np.array([gone, 0.0, 0.0]) + tremor[:3]
+        position = np.array(self._START_M) + np.array([distance_m, 0.0, 0.0]) + tremor[:3]
         return looking_pose(position, np.array([0.0, -1.0, 0.1]), tremor[3:])
 
 

@@ -17,7 +17,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
 from codecbench.core.kernels.cache_folder import cache_folder
-from codecbench.plugins.datasets.selection import Selection, converted
+from codecbench.plugins.datasets.selection import Selection, convert_color
 
 _DIGEST_BYTES = 32
 
@@ -75,7 +75,7 @@ class CameraPath(Protocol):
 class RenderedSequence(FrameSequence):
     """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
 
-    frames, rate_hz: how long the whole is and how often it is seen, before a selection. picture: what determines the
+    frames, rate_hz: how long the whole is and how often it is seen, before a selection. pixel_inputs: what determines the
     pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
     """
 
@@ -87,7 +87,7 @@ class RenderedSequence(FrameSequence):
         rate_hz: float,
         camera: Camera,
         path: CameraPath,
-        picture: Any,
+        pixel_inputs: Any,
     ) -> None:
         self.name = name
         self.frame_rate_hz = rate_hz / selection.stride
@@ -114,7 +114,7 @@ class RenderedSequence(FrameSequence):
         if image is None:
             image = self.render(source)
             self._store.save(source, image)
-        return Frame(index, float(self.timestamps_s[index]), converted(image, self._color))
+        return Frame(index, float(self.timestamps_s[index]), convert_color(image, self._color))
 
     @abstractmethod
     def render(self, source: int) -> Image:

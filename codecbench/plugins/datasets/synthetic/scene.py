@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.datasets.synthetic.textures import halved, rounded
+from codecbench.plugins.datasets.synthetic.textures import halve, round_to_uint8
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -43,7 +43,7 @@ class Panel:
         return np.asarray(outward / np.sqrt(outward @ outward))
 
 
-def everywhere(texture: Image) -> Skin:
+def uniform_skin(texture: Image) -> Skin:
     """The same texture on every face."""
     return lambda face, width, height: texture
 
@@ -82,7 +82,7 @@ def box(foot: Point, size: Point, skin: Skin, turn_deg: float = 0.0, leave_out: 
     return panels
 
 
-def placed(panels: list[Panel], foot: Point, turn_deg: float = 0.0) -> list[Panel]:
+def place_panels(panels: list[Panel], foot: Point, turn_deg: float = 0.0) -> list[Panel]:
     """The panels turned about the vertical through the origin, then moved so that the origin comes to `foot`."""
     c, s = cos(radians(turn_deg)), sin(radians(turn_deg))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -107,10 +107,10 @@ class Atlas:
     first_level: NDArray[np.int64]
     level_count: NDArray[np.int64]
     levels: NDArray[np.int64]
-    carried: int = 0
+    moving_count: int = 0
 
 
-def edges_of(panels: Sequence[Panel]) -> NDArray[np.float64]:
+def panel_edges(panels: Sequence[Panel]) -> NDArray[np.float64]:
     """(P, 3, 3) corner, right and down of each panel."""
     return np.array([[panel.corner, panel.right, panel.down] for panel in panels])
 
@@ -133,15 +133,15 @@ def make_atlas(panels: Sequence[Panel]) -> Atlas:
         while True:
             height, width = pixels.shape[:2]
             levels.append((offset, height, width))
-            blocks.append(_packed(rounded(pixels)))
+            blocks.append(_pack_colors(round_to_uint8(pixels)))
             offset += height * width
             if height == width == 1:
                 break
-            pixels = halved(pixels)
+            pixels = halve(pixels)
         level_count.append(len(levels) - first_level[-1])
         known[id(panel.texture)] = first_level[-1], level_count[-1]
     return Atlas(
-        edges=edges_of(panels),
+        edges=panel_edges(panels),
         texels=np.concatenate(blocks),
         first_level=np.array(first_level, np.int64),
         level_count=np.array(level_count, np.int64),
@@ -149,6 +149,6 @@ def make_atlas(panels: Sequence[Panel]) -> Atlas:
     )
 
 
-def _packed(image: Image) -> NDArray[np.uint32]:
+def _pack_colors(image: Image) -> NDArray[np.uint32]:
     colors = image.reshape(-1, 3).astype(np.uint32)
     return np.asarray(colors[:, 0] | colors[:, 1] << 8 | colors[:, 2] << 16, dtype=np.uint32)

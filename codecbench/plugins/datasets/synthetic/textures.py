@@ -42,10 +42,10 @@ PHOTOGRAPH_FILES = {
 
 def photograph_file(name: str) -> Path:
     """Where a photograph lies. Raises DatasetError where scikit-image or the file is missing."""
-    found = find_spec("skimage")
-    if found is None or found.origin is None:
+    package = find_spec("skimage")
+    if package is None or package.origin is None:
         raise DatasetError("synthetic: scikit-image is not installed, and its photographs cover the room")
-    file = Path(found.origin).parent / "data" / PHOTOGRAPH_FILES[name]
+    file = Path(package.origin).parent / "data" / PHOTOGRAPH_FILES[name]
     if not file.is_file():
         raise DatasetError(f"synthetic: {file} is missing; reinstall scikit-image, which brings this photograph")
     return file
@@ -77,17 +77,17 @@ Color = tuple[float, float, float]
 _CROP_TRIALS = 8
 
 
-def resized(image: NDArray[np.generic], height: int, width: int) -> Image:
+def resize(image: NDArray[np.generic], height: int, width: int) -> Image:
     """The image at another size: halved by averaging as often as it goes, then bilinear."""
     pixels = image.astype(np.float32)
     while pixels.shape[0] >= 2 * height and pixels.shape[1] >= 2 * width:
-        pixels = halved(pixels)
+        pixels = halve(pixels)
     rows = np.clip((np.arange(height) + 0.5) * pixels.shape[0] / height - 0.5, 0, pixels.shape[0] - 1)
     columns = np.clip((np.arange(width) + 0.5) * pixels.shape[1] / width - 0.5, 0, pixels.shape[1] - 1)
-    return rounded(_between(_between(pixels, rows, 0), columns, 1))
+    return round_to_uint8(_interpolate(_interpolate(pixels, rows, 0), columns, 1))
 
 
-def halved(pixels: Floats) -> Floats:
+def halve(pixels: Floats) -> Floats:
     """Averages over 2 x 2 pixels; an odd last row or column is repeated."""
     odd = (pixels.shape[0] % 2, pixels.shape[1] % 2)
     even = np.pad(pixels, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else pixels
@@ -95,7 +95,7 @@ def halved(pixels: Floats) -> Floats:
     return np.asarray(quarters * np.float32(0.25), dtype=np.float32)
 
 
-def _between(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
+def _interpolate(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
     low = places.astype(np.int64)
     high = np.minimum(low + 1, pixels.shape[axis] - 1)
     share = (places - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
@@ -103,7 +103,7 @@ def _between(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
     return np.asarray(between, dtype=np.float32)
 
 
-def rounded(pixels: NDArray[np.floating]) -> Image:
+def round_to_uint8(pixels: NDArray[np.floating]) -> Image:
     """The nearest gray levels, 0..255."""
     return np.asarray(np.clip(np.rint(pixels), 0, 255), dtype=np.uint8)
 
@@ -124,17 +124,19 @@ def crop(name: str, height: int, width: int, rng: np.random.Generator, zoom: flo
         detail = float(np.abs(np.diff(candidate[:, :, 1].astype(np.float32), axis=1)).sum())
         if detail > most:
             best, most = candidate, detail
-    return resized(best, height, width)
+    return resize(best, height, width)
 
 
-def toned(image: Image, color: Color, contrast: float = 1.0) -> Image:
+def recolor(image: Image, color: Color, contrast: float = 1.0) -> Image:
     """The brightness of an image, about its mean, in the shades of one colour (0..255)."""
     gray = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     deviation = (gray - gray.mean(dtype=np.float64)) / 128.0 * contrast
-    return rounded(np.array(color) * (1.0 + deviation[:, :, None]))
+    return round_to_uint8(np.array(color) * (1.0 + deviation[:, :, None]))
 
 
-def strewn(name: str, height: int, width: int, rng: np.random.Generator, patch: int, zoom: float = 1.0) -> Image:
+def scatter_patches(
+    name: str, height: int, width: int, rng: np.random.Generator, patch: int, zoom: float = 1.0
+) -> Image:
     """A large gray surface without repetition or seams, from overlapping random patches of a photograph.
 
     Patches are weighted by a smooth window, and the sum is scaled so that contrast stays as it was.
@@ -142,7 +144,7 @@ def strewn(name: str, height: int, width: int, rng: np.random.Generator, patch: 
     Operator", 2018, equation 2, without its histogram transform.
     """
     photo = photograph(name)
-    source = resized(photo, int(photo.shape[0] * zoom), int(photo.shape[1] * zoom))[:, :, 1].astype(np.float32)
+    source = resize(photo, int(photo.shape[0] * zoom), int(photo.shape[1] * zoom))[:, :, 1].astype(np.float32)
     mean = np.float32(source.mean(dtype=np.float64))
     patch = min(patch, *source.shape) // 2 * 2
     ramp = 1.0 - np.abs((np.arange(patch) + 0.5) / (patch / 2) - 1.0)
@@ -157,7 +159,7 @@ def strewn(name: str, height: int, width: int, rng: np.random.Generator, patch: 
             total[top : top + patch, left : left + patch] += weight * piece
             squares[top : top + patch, left : left + patch] += weight * weight
     whole = mean + total / np.sqrt(np.maximum(squares, 1e-6))
-    gray = rounded(whole[patch : patch + height, patch : patch + width])
+    gray = round_to_uint8(whole[patch : patch + height, patch : patch + width])
     return np.repeat(gray[:, :, None], 3, axis=2)
 
 
@@ -171,17 +173,19 @@ def wood(height: int, width: int, rng: np.random.Generator, color: Color) -> Ima
         piece = piece[::-1]
     if rng.random() < 0.5:
         piece = piece[:, ::-1]
-    grain = toned(resized(piece, height, width), color, 0.9)
+    grain = recolor(resize(piece, height, width), color, 0.9)
     sheet = _fine_grain()
     rows, columns = np.arange(height) % len(sheet), np.arange(width) % len(sheet)
     top, left = (int(start) for start in rng.integers(len(sheet), size=2))
-    return rounded(grain * sheet[(rows + top) % len(sheet)][:, (columns + left) % len(sheet), None])
+    return round_to_uint8(grain * sheet[(rows + top) % len(sheet)][:, (columns + left) % len(sheet), None])
 
 
 @cache
 def _fine_grain() -> Floats:
     """(1024, 1024) factors about 1: the roughness of every wooden surface, each taking another place of it."""
-    gray = toned(strewn("gravel", 1024, 1024, np.random.default_rng(1), 64, 0.4), (128.0, 128.0, 128.0), 0.16)
+    gray = recolor(
+        scatter_patches("gravel", 1024, 1024, np.random.default_rng(1), 64, 0.4), (128.0, 128.0, 128.0), 0.16
+    )
     return np.asarray(gray[:, :, 0].astype(np.float32) / 128.0)
 
 
@@ -203,7 +207,7 @@ def planks(height: int, width: int, rng: np.random.Generator, color: Color, plan
     return floor
 
 
-def matted(image: Image, border: int, color: Color = (236.0, 232.0, 224.0)) -> Image:
+def add_mat(image: Image, border: int, color: Color = (236.0, 232.0, 224.0)) -> Image:
     """A picture with a plain border."""
     sheet = np.empty((image.shape[0] + 2 * border, image.shape[1] + 2 * border, 3), np.uint8)
     sheet[:] = np.array(color, np.uint8)

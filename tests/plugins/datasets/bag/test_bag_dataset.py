@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image, png_bytes
 from codecbench.core.contracts.sequence import Camera, Origin
 from codecbench.plugins.datasets.bag.dataset import Bag
-from codecbench.plugins.datasets.bag.recording import recording
+from codecbench.plugins.datasets.bag.recording import open_recording
 
 KINDS = [(kind, None) for kind in FORMATS]
 KINDS += [("bag", "bz2"), ("bag", "lz4"), ("db3", "messages"), ("mcap", "messages"), ("mcap", "chunks")]
@@ -281,11 +281,11 @@ def test_paths_that_are_no_bag(tmp_path):
 
 def test_a_recording_is_indexed_once_a_process_until_it_changes(tmp_path):
     path = write_pictures(tmp_path / "b.bag", "bag", count=2)
-    assert recording(path) is recording(path)
-    before = recording(path)
+    assert open_recording(path) is open_recording(path)
+    before = open_recording(path)
     path.unlink()
     write_pictures(path, "bag", count=3)
-    assert recording(path) is not before
+    assert open_recording(path) is not before
 
 
 def test_what_is_damaged_or_unreadable_costs_itself(tmp_path):

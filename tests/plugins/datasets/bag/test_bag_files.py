@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets.bag.dataset import Bag
-from codecbench.plugins.datasets.bag.recording import recording
+from codecbench.plugins.datasets.bag.recording import open_recording
 
 COUNT = 40
 KINDS = [(kind, None) for kind in FORMATS] + [("bag", "bz2"), ("bag", "lz4"), ("mcap", "chunks")]
@@ -65,7 +65,7 @@ def test_frames_are_the_same_in_any_order_and_in_a_forked_process(whole):
 @pytest.mark.parametrize(("kind", "encoding", "profile"), [("bag", "ros1", "ros1"), ("db3", "cdr", "")])
 def test_an_mcap_file_of_another_profile_is_read(tmp_path, kind, encoding, profile):
     path = write_pictures(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, 5, camera=False)
-    bag = recording(path)
+    bag = open_recording(path)
     (topic,) = bag.topics.values()
     with open(tmp_path / "plain.mcap", "wb") as stream:
         writer = Writer(stream)

@@ -37,7 +37,7 @@ _RATIOS = ("electrons", "brightness", "first_light", "contrast")
 """What is felt in ratios: these move by equal factors, the others by equal steps."""
 
 
-def between(calm: Conditions, hard: Conditions, severity: float) -> Conditions:
+def interpolate_conditions(calm: Conditions, hard: Conditions, severity: float) -> Conditions:
     """The conditions at a severity, 0 (`calm`) to 1 (`hard`); each number moves monotonically."""
     values = {}
     for field in fields(Conditions):
@@ -49,7 +49,7 @@ def between(calm: Conditions, hard: Conditions, severity: float) -> Conditions:
     return Conditions(**values)
 
 
-def moved(calm: Conditions, hard: Conditions) -> dict[str, tuple[float, float]]:
+def changing_conditions(calm: Conditions, hard: Conditions) -> dict[str, tuple[float, float]]:
     """The numbers that severity moves, each at severity 0 and 1."""
     pairs = {field.name: (getattr(calm, field.name), getattr(hard, field.name)) for field in fields(Conditions)}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, Rng, covered, texels, wooden
-from codecbench.plugins.datasets.synthetic.lighting import lit
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed, upright
-from codecbench.plugins.datasets.synthetic.textures import matted, rounded, strewn, toned
+from codecbench.plugins.datasets.synthetic.furniture import OAK, PALE, WALNUT, Rng, photo_skin, texels, wood_skin
+from codecbench.plugins.datasets.synthetic.lighting import bake_light
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, place_panels, uniform_skin, upright
+from codecbench.plugins.datasets.synthetic.textures import add_mat, recolor, round_to_uint8, scatter_patches
 from codecbench.plugins.datasets.synthetic.worlds.presets import CORRIDOR_CORNERS_M
 
 _ARRANGEMENT = 20250311
@@ -30,10 +30,10 @@ def corridor(distinctness: float) -> list[Panel]:
     panels: list[Panel] = []
     for quarter in range(4):
         side, half = (length, depth / 2) if quarter % 2 == 0 else (depth, length / 2)
-        outer = placed(_wall(side + 2 * _HALF_WIDTH, distinctness, rng), (0.0, half + _HALF_WIDTH, 0.0))
-        inner = placed(_wall(side - 2 * _HALF_WIDTH, distinctness, rng), (0.0, _HALF_WIDTH - half, 0.0))
-        panels += placed(outer + inner, (length / 2, depth / 2, 0.0), 90.0 * quarter)
-    return lit(panels + _ground(length, depth, distinctness, rng), _lamp_points(length, depth), rng)
+        outer = place_panels(_wall(side + 2 * _HALF_WIDTH, distinctness, rng), (0.0, half + _HALF_WIDTH, 0.0))
+        inner = place_panels(_wall(side - 2 * _HALF_WIDTH, distinctness, rng), (0.0, _HALF_WIDTH - half, 0.0))
+        panels += place_panels(outer + inner, (length / 2, depth / 2, 0.0), 90.0 * quarter)
+    return bake_light(panels + _ground(length, depth, distinctness, rng), _lamp_points(length, depth), rng)
 
 
 def _wall(width: float, distinctness: float, rng: Rng) -> list[Panel]:
@@ -42,13 +42,13 @@ def _wall(width: float, distinctness: float, rng: Rng) -> list[Panel]:
     panels: list[Panel] = []
     for bay in range(count):
         middle = ((bay + 0.5) / count - 0.5) * width
-        panels += placed(_bay(width / count, distinctness, rng), (middle, 0.0, 0.0))
+        panels += place_panels(_bay(width / count, distinctness, rng), (middle, 0.0, 0.0))
     return panels
 
 
 def _bay(width: float, distinctness: float, rng: Rng) -> list[Panel]:
     """One bay: what all have in common, with a share of what this one has for itself."""
-    own, common = _Fittings(np.random.default_rng(rng.integers(2**32))), _Fittings(np.random.default_rng(7))
+    own, common = _BaySurfaces(np.random.default_rng(rng.integers(2**32))), _BaySurfaces(np.random.default_rng(7))
 
     def mixed(name: str) -> Skin:
         first, second = getattr(own, name), getattr(common, name)
@@ -64,32 +64,34 @@ def _bay(width: float, distinctness: float, rng: Rng) -> list[Panel]:
     return panels + carton
 
 
-class _Fittings:
+class _BaySurfaces:
     """The surfaces of one bay, each a texture for a face of given size, chosen by a generator of its own."""
 
     def __init__(self, rng: Rng) -> None:
         self._rng = rng
         self._names = [str(name) for name in rng.permutation(_PRINTS)]
-        self.door = wooden(rng, (OAK, WALNUT, PALE)[int(rng.integers(3))])
-        self.carton = covered(self._names[0], rng, 420.0, 1.4)
+        self.door = wood_skin(rng, (OAK, WALNUT, PALE)[int(rng.integers(3))])
+        self.carton = photo_skin(self._names[0], rng, 420.0, 1.4)
 
     def paint(self, face: str, width: float, height: float) -> Image:
         name = ("moon", "gravel", "grass")[int(self._rng.integers(3))]
         color = _PAINTS[int(self._rng.integers(len(_PAINTS)))]
-        return toned(
-            strewn(name, texels(height, _WALL_DENSITY), texels(width, _WALL_DENSITY), self._rng, 130, 0.9), color, 0.4
+        return recolor(
+            scatter_patches(name, texels(height, _WALL_DENSITY), texels(width, _WALL_DENSITY), self._rng, 130, 0.9),
+            color,
+            0.4,
         )
 
     def poster(self, face: str, width: float, height: float) -> Image:
-        print_ = covered(self._names[1], self._rng, 500.0, 1.0)(face, width - 0.02, height - 0.02)
-        return matted(print_, 5) if face == "front" else print_
+        print_ = photo_skin(self._names[1], self._rng, 500.0, 1.0)(face, width - 0.02, height - 0.02)
+        return add_mat(print_, 5) if face == "front" else print_
 
 
 def _blend(own: Image, common: Image, share: float) -> Image:
     """share 1: the first; 0: the second. Their sizes may differ by a texel."""
     rows, columns = min(own.shape[0], common.shape[0]), min(own.shape[1], common.shape[1])
     pair = own[:rows, :columns].astype(np.float32), common[:rows, :columns].astype(np.float32)
-    return rounded(pair[0] * np.float32(share) + pair[1] * np.float32(1 - share))
+    return round_to_uint8(pair[0] * np.float32(share) + pair[1] * np.float32(1 - share))
 
 
 def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[Panel]:
@@ -98,13 +100,13 @@ def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[
     east, north = np.array([w, 0.0, 0.0]), np.array([0.0, d, 0.0])
     west_south = np.array([-_HALF_WIDTH, -_HALF_WIDTH, 0.0])
     rows, columns = texels(d, _GROUND_DENSITY), texels(w, _GROUND_DENSITY)
-    floor = _tiled(toned(strewn("gravel", rows, columns, rng, 110, 0.7), (138, 122, 108), 0.5), distinctness)
-    ceiling = _tiled(toned(strewn("moon", rows, columns, rng, 110, 0.7), (222, 220, 214), 0.4), distinctness)
+    floor = _tiled(recolor(scatter_patches("gravel", rows, columns, rng, 110, 0.7), (138, 122, 108), 0.5), distinctness)
+    ceiling = _tiled(recolor(scatter_patches("moon", rows, columns, rng, 110, 0.7), (222, 220, 214), 0.4), distinctness)
     glass = np.full((8, 8, 3), 250, np.uint8)
     lamps = [
         Panel(panel.corner, panel.right, panel.down, glass, glows=True)
         for x, y in _lamps(length, depth)
-        for panel in box((x, y, _HEIGHT - 0.05), (0.5, 0.5, 0.05), everywhere(glass), leave_out=("top",))
+        for panel in box((x, y, _HEIGHT - 0.05), (0.5, 0.5, 0.05), uniform_skin(glass), leave_out=("top",))
     ]
     return [
         Panel(west_south + north, east, -north, floor),

@@ -112,7 +112,7 @@ class Exposure:
         if carrier is None:
             return self._atlas.edges
         edges = self._atlas.edges.copy()
-        edges[len(edges) - self._atlas.carried :, 0] += carrier(time_s)
+        edges[len(edges) - self._atlas.moving_count :, 0] += carrier(time_s)
         return edges
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.furniture import Rng
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed
-from codecbench.plugins.datasets.synthetic.textures import crop, resized, rounded, strewn, toned
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, place_panels, uniform_skin
+from codecbench.plugins.datasets.synthetic.textures import crop, recolor, resize, round_to_uint8, scatter_patches
 
 _ARRANGEMENT = 20250922
 _HALF = 110.0
@@ -28,7 +28,7 @@ Rectangle = tuple[float, float, float, float]
 def farmland() -> list[Panel]:
     """All panels, lit by the sun."""
     rng = np.random.default_rng(_ARRANGEMENT)
-    fields = _divided((-_HALF, -_HALF, _HALF, _HALF), rng)
+    fields = _divide((-_HALF, -_HALF, _HALF, _HALF), rng)
     panels = [_field(field, rng) for field in fields]
     leaves = [_leaves(rng) for _ in range(16)]
     for left, low, right, high in fields:
@@ -38,14 +38,14 @@ def farmland() -> list[Panel]:
             panels += _hedge((left, low), (0.0, high - low), leaves, rng)
     for _ in range(150):
         x, y = (float(value) for value in rng.uniform(-_HALF, _HALF, 2))
-        panels += placed(_tree(leaves, rng), (x, y, 0.0), float(rng.uniform(0, 90)))
+        panels += place_panels(_tree(leaves, rng), (x, y, 0.0), float(rng.uniform(0, 90)))
     for _ in range(26):
         x, y = (float(value) for value in rng.uniform(-_HALF * 0.9, _HALF * 0.9, 2))
-        panels += placed(_barn(rng), (x, y, 0.0), float(rng.uniform(0, 180)))
-    return [_sunlit(panel) for panel in panels]
+        panels += place_panels(_barn(rng), (x, y, 0.0), float(rng.uniform(0, 180)))
+    return [_apply_sunlight(panel) for panel in panels]
 
 
-def _divided(area: Rectangle, rng: Rng) -> list[Rectangle]:
+def _divide(area: Rectangle, rng: Rng) -> list[Rectangle]:
     """The area cut across its longer side again and again, down to fields."""
     left, low, right, high = area
     wide, tall = right - left, high - low
@@ -54,9 +54,9 @@ def _divided(area: Rectangle, rng: Rng) -> list[Rectangle]:
     share = float(rng.uniform(0.35, 0.65))
     if wide > tall:
         cut = left + share * wide
-        return _divided((left, low, cut, high), rng) + _divided((cut, low, right, high), rng)
+        return _divide((left, low, cut, high), rng) + _divide((cut, low, right, high), rng)
     cut = low + share * tall
-    return _divided((left, low, right, cut), rng) + _divided((left, cut, right, high), rng)
+    return _divide((left, low, right, cut), rng) + _divide((left, cut, right, high), rng)
 
 
 def _field(area: Rectangle, rng: Rng) -> Panel:
@@ -64,29 +64,29 @@ def _field(area: Rectangle, rng: Rng) -> Panel:
     left, low, right, high = area
     rows, columns = (max(8, round(side * _DENSITY)) for side in (high - low, right - left))
     name, color = _SOILS[int(rng.integers(len(_SOILS)))]
-    soil = toned(
-        strewn(name, rows, columns, rng, 70, float(rng.uniform(0.3, 0.7))), color, float(rng.uniform(0.7, 1.1))
+    soil = recolor(
+        scatter_patches(name, rows, columns, rng, 70, float(rng.uniform(0.3, 0.7))), color, float(rng.uniform(0.7, 1.1))
     )
-    coarse = toned(strewn("moon", rows // 4 + 1, columns // 4 + 1, rng, 90, 0.5), (128.0, 128.0, 128.0), 0.8)
-    shades = resized(coarse, rows, columns).astype(np.float32) / 128.0
+    coarse = recolor(scatter_patches("moon", rows // 4 + 1, columns // 4 + 1, rng, 90, 0.5), (128.0, 128.0, 128.0), 0.8)
+    shades = resize(coarse, rows, columns).astype(np.float32) / 128.0
     spacing = int(rng.integers(14, 40))
     furrows = np.where(np.arange(columns if rng.random() < 0.5 else rows) % spacing < spacing // 3, 0.86, 1.04)
     shades *= furrows[None, :, None] if len(furrows) == columns else furrows[:, None, None]
-    top = rounded(soil * shades)
+    top = round_to_uint8(soil * shades)
     border = round(0.8 * _DENSITY)
-    top[:border] = toned(strewn("gravel", border, columns, rng, 8, 0.4), (168.0, 150.0, 122.0), 0.7)
+    top[:border] = recolor(scatter_patches("gravel", border, columns, rng, 8, 0.4), (168.0, 150.0, 122.0), 0.7)
     corner = np.array([left, high, 0.0])
     return Panel(corner, np.array([right - left, 0.0, 0.0]), np.array([0.0, low - high, 0.0]), top)
 
 
 def _leaves(rng: Rng) -> Image:
     green = float(rng.uniform(0.75, 1.25))
-    return toned(crop("grass", 96, 96, rng, 0.5), (66.0 * green, 90.0 * green, 46.0 * green), 1.2)
+    return recolor(crop("grass", 96, 96, rng, 0.5), (66.0 * green, 90.0 * green, 46.0 * green), 1.2)
 
 
-def _any(images: list[Image], rng: Rng) -> Skin:
+def _random_skin(images: list[Image], rng: Rng) -> Skin:
     """One of the images, the same on every face."""
-    return everywhere(images[int(rng.integers(len(images)))])
+    return uniform_skin(images[int(rng.integers(len(images)))])
 
 
 def _hedge(start: tuple[float, float], along: tuple[float, float], leaves: list[Image], rng: Rng) -> list[Panel]:
@@ -97,13 +97,13 @@ def _hedge(start: tuple[float, float], along: tuple[float, float], leaves: list[
         share = (number + 0.5) / count
         foot = start[0] + share * along[0], start[1] + share * along[1], 0.0
         size = max(along[0] / count - 0.6, 1.4), max(along[1] / count - 0.6, 1.4), float(rng.uniform(1.4, 2.6))
-        panels += box(foot, size, _any(leaves, rng), leave_out=("bottom",))
+        panels += box(foot, size, _random_skin(leaves, rng), leave_out=("bottom",))
     return panels
 
 
 def _tree(leaves: list[Image], rng: Rng) -> list[Panel]:
     size = float(rng.uniform(2.2, 5.0))
-    skin = _any(leaves, rng)
+    skin = _random_skin(leaves, rng)
     panels = box((0.0, 0.0, 0.5), (size, size, size * 0.9), skin, leave_out=("bottom",))
     panels += box((0.2 * size, 0.0, 0.5), (size * 0.8, size * 0.8, size * 1.15), skin, 45.0, ("bottom",))
     return [*panels, _shadow(size * 1.1, size * 1.1)]
@@ -112,10 +112,12 @@ def _tree(leaves: list[Image], rng: Rng) -> list[Panel]:
 def _barn(rng: Rng) -> list[Panel]:
     """A farm building: walls and a roof of two slopes."""
     length, width, height = float(rng.uniform(9, 20)), float(rng.uniform(6, 10)), float(rng.uniform(3, 5))
-    wall = toned(crop("brick", 60, 200, rng, 0.6), (176.0, 160.0, 140.0), 0.8)
+    wall = recolor(crop("brick", 60, 200, rng, 0.6), (176.0, 160.0, 140.0), 0.8)
     tint = ((150.0, 82.0, 62.0), (112.0, 108.0, 106.0), (128.0, 70.0, 58.0))[int(rng.integers(3))]
-    tiles = toned(strewn("brick", round(width * _DENSITY), round(length * _DENSITY), rng, 60, 0.4), tint, 0.9)
-    panels = box((0.0, 0.0, 0.0), (length, width, height), everywhere(wall), leave_out=("top", "bottom"))
+    tiles = recolor(
+        scatter_patches("brick", round(width * _DENSITY), round(length * _DENSITY), rng, 60, 0.4), tint, 0.9
+    )
+    panels = box((0.0, 0.0, 0.0), (length, width, height), uniform_skin(wall), leave_out=("top", "bottom"))
     rise = 0.35 * width
     for sign in (-1.0, 1.0):
         ridge = np.array([sign * length / 2, 0.0, height + rise])
@@ -131,7 +133,7 @@ def _shadow(length: float, width: float) -> Panel:
     return Panel(corner, np.array([length, 0.0, 0.0]), np.array([0.0, -width, 0.0]), dark)
 
 
-def _sunlit(panel: Panel) -> Panel:
+def _apply_sunlight(panel: Panel) -> Panel:
     """The panel with the light of sun and sky on its texture."""
     light = 0.55 + 0.55 * max(0.0, float(panel.normal @ _SUN))
-    return Panel(panel.corner, panel.right, panel.down, rounded(panel.texture * np.float32(light)))
+    return Panel(panel.corner, panel.right, panel.down, round_to_uint8(panel.texture * np.float32(light)))

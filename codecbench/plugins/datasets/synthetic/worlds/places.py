@@ -10,7 +10,7 @@ import numpy as np
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.room import furnished_room, room_atlas
 from codecbench.plugins.datasets.synthetic.scene import Atlas, Panel, make_atlas
-from codecbench.plugins.datasets.synthetic.textures import rounded
+from codecbench.plugins.datasets.synthetic.textures import round_to_uint8
 from codecbench.plugins.datasets.synthetic.worlds.corridor import corridor
 from codecbench.plugins.datasets.synthetic.worlds.field import farmland
 from codecbench.plugins.datasets.synthetic.worlds.presets import Place
@@ -18,13 +18,15 @@ from codecbench.plugins.datasets.synthetic.worlds.street import town, van
 
 
 @lru_cache(maxsize=2)
-def atlas_of(place: Place, contrast: float, distinctness: float) -> Atlas:
+def place_atlas(place: Place, contrast: float, distinctness: float) -> Atlas:
     """A place with the contrast of its surfaces scaled, and the distinctness of its repetitions."""
     if place == "room" and contrast == 1.0:
         return room_atlas()
     panels = _panels(place, distinctness)
-    carried = len(van()) if place == "street_and_van" else 0
-    return replace(make_atlas(panels if contrast == 1.0 else faded(panels, contrast)), carried=carried)
+    moving_count = len(van()) if place == "street_and_van" else 0
+    return replace(
+        make_atlas(panels if contrast == 1.0 else scale_contrast(panels, contrast)), moving_count=moving_count
+    )
 
 
 @cache
@@ -38,11 +40,11 @@ def _panels(place: Place, distinctness: float) -> list[Panel]:
     return town() if place == "street" else farmland()
 
 
-def faded(panels: list[Panel], contrast: float) -> list[Panel]:
+def scale_contrast(panels: list[Panel], contrast: float) -> list[Panel]:
     """The panels with their textures' contrast about the mean colour scaled; lamps stay."""
-    made: dict[int, Image] = {}
+    textures: dict[int, Image] = {}
     for panel in panels:
-        if id(panel.texture) not in made:
+        if id(panel.texture) not in textures:
             mean = panel.texture.mean(axis=(0, 1), dtype=np.float64)
-            made[id(panel.texture)] = rounded(mean + contrast * (panel.texture - mean))
-    return [panel if panel.glows else replace(panel, texture=made[id(panel.texture)]) for panel in panels]
+            textures[id(panel.texture)] = round_to_uint8(mean + contrast * (panel.texture - mean))
+    return [panel if panel.glows else replace(panel, texture=textures[id(panel.texture)]) for panel in panels]

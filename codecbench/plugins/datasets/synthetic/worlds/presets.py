@@ -18,7 +18,7 @@ from codecbench.plugins.datasets.synthetic.paths import (
     Turning,
 )
 from codecbench.plugins.datasets.synthetic.rendered import CameraPath
-from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, between
+from codecbench.plugins.datasets.synthetic.worlds.conditions import Conditions, interpolate_conditions
 
 WorldName = Literal[
     "room",
@@ -41,16 +41,16 @@ Place = Literal["room", "corridor", "street", "street_and_van", "field"]
 WORLD_NAMES: tuple[WorldName, ...] = get_args(WorldName)
 
 
-def _by_hand(conditions: Conditions, seed: int) -> CameraPath:
+def _handheld_path(conditions: Conditions, seed: int) -> CameraPath:
     return HandheldPath(seed, conditions.speed_m_s / 0.7, conditions.tremor)
 
 
-def _round_the_corridor(conditions: Conditions, seed: int) -> CameraPath:
+def _corridor_path(conditions: Conditions, seed: int) -> CameraPath:
     route = Route(CORRIDOR_CORNERS_M, conditions.radius_m)
     return RouteWalk(route, conditions, seed, height_m=1.5, ahead_m=1.6, loop_m=route.length_m)
 
 
-def _round_the_blocks(conditions: Conditions, seed: int) -> CameraPath:
+def _street_path(conditions: Conditions, seed: int) -> CameraPath:
     route = Route(STREET_CORNERS_M, conditions.radius_m)
     cut_m = (8 - 2 * pi) * conditions.radius_m
     return RouteWalk(route, conditions, seed, height_m=1.65, ahead_m=2.0, loop_m=STREET_LOOP_M - cut_m)
@@ -68,7 +68,7 @@ class World:
     place: Place
     calm: Conditions
     hard: Conditions
-    way: Callable[[Conditions, int], CameraPath] = _by_hand
+    make_path: Callable[[Conditions, int], CameraPath] = _handheld_path
     width: int = 640
     height: int = 480
     rate_hz: float = 30.0
@@ -77,11 +77,11 @@ class World:
 
     def at(self, severity: float) -> Conditions:
         """The conditions at a severity, 0 to 1."""
-        return between(self.calm, self.hard, severity)
+        return interpolate_conditions(self.calm, self.hard, severity)
 
     def path(self, conditions: Conditions, seed: int) -> CameraPath:
         """The camera's path under these conditions."""
-        return self.way(conditions, seed)
+        return self.make_path(conditions, seed)
 
     def frames(self, severity: float, rate_hz: float) -> int:
         """Frames of one loop and the beginning of the next, a seventh of it; of the whole way where none closes."""
@@ -167,7 +167,7 @@ WORLDS: dict[WorldName, World] = {
         "corridor",
         _CORRIDOR,
         replace(_CORRIDOR, speed_m_s=2.0, tremor=2.0, exposure=0.5, electrons=1500.0),
-        _round_the_corridor,
+        _corridor_path,
         rate_hz=15.0,
         focal=0.62,
         view_m=2.0,
@@ -177,7 +177,7 @@ WORLDS: dict[WorldName, World] = {
         "corridor",
         replace(_CORRIDOR, speed_m_s=1.3),
         replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.5),
-        _round_the_corridor,
+        _corridor_path,
         rate_hz=15.0,
         focal=0.62,
         view_m=2.0,
@@ -196,7 +196,7 @@ WORLDS: dict[WorldName, World] = {
         "street",
         Conditions(speed_m_s=5.0, radius_m=9.0, tremor=0.3, exposure=0.03),
         Conditions(speed_m_s=10.0, radius_m=6.0, tremor=0.6, exposure=0.1, electrons=3000.0),
-        _round_the_blocks,
+        _street_path,
         width=1241,
         height=376,
         rate_hz=10.0,

@@ -72,6 +72,6 @@ class WorldSequence(RenderedSequence):
 @lru_cache(maxsize=2)
 def _exposure(place: Place, contrast: float, distinctness: float, camera: Camera) -> Exposure:
     from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
-    from codecbench.plugins.datasets.synthetic.worlds.places import atlas_of
+    from codecbench.plugins.datasets.synthetic.worlds.places import place_atlas
 
-    return Exposure(atlas_of(place, contrast, distinctness), camera)
+    return Exposure(place_atlas(place, contrast, distinctness), camera)

@@ -9,8 +9,8 @@ import numpy as np
 
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.datasets.synthetic.furniture import Rng
-from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, everywhere, placed
-from codecbench.plugins.datasets.synthetic.textures import Color, crop, rounded, strewn, toned
+from codecbench.plugins.datasets.synthetic.scene import Panel, Skin, box, place_panels, uniform_skin
+from codecbench.plugins.datasets.synthetic.textures import Color, crop, recolor, round_to_uint8, scatter_patches
 
 _ARRANGEMENT = 20250704
 _BLOCK_X, _BLOCK_Y, _COLUMNS, _ROWS = 80.0, 60.0, 3, 2
@@ -39,13 +39,15 @@ def town() -> list[Panel]:
             middle = ((column + 0.5) * _BLOCK_X, (row + 0.5) * _BLOCK_Y, 0.0)
             for quarter in range(4):
                 along, across = (width, depth) if quarter % 2 == 0 else (depth, width)
-                panels += placed(placed(_row(along, stock, rng), (0.0, -across / 2, 0.0)), middle, 90.0 * quarter)
+                panels += place_panels(
+                    place_panels(_row(along, stock, rng), (0.0, -across / 2, 0.0)), middle, 90.0 * quarter
+                )
     middle = (_COLUMNS * _BLOCK_X / 2, _ROWS * _BLOCK_Y / 2, 0.0)
     for quarter in range(4):
         along, across = _COLUMNS * _BLOCK_X, _ROWS * _BLOCK_Y
         along, across = (along, across) if quarter % 2 == 0 else (across, along)
         houses = _row(along + 2 * _HALF_STREET, stock, rng)
-        panels += placed(placed(houses, (0.0, across / 2 + _HALF_STREET, 0.0)), middle, 90.0 * quarter)
+        panels += place_panels(place_panels(houses, (0.0, across / 2 + _HALF_STREET, 0.0)), middle, 90.0 * quarter)
     return panels
 
 
@@ -54,7 +56,7 @@ def van() -> list[Panel]:
     rng = np.random.default_rng(_ARRANGEMENT)
     skin: Skin = lambda face, w, h: crop("text", round(1.5 * h * _DENSITY), round(1.5 * w * _DENSITY), rng)  # noqa: E731
     body = box((0.0, 0.0, 0.4), (4.6, 1.9, 1.9), skin, leave_out=("bottom",))
-    return body + box((0.0, 0.0, 0.0), (3.8, 1.7, 0.4), everywhere(np.full((8, 8, 3), 30, np.uint8)))
+    return body + box((0.0, 0.0, 0.0), (3.8, 1.7, 0.4), uniform_skin(np.full((8, 8, 3), 30, np.uint8)))
 
 
 def _row(length: float, stock: _Stock, rng: Rng) -> list[Panel]:
@@ -63,13 +65,15 @@ def _row(length: float, stock: _Stock, rng: Rng) -> list[Panel]:
     panels: list[Panel] = []
     for number in range(count):
         x = ((number + 0.5) / count - 0.5) * length
-        panels += placed(_house(length / count, stock.any(stock.fronts)("front", 0.0, 0.0), rng), (x, 0.0, 0.0))
+        panels += place_panels(
+            _house(length / count, stock.random_skin(stock.fronts)("front", 0.0, 0.0), rng), (x, 0.0, 0.0)
+        )
         if 0 < number < count - 1 and rng.random() < 0.4:
-            panels += placed(_car(stock), (x, -3.6 + float(rng.uniform(-0.2, 0.2)), 0.0))
+            panels += place_panels(_car(stock), (x, -3.6 + float(rng.uniform(-0.2, 0.2)), 0.0))
         if number > 0 and rng.random() < 0.25:
-            panels += placed(_tree(stock), (x - length / count / 2, -1.7, 0.0), float(rng.uniform(0, 90)))
+            panels += place_panels(_tree(stock), (x - length / count / 2, -1.7, 0.0), float(rng.uniform(0, 90)))
         elif number > 0 and rng.random() < 0.3:
-            panels += placed(_post(stock), (x - length / count / 2, -2.2, 0.0))
+            panels += place_panels(_post(stock), (x - length / count / 2, -2.2, 0.0))
     return panels
 
 
@@ -80,11 +84,13 @@ def _house(width: float, front: Image, rng: Rng) -> list[Panel]:
     skin: Skin = lambda face, w, h: front if face == "front" else side  # noqa: E731
     panels = box((0.0, 3.0 - juts, 0.0), (width, 6.0, height), skin, leave_out=("back", "top", "bottom"))
     cornice = (front[-30:, :200] * 0.8).astype(np.uint8)
-    panels += box((0.0, -juts - 0.15, height - 0.7), (width, 0.3, 0.4), everywhere(cornice), leave_out=("back", "top"))
+    panels += box(
+        (0.0, -juts - 0.15, height - 0.7), (width, 0.3, 0.4), uniform_skin(cornice), leave_out=("back", "top")
+    )
     for _ in range(int(rng.integers(2))):
         place = float(rng.uniform(-0.3, 0.3)) * width, -juts - 0.4, 3.2 * int(rng.integers(1, 3)) + 0.1
         balcony = (front[40:80, :80] * 0.7).astype(np.uint8)
-        panels += box(place, (1.8, 0.8, 0.95), everywhere(balcony), leave_out=("back",))
+        panels += box(place, (1.8, 0.8, 0.95), uniform_skin(balcony), leave_out=("back",))
     return panels
 
 
@@ -92,7 +98,9 @@ def _facade(rng: Rng) -> Image:
     """A house front: a wall of plaster, stone or bricks, rows of windows, a door and a shop window."""
     width, height = (round(side * _DENSITY) for side in _FRONT)
     name = ("brick", "gravel", "moon")[int(rng.integers(3))]
-    wall = toned(strewn(name, height, width, rng, 90, 0.5), _WALL_COLORS[int(rng.integers(len(_WALL_COLORS)))], 0.7)
+    wall = recolor(
+        scatter_patches(name, height, width, rng, 90, 0.5), _WALL_COLORS[int(rng.integers(len(_WALL_COLORS)))], 0.7
+    )
     columns, storeys = int(rng.integers(3, 6)), 3
     rise, step = round(3.2 * _DENSITY), width // columns
     tall, wide = round(float(rng.uniform(1.3, 1.9)) * _DENSITY), round(float(rng.uniform(0.9, 1.3)) * _DENSITY)
@@ -116,7 +124,7 @@ def _opening(wall: Image, top: int, left: int, tall: int, wide: int, rng: Rng, b
     pane[:, :3] = pane[:, -3:] = frame
     pane[:, wide // 2 : wide // 2 + 2] = frame
     rows = min(tall, wall.shape[0] - top)
-    wall[top : top + rows, left : left + wide] = rounded(pane[:rows, : wall.shape[1] - left])
+    wall[top : top + rows, left : left + wide] = round_to_uint8(pane[:rows, : wall.shape[1] - left])
 
 
 class _Stock:
@@ -133,31 +141,33 @@ class _Stock:
         self.metal = [_patch("gravel", rng, (70.0, 74.0, 76.0))]
         self.signs = [crop(name, 40, 40, rng) for name in ("text", "page", "rocket", "colors")]
 
-    def any(self, images: list[Image]) -> Skin:
+    def random_skin(self, images: list[Image]) -> Skin:
         """One of the images, the same on every face."""
-        return everywhere(images[int(self._rng.integers(len(images)))])
+        return uniform_skin(images[int(self._rng.integers(len(images)))])
 
 
 def _patch(name: str, rng: Rng, color: Color) -> Image:
-    return toned(crop(name, 100, 140, rng, 0.8), color)
+    return recolor(crop(name, 100, 140, rng, 0.8), color)
 
 
 def _car(stock: _Stock) -> list[Panel]:
-    body = box((0.0, 0.0, 0.3), (4.2, 1.7, 0.55), stock.any(stock.paints), leave_out=("bottom",))
-    under = box((0.0, 0.0, 0.0), (3.4, 1.6, 0.3), stock.any(stock.wheels), leave_out=("top", "bottom"))
-    return body + under + box((0.1, 0.0, 0.85), (2.2, 1.5, 0.55), stock.any(stock.glass), leave_out=("bottom",))
+    body = box((0.0, 0.0, 0.3), (4.2, 1.7, 0.55), stock.random_skin(stock.paints), leave_out=("bottom",))
+    under = box((0.0, 0.0, 0.0), (3.4, 1.6, 0.3), stock.random_skin(stock.wheels), leave_out=("top", "bottom"))
+    return body + under + box((0.1, 0.0, 0.85), (2.2, 1.5, 0.55), stock.random_skin(stock.glass), leave_out=("bottom",))
 
 
 def _tree(stock: _Stock) -> list[Panel]:
-    panels = box((0.0, 0.0, 0.0), (0.3, 0.3, 3.2), stock.any(stock.bark), leave_out=("top", "bottom"))
+    panels = box((0.0, 0.0, 0.0), (0.3, 0.3, 3.2), stock.random_skin(stock.bark), leave_out=("top", "bottom"))
     for turn, size, foot in ((0.0, 2.4, 2.8), (40.0, 2.0, 3.6)):
-        panels += box((0.0, 0.0, foot), (size, size, size), stock.any(stock.leaves), turn)
+        panels += box((0.0, 0.0, foot), (size, size, size), stock.random_skin(stock.leaves), turn)
     return panels
 
 
 def _post(stock: _Stock) -> list[Panel]:
-    panels = box((0.0, 0.0, 0.0), (0.14, 0.14, 6.0), stock.any(stock.metal), leave_out=("top", "bottom"))
-    return panels + box((0.0, -0.05, 2.2), (0.7, 0.05, 0.7), stock.any(stock.signs), leave_out=("top", "bottom"))
+    panels = box((0.0, 0.0, 0.0), (0.14, 0.14, 6.0), stock.random_skin(stock.metal), leave_out=("top", "bottom"))
+    return panels + box(
+        (0.0, -0.05, 2.2), (0.7, 0.05, 0.7), stock.random_skin(stock.signs), leave_out=("top", "bottom")
+    )
 
 
 def _streets(rng: Rng) -> list[Panel]:
@@ -184,11 +194,11 @@ def _flat(middle: np.ndarray[tuple[int, ...], np.dtype[np.float64]], length: flo
     """A piece of ground as wide as a street, `length` along x before it is turned."""
     corner = np.array([-length / 2, _HALF_STREET, 0.0])
     flat = Panel(corner, np.array([length, 0.0, 0.0]), np.array([0.0, -2 * _HALF_STREET, 0.0]), top)
-    return placed([flat], (float(middle[0]), float(middle[1]), 0.0), turn)[0]
+    return place_panels([flat], (float(middle[0]), float(middle[1]), 0.0), turn)[0]
 
 
 def _asphalt(rng: Rng, rows: int, columns: int) -> Image:
-    return toned(strewn("gravel", rows, columns, rng, 60, 0.25), (104.0, 102.0, 100.0), 0.6)
+    return recolor(scatter_patches("gravel", rows, columns, rng, 60, 0.25), (104.0, 102.0, 100.0), 0.6)
 
 
 def _lane(rng: Rng) -> Image:
@@ -196,7 +206,7 @@ def _lane(rng: Rng) -> Image:
     rows, columns = round(2 * _HALF_STREET * _DENSITY), round(22.0 * _DENSITY)
     lane = _asphalt(rng, rows, columns)
     kerb = round(2.8 * _DENSITY)
-    slabs = toned(strewn("brick", rows, columns, rng, 100, 0.6), (150.0, 144.0, 136.0), 0.6)
+    slabs = recolor(scatter_patches("brick", rows, columns, rng, 100, 0.6), (150.0, 144.0, 136.0), 0.6)
     lane[:kerb], lane[-kerb:] = slabs[:kerb], slabs[-kerb:]
     lane[kerb : kerb + 5] = lane[-kerb - 5 : -kerb] = (186, 184, 178)
     dash = round(3.0 * _DENSITY)
@@ -211,13 +221,13 @@ def _lane(rng: Rng) -> Image:
 
 def _sky(rng: Rng) -> list[Panel]:
     """Clouds on the inside of a large box."""
-    clouds = toned(strewn("moon", 512, 1024, rng, 400, 1.6), (206.0, 212.0, 222.0), 0.3)
-    clouds = rounded(clouds * np.float32(0.9))
+    clouds = recolor(scatter_patches("moon", 512, 1024, rng, 400, 1.6), (206.0, 212.0, 222.0), 0.3)
+    clouds = round_to_uint8(clouds * np.float32(0.9))
     reach, high = 400.0, 160.0
     middle = (_COLUMNS * _BLOCK_X / 2, _ROWS * _BLOCK_Y / 2, 0.0)
     walls: list[Panel] = []
     for quarter in range(4):
         wall = Panel(np.array([-reach, reach, high]), np.array([2 * reach, 0, 0]), np.array([0, 0, -high - 20]), clouds)
-        walls += placed([wall], middle, 90.0 * quarter)
+        walls += place_panels([wall], middle, 90.0 * quarter)
     lid = Panel(np.array([-reach, -reach, high]), np.array([2 * reach, 0, 0]), np.array([0, 2 * reach, 0]), clouds)
-    return [*walls, *placed([lid], middle)]
+    return [*walls, *place_panels([lid], middle)]
