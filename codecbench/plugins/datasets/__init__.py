@@ -1,4 +1,4 @@
-"""The datasets that ship with codecbench. Only references: nothing of a dataset is imported before it is opened."""
+"""Lists the datasets that ship with codecbench. A dataset's module is imported only when the dataset is opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sequences made of others: frames made smaller or larger, or with a camera that is slightly wrong."""
+"""Sequences derived from others: scaled frames, or a slightly wrong camera calibration."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Ori
 from codecbench.plugins.datasets.calibration import miscalibrate
 
 MIN_SIDE_PX = 16
-"""Pixels: smaller frames show nothing, and no synthetic one is smaller."""
+"""Smallest side of a scaled frame; synthetic frames are never smaller."""
 
 
 class AdaptedSequence(FrameSequence):
-    """The frames of another sequence, its camera, times and ground truth, as far as a subclass does not change them."""
+    """Relays another sequence's frames, camera, times and ground truth; subclasses override some of them."""
 
     def __init__(self, source: FrameSequence) -> None:
         self.name = source.name
@@ -40,9 +40,9 @@ class AdaptedSequence(FrameSequence):
 
 
 class MiscalibratedSequence(AdaptedSequence):
-    """A sequence as a slightly wrong calibration gives it: k1 is too large by `error`, the focal length by half of it.
+    """A sequence with a slightly wrong calibration: k1 is too large by `error`, the focal length by half of it.
 
-    Raises DatasetError where there is no camera.
+    Raises DatasetError if the sequence has no camera.
     """
 
     def __init__(self, source: FrameSequence, error: float) -> None:
@@ -57,40 +57,41 @@ class MiscalibratedSequence(AdaptedSequence):
 
 
 class ScaledSequence(AdaptedSequence):
-    """The frames of another sequence at `scale` times their width and height; times and ground truth are its own.
+    """The frames of another sequence at `scale` times their width and height; times and ground truth stay.
 
-    A pixel of a smaller frame is the mean of the area that it covers; larger frames are interpolated, bicubic. Raises
-    DatasetError for frames that would have sides below MIN_SIDE_PX, or more than MAX_PIXELS.
+    A pixel of a smaller frame is the mean of the area it covers. Larger frames are interpolated bicubically. Raises
+    DatasetError if a scaled frame has a side below MIN_SIDE_PX or more than MAX_PIXELS.
     """
 
     def __init__(self, source: FrameSequence, scale: float) -> None:
         super().__init__(source)
         self._scale = scale
         camera = source.camera
-        before = (camera.width, camera.height) if camera is not None else source.read(0).image.shape[1::-1]
-        size = self._size(before)
+        unscaled = (camera.width, camera.height) if camera is not None else source.read(0).image.shape[1::-1]
+        size = self._scaled_size(unscaled)
         self.camera = None if camera is None else scaled_camera(camera, size)
         how = "as means over areas" if scale < 1.0 else "bicubic"
         self.notes += (
-            f"frames of {before[0]}x{before[1]} are scaled to {size[0]}x{size[1]} ({how}), the camera with them",
+            f"frames of {unscaled[0]}x{unscaled[1]} are scaled to {size[0]}x{size[1]} ({how}), the camera with them",
         )
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
-        """Digest over the other sequence's and the scale."""
+        """Digest over the other sequence's fingerprint and the scale."""
         return hashlib.sha256(f"{self._source.fingerprint} scaled by {self._scale!r}".encode()).hexdigest()
 
     @cached_property
     def origin(self) -> Origin:  # type: ignore[override]
-        found = self._source.origin
-        return replace(found, sizes=tuple(self._size(size) for size in found.sizes))
+        origin = self._source.origin
+        return replace(origin, sizes=tuple(self._scaled_size(size) for size in origin.sizes))
 
     def read(self, index: int) -> Frame:
         frame = self._source.read(index)
-        return Frame(frame.index, frame.timestamp_s, scaled_image(frame.image, self._size(frame.image.shape[1::-1])))
+        size = self._scaled_size(frame.image.shape[1::-1])
+        return Frame(frame.index, frame.timestamp_s, scaled_image(frame.image, size))
 
-    def _size(self, size: tuple[int, ...]) -> tuple[int, int]:
-        """Width and height of what frames of a size become."""
+    def _scaled_size(self, size: tuple[int, ...]) -> tuple[int, int]:
+        """Width and height that frames of `size` are scaled to."""
         width, height = (round(side * self._scale) for side in size)
         if min(width, height) < MIN_SIDE_PX or width * height > MAX_PIXELS:
             raise DatasetError(
@@ -101,15 +102,15 @@ class ScaledSequence(AdaptedSequence):
 
 
 def scaled_image(image: Image, size: tuple[int, int]) -> Image:
-    """The image at another width and height: means over areas where it becomes smaller, bicubic where larger."""
-    how = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, size, interpolation=how), dtype=np.uint8)
+    """Scale an image to another width and height: means over areas if it shrinks, bicubic if it grows."""
+    interpolation = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
 
 
 def scaled_camera(camera: Camera, size: tuple[int, int]) -> Camera:
     """The camera of frames that were scaled to a width and height.
 
-    Pixel centres are at integers, so that the frame's corner, which stays the corner, is at -0.5.
+    Pixel centers are at integers, so the frame's corner is at -0.5 at every scale.
     """
     across, down = size[0] / camera.width, size[1] / camera.height
     return replace(

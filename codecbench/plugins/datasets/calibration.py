@@ -1,4 +1,4 @@
-"""Cameras from calibration files and by their published names."""
+"""Cameras from calibration files and published calibrations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FREIBURG = {
     "freiburg2": Camera(640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "freiburg3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6),
 }
-"""The colour cameras of the TUM RGB-D benchmark as its page on file formats gives them."""
+"""The color cameras of the TUM RGB-D benchmark, from its page on file formats."""
 
 _MOST_SHOWN = 60
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -28,11 +28,11 @@ _DISTORTION: dict[Any, tuple[str, ...]] = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-"""The coefficients of each model, in the order of `Camera.distortion`."""
+"""Names of each model's coefficients, in the order of `Camera.distortion`."""
 
 
 class YamlFile:
-    """The mapping in a YAML file, with the line of every entry for errors."""
+    """The mapping in a YAML file; errors name the line of an entry."""
 
     def __init__(self, file: Path, what: str, remedy: str = "") -> None:
         self.file = file
@@ -45,8 +45,8 @@ class YamlFile:
         except MarkedYAMLError as error:
             line = error.problem_mark.line if error.problem_mark else 0
             content = "".join(text.splitlines()[line : line + 1]).strip()
-            said = f"{what} is not YAML: {error.problem} in {content[:_MOST_SHOWN]!r}"
-            raise DatasetError(f"{file}:{line + 1}: {said}") from error
+            problem = f"{what} is not YAML: {error.problem} in {content[:_MOST_SHOWN]!r}"
+            raise DatasetError(f"{file}:{line + 1}: {problem}") from error
         if not isinstance(self._entries, dict):
             raise DatasetError(f"{file}: {what} has no `key: value` lines")
 
@@ -57,7 +57,7 @@ class YamlFile:
         return self._entries.get(key, default)
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number. Raises DatasetError where it is missing without a default, or no number."""
+        """A finite number. Raises DatasetError if it is no number, or is missing without a default."""
         value = self.get(key, default)
         if value is None:
             raise DatasetError(f"{self.file}: `{key}` is missing")
@@ -66,32 +66,32 @@ class YamlFile:
         return float(value)
 
     def numbers(self, key: str, counts: tuple[int, ...]) -> list[float]:
-        """A list of finite numbers of one of the given lengths. Raises DatasetError."""
+        """A list of finite numbers; its length is one of `counts`. Raises DatasetError."""
         return finite_numbers(self.get(key), counts, self.where(key), key)
 
 
 def finite_numbers(value: Any, counts: tuple[int, ...], where: str, key: str) -> list[float]:
-    """`value` as a list of finite numbers of one of the given lengths. Raises DatasetError."""
-    good = isinstance(value, list) and all(
+    """Check that `value` is a list of finite numbers with one of the lengths `counts`. Raises DatasetError."""
+    is_list_of_numbers = isinstance(value, list) and all(
         isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number) for number in value
     )
-    if not good or len(value) not in counts:
-        wanted = " or ".join(str(count) for count in counts)
-        raise DatasetError(f"{where}: `{key}` is {value!r}, not a list of {wanted} numbers")
+    if not is_list_of_numbers or len(value) not in counts:
+        lengths = " or ".join(str(count) for count in counts)
+        raise DatasetError(f"{where}: `{key}` is {value!r}, not a list of {lengths} numbers")
     return [float(number) for number in value]
 
 
 def camera_from_model(
     model: str, size: tuple[int, int], intrinsics: tuple[float, float, float, float], coefficients: Sequence[float]
 ) -> Camera:
-    """A camera of `model` `pinhole` or `equidistant`; coefficients that are left out are 0."""
+    """Make a camera of `model` `pinhole` or `equidistant`; omitted coefficients are 0."""
     padded = (*coefficients, *[0.0] * (8 - len(coefficients)))
-    known: CameraModel = "equidistant" if model == "equidistant" else "pinhole"
-    return Camera(*size, *intrinsics, distortion=padded if any(padded[5:]) else padded[:5], model=known)
+    camera_model: CameraModel = "equidistant" if model == "equidistant" else "pinhole"
+    return Camera(*size, *intrinsics, distortion=padded if any(padded[5:]) else padded[:5], model=camera_model)
 
 
 def describe_lens(camera: Camera) -> str:
-    """How a camera's pictures are distorted, in the field's words."""
+    """The usual name of a camera's lens distortion."""
     if camera.model == "equidistant":
         return "equidistant fisheye (Kannala-Brandt)"
     if any(camera.distortion[5:]):
@@ -100,30 +100,30 @@ def describe_lens(camera: Camera) -> str:
 
 
 def camera_from_view(width: int, height: int, fov_deg: float) -> Camera:
-    """An ideal pinhole camera of a horizontal field of view, looking through the middle of its pictures."""
+    """An ideal pinhole camera with a horizontal field of view; the principal point is the frame's center."""
     focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def miscalibrate(camera: Camera, error: float) -> Camera:
-    """A camera as a calibration that is slightly wrong gives it: k1 too large by `error`, the focal length by half."""
+    """Perturb a camera's calibration: k1 by +`error`, the focal length by half of it relatively."""
     k1, *others = camera.distortion
     focal = 1.0 + error / 2
     return replace(camera, fx=focal * camera.fx, fy=focal * camera.fy, distortion=(k1 + error, *others))
 
 
 def camera_from_file(file: Path) -> tuple[Camera, float | None]:
-    """A camera, and the frame rate if the file has `fps`.
+    """Read a camera, and the frame rate if the file has `fps`. Raises DatasetError with file and line.
 
-    Keys: width, height, fx, fy, cx, cy in pixels; `model`, `pinhole` where left out, or `equidistant`; k1, k2, p1, p2,
-    k3 (of a rational lens also k4, k5, k6) of a pinhole camera or k1, k2, k3, k4 of a fisheye, 0 where left out. Raises
-    DatasetError with file and line.
+    Keys: width, height, fx, fy, cx, cy in pixels; `model`, `pinhole` (default) or `equidistant`; the coefficients.
+    A pinhole camera has k1, k2, p1, p2, k3 (a rational lens also k4, k5, k6), a fisheye k1, k2, k3, k4. Omitted
+    coefficients are 0.
     """
     entries = YamlFile(file, "calibration")
     model = entries.get("model", "pinhole")
     if not isinstance(model, str) or model not in _DISTORTION:
-        known = " and ".join(f"`{name}`" for name in _DISTORTION)
-        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; {known} are known")
+        models = " and ".join(f"`{name}`" for name in _DISTORTION)
+        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; {models} are known")
     for key in _INTRINSICS[:4]:
         if entries.number(key) <= 0.0:
             raise DatasetError(f"{entries.where(key)}: `{key}` is {entries.get(key)}, which is not above 0")

@@ -1,4 +1,4 @@
-"""Datasets that can be fetched: where they are, what they may be used for, and where they lie once they are here."""
+"""The catalog of datasets that can be fetched: their addresses, licenses and folders."""
 
 from __future__ import annotations
 
@@ -30,29 +30,30 @@ _KITTI_CITATION = (
 
 @dataclass(frozen=True)
 class CatalogEntry:
-    """A dataset that can be fetched.
-
-    kind: the dataset of the matrix that reads it. urls: one archive, or the files themselves. size_bytes: of the
-    download, about; None where it is not known. sha256: of each download in order, None where the publisher gives
-    none: the first fetch then records what came, and later ones must match it. inside, leave_out: see `unpack`.
-    manual: what to do where the publisher asks for a registration; such an entry has no urls.
-    """
+    """A dataset that can be fetched."""
 
     name: str
     kind: str
+    """Name of the dataset plugin that reads it."""
     homepage: str
     licence: str
     citation: str
     urls: tuple[str, ...] = ()
+    """One archive, or the files themselves."""
     size_bytes: int | None = None
+    """Approximate size of the download; None if unknown."""
     sha256: tuple[str | None, ...] = ()
+    """Checksum of each download in order. If None, the first fetch records one, and later fetches must match it."""
     inside: str = ""
+    """Folder in the archive, see `unpack`."""
     leave_out: tuple[str, ...] = ()
+    """Patterns of names, see `unpack`."""
     manual: str = ""
+    """Steps for the user if the publisher requires registration; such an entry has no urls."""
 
     @property
     def folder(self) -> Path:
-        """Where it lies once it is fetched."""
+        """Folder of the fetched dataset."""
         return data_folder() / self.name
 
     @property
@@ -139,7 +140,7 @@ def list_datasets() -> tuple[CatalogEntry, ...]:
 
 
 def find(name: str) -> CatalogEntry:
-    """The entry of this name. Raises DatasetError with a suggestion."""
+    """The catalog entry called `name`. Raises DatasetError with a suggestion."""
     for entry in DATASETS:
         if entry.name == name:
             return entry
@@ -149,7 +150,7 @@ def find(name: str) -> CatalogEntry:
 
 
 def path(name: str) -> Path:
-    """The folder of a dataset that has been fetched. Raises DatasetError with the command that fetches it."""
+    """The folder of a fetched dataset. Raises DatasetError with the command that fetches it if it is missing."""
     entry = find(name)
     if not entry.is_there:
         raise DatasetError(f"{entry.folder}: dataset {name} is not there yet; run `codecbench data fetch {name}`")
@@ -159,15 +160,15 @@ def path(name: str) -> Path:
 def fetch(name: str, progress: Callable[[str, int, int | None], None] | None = None) -> Path:
     """Fetch a dataset into the cache folder unless it is there, and return its folder.
 
-    progress is told the file's name, the bytes that have arrived, and their number where it is known. Raises
-    DatasetError for failures of the network or the disk, wrong checksums and unsafe archives, and with
-    instructions for datasets that cannot be fetched by a program.
+    progress: called with the file's name, the bytes received, and the total if it is known. Raises DatasetError
+    if the network or the disk fails, a checksum is wrong or an archive is unsafe. If the dataset must be downloaded
+    by hand, the error lists the steps.
     """
     return fetch_entry(find(name), progress)
 
 
 def fetch_entry(entry: CatalogEntry, progress: Callable[[str, int, int | None], None] | None = None) -> Path:
-    """`fetch` for an entry, also one that is not in the catalogue."""
+    """Fetch an entry, which need not be in the catalog; see `fetch`."""
     if entry.is_there:
         return entry.folder
     if entry.manual:
@@ -192,25 +193,25 @@ def _fetch_file(
     arriving: Path,
     progress: Callable[[str, int, int | None], None] | None,
 ) -> Path:
-    import pooch
+    import pooch  # slow to import, and needed only to fetch
 
     pooch.get_logger().setLevel(logging.WARNING)
     name = url.rsplit("/", 1)[-1]
-    known = expected or recorded_checksum(entry, name)
+    checksum = expected or recorded_checksum(entry, name)
     report: Progress | None = None if progress is None else lambda done, total: progress(name, done, total)
     downloader = ResumingDownloader(data_folder() / ".partial" / f"{entry.name}-{name}", report)
     try:
         arriving.mkdir(parents=True, exist_ok=True)
-        file = Path(pooch.retrieve(url, known and f"sha256:{known}", name, arriving, downloader=downloader))
+        file = Path(pooch.retrieve(url, checksum and f"sha256:{checksum}", name, arriving, downloader=downloader))
     except ValueError as error:
         source = "the catalogue's" if expected else f"that of the first fetch, in {_checksum_file(entry)}"
         raise DatasetError(
-            f"{url}: what came does not have the right checksum ({source}: {known}); it was deleted: fetch again, "
+            f"{url}: what came does not have the right checksum ({source}: {checksum}); it was deleted: fetch again, "
             "and if that fails the publisher has changed the file"
         ) from error
     except OSError as error:
         raise DatasetError(f"{arriving}: cannot be written: {error.strerror or error}") from error
-    if known is None:
+    if checksum is None:
         _record_checksum(entry, name, file)
     return file
 
@@ -220,11 +221,11 @@ def _checksum_file(entry: CatalogEntry) -> Path:
 
 
 def recorded_checksum(entry: CatalogEntry, name: str) -> str | None:
-    """What the first fetch of a file recorded, in the format of `sha256sum`."""
+    """The checksum that the first fetch of a file recorded as `sha256sum` would, None if there is none."""
     file = _checksum_file(entry)
     for line in file.read_text().splitlines() if file.is_file() else ():
-        digest, _, of = line.partition("  ")
-        if of == name:
+        digest, _, file_name = line.partition("  ")
+        if file_name == name:
             return digest
     return None
 

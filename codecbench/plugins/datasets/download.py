@@ -1,4 +1,4 @@
-"""Downloads over HTTP that survive a cut connection: what has arrived stays, and the next try asks for the rest."""
+"""Resumable downloads over HTTP, and safe unpacking of archives."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from typing import IO, Any
 from codecbench.core.contracts.errors import DatasetError
 
 Progress = Callable[[int, int | None], None]
-"""Told the bytes of a file that have arrived, and how many there will be where the server says."""
+"""Called with the bytes of a file received so far, and the total if the server gives it."""
 
 _CHUNK_BYTES = 1 << 18
 _TIMEOUT_S = 60.0
 
 
 class ResumingDownloader:
-    """A downloader in pooch's sense: called with the address, the file to write and the pooch.
+    """A downloader for pooch that resumes: each try requests only the bytes that are still missing.
 
-    partial: where the arriving bytes are kept between tries and calls. After `tries` connections that bring
-    nothing new it gives up, and the partial file stays for the next call. Raises DatasetError.
+    partial: file that holds the bytes received, between tries and calls. After `tries` connections without new bytes
+    the download fails with DatasetError, and the partial file stays for the next call.
     """
 
     def __init__(self, partial: Path, progress: Progress | None = None, tries: int = 4, pause_s: float = 2.0) -> None:
@@ -76,7 +76,7 @@ class ResumingDownloader:
             time.sleep(self._pause_s)
 
     def _receive(self, url: str, stream: IO[bytes]) -> bool:
-        """One connection; whether the file is now complete."""
+        """Receive over one connection; return whether the file is complete."""
         with self._ask(url, stream) as response:
             if response.status != 206:
                 stream.seek(0)
@@ -92,7 +92,7 @@ class ResumingDownloader:
         return total is None or stream.tell() >= total
 
     def _ask(self, url: str, stream: IO[bytes]) -> Any:
-        """The server's answer: the rest of the same version of the file, or else the whole."""
+        """Open the response: the rest of the same version of the file, or else the whole file."""
         request = urllib.request.Request(url, headers={"User-Agent": "codecbench"})
         version = self._version.read_text() if self._version.is_file() else ""
         if stream.tell() and version:
@@ -109,10 +109,10 @@ class ResumingDownloader:
 
 
 def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, ...] = ()) -> None:
-    """Put the files of a .zip or tar archive into `folder`, which appears whole or not at all.
+    """Unpack the files of a .zip or tar archive into `folder`, which appears complete or not at all.
 
-    inside: the folder in the archive whose content is wanted. leave_out: patterns of names that are not
-    needed. Raises DatasetError for damage, and for members that are links, devices or outside the folder.
+    inside: only this folder of the archive is unpacked. leave_out: patterns of names to skip. Raises DatasetError
+    if the archive is damaged, or if a member is a link, a device or outside the folder.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = Path(tempfile.mkdtemp(prefix=".new-", dir=folder.parent))
@@ -134,7 +134,7 @@ def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, 
         new.chmod(0o755)
         new.rename(folder)
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
-        # NotImplementedError is zipfile's word for a method of compression that it does not know
+        # zipfile raises NotImplementedError for an unknown compression method
         raise DatasetError(f"{archive}: is damaged or no archive: {error}; fetch it again") from error
     except OSError as error:
         raise DatasetError(f"{archive}: cannot be unpacked into {folder}: {error.strerror or error}") from error
@@ -143,7 +143,7 @@ def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, 
 
 
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
-    """Name and content of every file."""
+    """Yield name and content of every file in the archive."""
     if archive.suffix == ".zip":
         with zipfile.ZipFile(archive) as packed:
             for info in packed.infolist():
@@ -165,6 +165,7 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
 
 
 def _safe_path(name: str, archive: Path) -> PurePosixPath:
+    """The path of a member. Raises DatasetError if it is empty or would lie outside the folder."""
     path = PurePosixPath(name)
     if not path.parts:
         raise DatasetError(f"{archive}: a file is called {name!r}, which names none; nothing was unpacked")

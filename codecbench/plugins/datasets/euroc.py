@@ -29,7 +29,7 @@ class EurocParams(FolderSelection, RecordedCamera):
 
 
 class Euroc(Dataset[EurocParams]):
-    """Frames of one camera of the vehicle, with the camera's poses from the body's.
+    """Frames of one camera of the vehicle; the camera's poses are computed from those of the body.
 
     Source: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 35(10), 2016. Times in ns become
     seconds; `T_BS` of the camera is body_from_camera, that of the ground truth body_from_sensor.
@@ -41,7 +41,7 @@ class Euroc(Dataset[EurocParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        """The folder with mav0/, or that."""
+        """Recognize the folder that holds mav0/, or mav0/ itself."""
         root = path.resolve().parent if path.resolve().name == "mav0" else path
         cameras = [name for name in ("cam0", "cam1") if (root / "mav0" / name / "data.csv").is_file()]
         if not cameras:
@@ -62,40 +62,40 @@ class Euroc(Dataset[EurocParams]):
         files = tuple(folder / "data" / rows[index].fields[1] for index in chosen)
         with workaround(calibration="none"):
             sensor = _sensor(params, folder / "sensor.yaml")
-            known = KnownCamera() if sensor is None else KnownCamera(_camera(sensor), sensor.file.name)
-            frames_hz = _rate_hz(sensor)
-        found = params.or_ideal_camera(known, lambda: frame_size(files[0], chosen[0]))
+            recorded = KnownCamera() if sensor is None else KnownCamera(_camera(sensor), sensor.file.name)
+            rate_hz = _rate_hz(sensor)
+        known = params.or_ideal_camera(recorded, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
             with workaround(ground_truth=False):
                 truth = _trajectory(root / "mav0", sensor)
-        notes = found.notes if sensor or not params.ground_truth else (*found.notes, _SENSOR_POSES_NOTE)
+        notes = known.notes if sensor or not params.ground_truth else (*known.notes, _SENSOR_POSES_NOTE)
         content = Content(
             name=root.resolve().name,
             where=str(folder),
             files=files,
             numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
-            frame_rate_hz=frames_hz / params.stride,
-            camera=found.camera,
+            frame_rate_hz=rate_hz / params.stride,
+            camera=known.camera,
             uncalibrated={"calibration": "none"},
             ground_truth=truth,
             color=params.color,
             notes=(*params.subset_notes(len(rows)), *notes),
-            origin=Origin(f"EuRoC MAV folder, {params.camera}", found.source),
+            origin=Origin(f"EuRoC MAV folder, {params.camera}", known.source),
         )
         return params.as_asked(FileSequence(content))
 
 
 def _sensor(params: EurocParams, file: Path) -> YamlFile | None:
-    """The description of the camera, None where it is not wanted, or not there and not needed. Raises DatasetError."""
+    """Read the camera's sensor.yaml; None if it is not wanted, or missing and not needed. Raises DatasetError."""
     if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
         return None
     return YamlFile(file, "calibration", "`fov_deg` makes an ideal camera instead")
 
 
 def _rate_hz(sensor: YamlFile | None) -> float:
-    """Frames a second. Raises DatasetError."""
+    """The frame rate. Raises DatasetError if it is not positive."""
     if sensor is None:
         return _USUAL_RATE_HZ
     rate_hz = sensor.number("rate_hz", _USUAL_RATE_HZ)
@@ -105,9 +105,10 @@ def _rate_hz(sensor: YamlFile | None) -> float:
 
 
 def _camera(sensor: YamlFile) -> Camera:
+    """The camera that sensor.yaml describes. Raises DatasetError if its model is unknown."""
     if sensor.get("camera_model", "pinhole") != "pinhole":
-        found = sensor.get("camera_model")
-        raise DatasetError(f"{sensor.where('camera_model')}: `camera_model` is {found!r}; only `pinhole` is known")
+        model = sensor.get("camera_model")
+        raise DatasetError(f"{sensor.where('camera_model')}: `camera_model` is {model!r}; only `pinhole` is known")
     model = sensor.get("distortion_model", "radial-tangential")
     if model not in ("radial-tangential", "equidistant"):
         raise DatasetError(
@@ -133,7 +134,7 @@ def _mounting(sensor: YamlFile) -> Floats:
 
 
 def _trajectory(mav: Path, camera: YamlFile | None) -> Trajectory:
-    """The path of the camera that is described, else of the body's sensor. Raises DatasetError."""
+    """The trajectory of `camera`; without one, that of the body's sensor. Raises DatasetError."""
     folder = mav / "state_groundtruth_estimate0"
     rows = read_rows(folder / "data.csv", "ground truth", 8, ",")
     times_s = increasing_times([row.seconds_from_ns(0) for row in rows], rows)

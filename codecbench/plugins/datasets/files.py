@@ -1,4 +1,4 @@
-"""Sequences whose frames are image files: reading them, and the digest of everything that they consist of."""
+"""Sequences of image files: reading frames, checking them, and the sequence's fingerprint."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 
 
 def read_image_file(file: Path) -> Image:
-    """The gray (H, W) or RGB (H, W, 3) picture in a file of 8 bits a sample; an alpha channel is left out.
+    """Read a gray (H, W) or RGB (H, W, 3) image with 8 bits per sample; an alpha channel is dropped.
 
-    EXIF orientation is not applied. Raises DatasetError for a file that is missing, cut short or of another kind.
+    EXIF orientation is not applied. Raises DatasetError if the file is missing, truncated or of another kind.
     """
     try:
         content = file.read_bytes()
@@ -48,14 +48,14 @@ def read_image_file(file: Path) -> Image:
 
 
 def frame_size(file: Path, number: int) -> tuple[int, int]:
-    """Width and height in pixels of frame `number` of a recording. Raises DatasetError as `read_image_file`."""
+    """Width and height in pixels of frame `number` of a recording. Raises DatasetError, see `read_image_file`."""
     with workaround(skip=[number]):
         height, width = read_image_file(file).shape[:2]
     return width, height
 
 
 def _header_size(file: Path) -> tuple[int, int] | None:
-    """Width and height as a file says without being decoded; None where that is not understood."""
+    """Width and height from a file's header, without decoding it; None if the header cannot be read."""
     try:
         with catch_warnings(action="ignore"), PillowImage.open(file) as picture:
             return picture.size
@@ -71,12 +71,12 @@ def _rgb_from_stored(stored: Any) -> Image:
 
 
 def json_digest(value: Any) -> str:
-    """Hex digest of a value of JSON types."""
+    """Hex SHA-256 of a value of JSON types."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def file_digest(file: Path) -> str:
-    """Hex digest of a file's bytes, remembered while its size and time of change stay. Raises DatasetError."""
+    """Hex SHA-256 of a file's bytes, cached until its size or modification time changes. Raises DatasetError."""
     try:
         status = file.stat()
         return _version_digest(file, status.st_size, status.st_mtime_ns)
@@ -85,37 +85,38 @@ def file_digest(file: Path) -> str:
 
 
 @cache
-def _version_digest(file: Path, size_bytes: int, mtime_ns: int) -> str:
+def _version_digest(file: Path, _size_bytes: int, _mtime_ns: int) -> str:
+    """Hex SHA-256 of a file; size and modification time are only keys of the cache."""
     with open(file, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a sequence of image files consists of, after selection.
-
-    numbers: of the files in the recording, as `skip` counts them; empty where its dataset has no `skip`. sizes_differ:
-    whether frames of several sizes are allowed. where: what to call the sequence in errors. uncalibrated: parameters
-    that open it without a camera which does not fit. origin: but for the sizes, which the sequence finds.
-    """
+    """What a sequence of image files consists of, after selection."""
 
     name: str
     where: str
+    """Name of the sequence in errors."""
     files: tuple[Path, ...]
     timestamps_s: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     frame_rate_hz: float
     numbers: Sequence[int] = ()
+    """Index of each file in the recording, as `skip` counts them; empty if the dataset has no `skip`."""
     camera: Camera | None = None
     uncalibrated: dict[str, Any] = field(default_factory=dict)
+    """Parameters that open the sequence without its camera, suggested if the calibration does not fit."""
     ground_truth: Trajectory | None = None
     color: Color = "as_is"
     sizes_differ: bool = False
+    """Whether frames of several sizes are allowed."""
     notes: tuple[str, ...] = ()
     origin: Origin = field(default_factory=Origin)
+    """Without `sizes`, which the sequence adds."""
 
 
 class FileSequence(FrameSequence):
-    """Frames read from one image file each. Opening reads the first, and checks that all are there."""
+    """Reads each frame from an image file. Opening reads the first and checks that all files exist."""
 
     def __init__(self, content: Content) -> None:
         self.name = content.name
@@ -134,7 +135,7 @@ class FileSequence(FrameSequence):
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
-        """Digest over the bytes of all frames, times, camera and ground truth; the first use reads every file."""
+        """Digest over the bytes of all frames, times, camera and ground truth; the first access reads every file."""
         return json_digest(
             {
                 "frames": [file_digest(file) for file in self._content.files],
@@ -145,12 +146,12 @@ class FileSequence(FrameSequence):
 
     @cached_property
     def origin(self) -> Origin:  # type: ignore[override]
-        """What it was opened from; where sizes may differ, the first use reads the head of every file."""
-        found = self._content.origin
+        """Where the frames come from; if sizes may differ, the first access reads the header of every file."""
+        origin = self._content.origin
         if not self._content.sizes_differ:
-            return found
+            return origin
         sizes = sorted({size for file in self._content.files if (size := _header_size(file)) is not None})
-        return replace(found, sizes=tuple(sizes)) if len(sizes) > 1 else found
+        return replace(origin, sizes=tuple(sizes)) if len(sizes) > 1 else origin
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
@@ -201,18 +202,18 @@ def _check_files_exist(content: Content) -> None:
     missing = [index for index, file in enumerate(files) if not file.is_file()]
     if missing:
         more = f" (and {len(missing) - 1} more of {len(files)})" if len(missing) > 1 else ""
-        said = f"{files[missing[0]]}: frame is missing{more}; fetch or copy the sequence again"
-        raise DatasetError(said, _skip_params(content, missing) if 2 * len(missing) <= len(files) else {})
+        message = f"{files[missing[0]]}: frame is missing{more}; fetch or copy the sequence again"
+        raise DatasetError(message, _skip_params(content, missing) if 2 * len(missing) <= len(files) else {})
 
 
 def _skip_params(content: Content, indices: Sequence[int]) -> dict[str, Any]:
-    """The parameters that leave out these frames of the sequence, none where its dataset has no `skip`."""
+    """The parameters that skip these frames of the sequence; empty if its dataset has no `skip`."""
     return {"skip": [content.numbers[index] for index in indices]} if len(content.numbers) else {}
 
 
 def jpeg_notes(content: bytes) -> tuple[str, ...]:
-    """What is to be said of pictures like the one in this file: nothing where it is no JPEG file."""
+    """Notes on a sequence whose first file has this content: one that its frames were JPEG files, or none."""
     if not content.startswith(_JPEG_START):
         return ()
-    coded = quality_from_jpeg(content) or "JPEG"
-    return (f"its frames are decoded {coded}: raw is what that left of them, and JPEG is at an advantage",)
+    coding = quality_from_jpeg(content) or "JPEG"
+    return (f"its frames are decoded {coding}: raw is what that left of them, and JPEG is at an advantage",)

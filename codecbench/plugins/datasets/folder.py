@@ -1,4 +1,4 @@
-"""The dataset `folder`: any pictures, in the order of their names."""
+"""The dataset `folder`: any image files, in the order of their names."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Folder(Dataset[FolderParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        there = path.is_dir() and any(file.suffix.lower() in EXTENSIONS for file in path.iterdir())
-        return {"path": str(path)} if there else None
+        has_images = path.is_dir() and any(file.suffix.lower() in EXTENSIONS for file in path.iterdir())
+        return {"path": str(path)} if has_images else None
 
     def open(self) -> FrameSequence:
         params = self.params
         folder = params.folder("image files")
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
-        found = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
+        known = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
@@ -47,17 +47,17 @@ class Folder(Dataset[FolderParams]):
             numbers=chosen,
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,
-            camera=found.camera,
+            camera=known.camera,
             color=params.color,
             sizes_differ=True,
-            notes=(*params.subset_notes(len(files)), *found.notes),
-            origin=Origin("folder of pictures", found.source),
+            notes=(*params.subset_notes(len(files)), *known.notes),
+            origin=Origin("folder of pictures", known.source),
         )
         return params.as_asked(FileSequence(content))
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The image files of a folder in natural order. Raises DatasetError where there are none."""
+    """The image files of a folder in natural order. Raises DatasetError if there are none."""
     try:
         names = [file for file in folder.iterdir() if not file.name.startswith(".")]
     except OSError as error:
@@ -69,6 +69,6 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def natural_key(file: Path) -> tuple[list[tuple[int, int | str]], str]:
-    """Sorts names so that numbers in them count as numbers."""
+    """Sort key of natural order: numbers in names compare as numbers."""
     parts = re.split(r"([0-9]+)", file.name.lower())
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts], file.name

@@ -36,7 +36,7 @@ class Kitti(Dataset[KittiParams]):
     """Rectified frames of one camera, with the poses of that camera.
 
     Source: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving?", CVPR 2012, and the development
-    kit's readme. Poses are given for camera 0 and moved to the camera in use by its projection matrix.
+    kit's readme. The poses are those of camera 0; the projection matrix moves them to the camera in use.
     """
 
     name: ClassVar[str] = "kitti"
@@ -45,19 +45,14 @@ class Kitti(Dataset[KittiParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        """The folder with sequences/ and poses/, whose first sequence is meant, or one of its sequences."""
-        sequence_folder = (
-            path.resolve() if (path / "times.txt").is_file() and path.resolve().parent.name == "sequences" else None
-        )
-        root = (
-            sequence_folder.parent.parent
-            if sequence_folder
-            else path / "dataset"
-            if (path / "dataset").is_dir()
-            else path
-        )
-        folders = [sequence_folder] if sequence_folder else sorted(root.glob("sequences/[0-9][0-9]"))
-        cameras = [found for found in get_args(_Camera) if folders and (folders[0] / found).is_dir()]
+        """Recognize one sequence's folder, or the folder of sequences/ and poses/, whose first sequence is taken."""
+        resolved = path.resolve()
+        if (path / "times.txt").is_file() and resolved.parent.name == "sequences":
+            root, folders = resolved.parent.parent, [resolved]
+        else:
+            root = path / "dataset" if (path / "dataset").is_dir() else path
+            folders = sorted(root.glob("sequences/[0-9][0-9]"))
+        cameras = [name for name in get_args(_Camera) if folders and (folders[0] / name).is_dir()]
         if not cameras:
             return None
         sequence = folders[0].name
@@ -77,12 +72,12 @@ class Kitti(Dataset[KittiParams]):
         chosen = params.indices(len(rows), str(folder / "times.txt"))
         files = tuple(folder / params.camera / f"{index:06d}.png" for index in chosen)
         with workaround(calibration="none"):
-            found, projection = _camera(params, folder, lambda: frame_size(files[0], chosen[0]))
+            known, projection = _camera(params, folder, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
             with workaround(ground_truth=False):
                 truth = _trajectory(root / "poses" / f"{params.sequence}.txt", times_s, projection)
-        unmoved = () if truth is None or projection is not None else (_CAMERA_0_POSES_NOTE,)
+        pose_notes = () if truth is None or projection is not None else (_CAMERA_0_POSES_NOTE,)
         content = Content(
             name=f"kitti_{params.sequence}",
             where=str(folder),
@@ -90,17 +85,17 @@ class Kitti(Dataset[KittiParams]):
             numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=rate_hz(times_s, 10.0) / params.stride,
-            camera=found.camera,
+            camera=known.camera,
             ground_truth=truth,
             color=params.color,
-            notes=(*params.subset_notes(len(rows)), *found.notes, *unmoved),
-            origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", found.source),
+            notes=(*params.subset_notes(len(rows)), *known.notes, *pose_notes),
+            origin=Origin(f"KITTI odometry, sequence {params.sequence}, {params.camera}", known.source),
         )
         return params.as_asked(FileSequence(content))
 
 
 def read_projection(file: Path, name: str) -> Floats:
-    """The projection matrix (3, 4) in the row `name:` of a calibration file. Raises DatasetError."""
+    """Read the projection matrix (3, 4) in the row `name:` of a calibration file. Raises DatasetError."""
     for row in read_rows(file, "calibration", 1, remedy="`fov_deg` makes an ideal camera instead"):
         if row.fields[0] == f"{name}:":
             numbers = row.numbers(1)
@@ -116,9 +111,9 @@ def read_projection(file: Path, name: str) -> Floats:
 def _camera(
     params: KittiParams, folder: Path, size: Callable[[], tuple[int, int]]
 ) -> tuple[KnownCamera, Floats | None]:
-    """The camera and its projection matrix; None of a sequence without calibration, if that was said or fov_deg is.
+    """The camera and its projection matrix, None if `calibration` is `none` or `fov_deg` replaces a missing file.
 
-    KITTI's files do not give the frames' size: the first frame does.
+    size: KITTI's files do not give the frames' size, so it is read from the first frame.
     """
     file = folder / "calib.txt"
     if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
@@ -129,7 +124,7 @@ def _camera(
 
 
 def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Trajectory:
-    """Poses of the camera with this projection, else of camera 0, one a frame, from lines of 12 numbers for that."""
+    """Read camera 0's poses, one line of 12 numbers per frame; `projection` moves them to its camera."""
     rows = read_rows(file, "ground truth", 12, exact=True)
     if len(rows) != len(times_s):
         raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both have one row a frame")

@@ -1,4 +1,4 @@
-"""Which frames of a sequence are used, and as what: parameters that all datasets share."""
+"""Parameters that all datasets share: which frames are used, how they are converted, and the camera."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
 from codecbench.core.contracts.sequence import Camera, FrameSequence
+from codecbench.plugins.datasets import catalog
 from codecbench.plugins.datasets.adapted import MiscalibratedSequence, ScaledSequence
 from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
 
@@ -23,10 +24,10 @@ Color = Literal["as_is", "rgb", "gray"]
 
 
 class Selection(Params):
-    """Frames start, start + stride, ... before stop, counted from 0, but for those to skip; without stop, to the last.
+    """Selects frames start, start + stride, ... before stop (default: to the last), except those in skip.
 
-    color: `as_is` gives gray files 1 channel and colour files 3; `rgb` and `gray` convert. scale: of the frames' width
-    and height; the camera's lengths in pixels are scaled with them. calibration_error: see `MiscalibratedSequence`.
+    color: `as_is` gives gray files 1 channel and color files 3; `rgb` and `gray` convert. scale: factor on the frames'
+    width and height and on the camera's lengths in pixels. calibration_error: see `MiscalibratedSequence`.
     """
 
     start: Annotated[int, Field(ge=0, description="first frame, counted from 0")] = 0
@@ -45,7 +46,7 @@ class Selection(Params):
     ] = 0.0
 
     def indices(self, count: int, where: str) -> Sequence[int]:
-        """The selected frames of `count`. Raises DatasetError, naming `where`, for a selection that is not there."""
+        """Indices of the selected frames of `count`. Raises DatasetError, naming `where`, if they do not exist."""
         stop = count if self.stop is None else self.stop
         if stop > count:
             raise DatasetError(f"{where}: stop is {stop}, but there are {count} frames; leave it out to use them all")
@@ -61,7 +62,7 @@ class Selection(Params):
         return chosen
 
     def subset_notes(self, count: int) -> tuple[str, ...]:
-        """What is to be said of a recording of `count` frames of which only some are used."""
+        """Notes on which of a recording's `count` frames are used; none if all are."""
         chosen = self.indices(count, "")
         if len(chosen) == count:
             return ()
@@ -73,9 +74,9 @@ class Selection(Params):
         return (f"{len(chosen):,} of {count:,} frames are used, {span}",)
 
     def as_asked(self, sequence: FrameSequence) -> FrameSequence:
-        """The sequence with frames of the size that `scale` asks for and a camera wrong by `calibration_error`.
+        """Apply `scale` and `calibration_error` to a sequence.
 
-        Raises DatasetError for a size out of bounds, and for a calibration error without a camera.
+        Raises DatasetError if the scaled size is out of bounds, or if there is no camera for a calibration error.
         """
         sized = sequence if self.scale == 1.0 else ScaledSequence(sequence, self.scale)
         return MiscalibratedSequence(sized, self.calibration_error) if self.calibration_error else sized
@@ -83,7 +84,7 @@ class Selection(Params):
 
 @contextmanager
 def workaround(**params: Any) -> Iterator[None]:
-    """What is wrong inside costs itself: an error says that these parameters open the rest, if it says no others."""
+    """Add these parameters to a DatasetError raised inside, as a way to open the rest, unless it names others."""
     try:
         yield
     except DatasetError as error:
@@ -93,15 +94,16 @@ def workaround(**params: Any) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class KnownCamera:
-    """A camera or None, what it was taken from, and what is to be said of it."""
+    """A camera or None, with its source and notes on it."""
 
     camera: Camera | None = None
     source: str = ""
+    """File or topic that the camera was read from."""
     notes: tuple[str, ...] = ()
 
 
 class FieldOfView(Params):
-    """An ideal camera for recordings that bring none."""
+    """Parameter of an ideal camera, for recordings without calibration."""
 
     fov_deg: Annotated[
         float | None,
@@ -109,9 +111,9 @@ class FieldOfView(Params):
     ] = None
 
     def or_ideal_camera(self, known: KnownCamera, frame_size: Callable[[], tuple[int, int]]) -> KnownCamera:
-        """The camera that is `known`, else the ideal one if its field of view was given.
+        """The `known` camera if there is one, else the ideal camera if `fov_deg` was given.
 
-        frame_size: width and height of the frames in pixels, asked for if they are needed.
+        frame_size: returns width and height of the frames in pixels; called only if needed.
         """
         if self.fov_deg is None:
             return known
@@ -124,7 +126,7 @@ class FieldOfView(Params):
 
 
 class RecordedCamera(FieldOfView):
-    """The camera of recordings that bring a file of their own for it."""
+    """Camera parameters of recordings that include a calibration."""
 
     calibration: Annotated[
         Literal["auto", "none"], Field(description="auto: the recording's own; none: it is not read")
@@ -132,7 +134,7 @@ class RecordedCamera(FieldOfView):
 
 
 class GivenCamera(FieldOfView):
-    """The camera of recordings that bring none: from a calibration file, or an ideal one by its field of view."""
+    """Camera parameters of recordings without calibration: a calibration file, or an ideal camera's field of view."""
 
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
 
@@ -143,26 +145,26 @@ class GivenCamera(FieldOfView):
         return self
 
     def check_one_camera_source(self, camera: str) -> None:
-        """Raise ValueError where `camera`, which may be `auto` or `none`, and another parameter both say the camera."""
+        """Raise ValueError if both `camera` (other than `auto` or `none`) and another parameter set the camera."""
         if camera != "auto" and self.calibration is not None:
             raise ValueError("give `camera` or `calibration`, not both")
         if camera not in ("auto", "none") and self.fov_deg is not None:
             raise ValueError("give `camera` or `fov_deg`, not both")
 
     def given_camera(self, frame_size: Callable[[], tuple[int, int]]) -> KnownCamera:
-        """The camera, if one was given. Raises DatasetError for a wrong file."""
+        """The camera, if one was given. Raises DatasetError if its file is wrong."""
         known = KnownCamera() if self.calibration is None else read_camera_file(self.calibration)[0]
         return self.or_ideal_camera(known, frame_size)
 
 
 def read_camera_file(calibration: Path) -> tuple[KnownCamera, float | None]:
-    """The camera in a calibration file, and the frame rate if the file has one. Raises DatasetError."""
+    """Read the camera in a calibration file, and the frame rate if it has one. Raises DatasetError."""
     camera, fps = camera_from_file(calibration)
     return KnownCamera(camera, calibration.name), fps
 
 
 class FolderSelection(Selection):
-    """Selection from a folder on disk: one's own, or one that `codecbench data fetch` brought."""
+    """Selection from a folder on disk: the user's own, or one fetched by `codecbench data fetch`."""
 
     path: Annotated[PathParam | None, Field(description="folder of the sequence")] = None
     fetched: Annotated[str | None, Field(description="name of a dataset of `codecbench data list`, instead")] = None
@@ -174,9 +176,7 @@ class FolderSelection(Selection):
         return self
 
     def folder(self, holds: str) -> Path:
-        """The sequence's folder. Raises DatasetError where it is not there, saying what it `holds`."""
-        from codecbench.plugins.datasets import catalog
-
+        """The sequence's folder. Raises DatasetError if it is missing; the message names what it `holds`."""
         if self.path is None:
             return catalog.path(str(self.fetched))
         if not self.path.is_dir():
@@ -185,7 +185,7 @@ class FolderSelection(Selection):
 
 
 def convert_color(image: Image, color: Color) -> Image:
-    """The image with the channels that `color` asks for."""
+    """Convert an image to the channels of `color`."""
     if color == "gray":
         return gray_from_image(image)
     if color == "rgb" and channel_count(image) == 1:

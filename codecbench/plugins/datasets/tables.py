@@ -1,4 +1,4 @@
-"""Text files of numbers: rows with their line numbers, checked times, poses."""
+"""Tables of numbers in text files: rows with line numbers for errors, times and poses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Row:
         return f"{self.file}:{self.line}"
 
     def number(self, column: int) -> float:
-        """A field as a finite number. Raises DatasetError."""
+        """A field as a finite number. Raises DatasetError if it is none."""
         text = self.fields[column]
         try:
             value = float(text)
@@ -42,11 +42,11 @@ class Row:
         return value
 
     def numbers(self, first: int = 0) -> list[float]:
-        """The fields from `first` on as finite numbers. Raises DatasetError."""
+        """The fields from index `first` on as finite numbers. Raises DatasetError."""
         return [self.number(column) for column in range(first, len(self.fields))]
 
     def seconds_from_ns(self, column: int) -> float:
-        """A field that counts nanoseconds, in seconds. Raises DatasetError."""
+        """Convert a field in nanoseconds to seconds. Raises DatasetError."""
         text = self.fields[column]
         if not text.isascii() or not text.isdigit():
             raise DatasetError(f"{self.where}: field {column + 1} is {text!r}, which is not a whole number of ns")
@@ -54,7 +54,7 @@ class Row:
 
 
 def read_text(file: Path, what: str, remedy: str = "") -> str:
-    """The whole of a text file. Raises DatasetError, saying `what` is missing and the `remedy`."""
+    """Read a text file. Raises DatasetError; the message names `what` is missing and the `remedy`."""
     try:
         return file.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -68,9 +68,10 @@ def read_text(file: Path, what: str, remedy: str = "") -> str:
 def read_rows(
     file: Path, what: str, columns: int, separator: str | None = None, remedy: str = "", exact: bool = False
 ) -> list[Row]:
-    """The rows of a table of at least, or exactly, `columns` fields; empty lines and lines with # do not count.
+    """Read the rows of a table, skipping empty lines and lines that begin with #.
 
-    Raises DatasetError for a file without rows and for a row of another length.
+    A row has at least `columns` fields, or exactly that many if `exact`. Raises DatasetError if a row has another
+    length, or if there are no rows.
     """
     rows = list(_rows(file, read_text(file, what, remedy), separator))
     for row in rows:
@@ -89,7 +90,7 @@ def _rows(file: Path, text: str, separator: str | None) -> Iterator[Row]:
 
 
 def increasing_times(times_s: Sequence[float], rows: Sequence[Row]) -> Floats:
-    """The times as an array. Raises DatasetError at the first row whose time is not after the one before."""
+    """The times as an array. Raises DatasetError, naming the row, if a time is not after the one before."""
     for before, now, row in zip(times_s, times_s[1:], rows[1:], strict=False):
         if now <= before:
             kind = "repeats" if now == before else "is before"
@@ -103,9 +104,9 @@ def rate_hz(times_s: Floats, otherwise: float) -> float:
 
 
 def trajectory_from_quaternions(times_s: Floats, poses: Floats, order: str, rows: Sequence[Row]) -> Trajectory:
-    """Rigid transforms from rows (N, 7) of a position and a unit quaternion.
+    """Convert rows (N, 7) of a position and a unit quaternion to a trajectory.
 
-    order: `xyzw` or `wxyz`. Quaternions are normalised. Raises DatasetError where one is far from unit length.
+    order: `xyzw` or `wxyz`. Quaternions are normalized. Raises DatasetError if one is far from unit length.
     """
     quaternions = poses[:, 3:7] if order == "xyzw" else np.roll(poses[:, 3:7], -1, axis=1)
     ordered = np.column_stack([poses[:, :3], quaternions])
@@ -115,7 +116,7 @@ def trajectory_from_quaternions(times_s: Floats, poses: Floats, order: str, rows
 def transforms_from_quaternions(poses: Floats, where: Callable[[int], str]) -> Floats:
     """Rigid transforms (N, 4, 4) from rows (N, 7) of a position and a unit quaternion x, y, z, w.
 
-    Quaternions are normalised. Raises DatasetError, with `where` of the row, where one is far from unit length or a
+    Quaternions are normalized. Raises DatasetError, with `where` of the row, if one is far from unit length or a
     number is not finite.
     """
     norms = np.linalg.norm(poses[:, 3:], axis=1)
@@ -143,9 +144,9 @@ def _rotations(quaternions: Floats) -> Floats:
 
 
 def orthonormalize(transform: Floats, where: str) -> Floats:
-    """A transform (4, 4) whose rotation is one, made exactly orthonormal. Raises DatasetError.
+    """Replace the rotation of a transform (4, 4) by the nearest exact one (polar decomposition).
 
-    Files give a few decimals; the nearest rotation is taken (polar decomposition).
+    Files give only a few decimals. Raises DatasetError if the matrix is not close to a rotation.
     """
     left, sizes, right = np.linalg.svd(transform[:3, :3])
     if np.abs(sizes - 1.0).max() > 1e-2 or np.linalg.det(transform[:3, :3]) < 0:

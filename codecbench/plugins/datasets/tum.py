@@ -41,7 +41,7 @@ class TumParams(FolderSelection, GivenCamera):
 
 
 class Tum(Dataset[TumParams]):
-    """Frames listed in rgb.txt with their times; the camera's true path in groundtruth.txt with its own times.
+    """Frames and times listed in rgb.txt; the camera's ground truth in groundtruth.txt with its own times.
 
     Source: Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, and the
     benchmark's page on file formats.
@@ -55,9 +55,13 @@ class Tum(Dataset[TumParams]):
     def recognise(cls, path: Path) -> dict[str, Any] | None:
         if not (path / "rgb.txt").is_file():
             return None
-        known = (path / "calib.yaml").is_file() or _FOLDER_NAME.search(path.resolve().name)
+        camera = (path / "calib.yaml").is_file() or _FOLDER_NAME.search(path.resolve().name)
         truth = (path / "groundtruth.txt").is_file()
-        return {"path": str(path)} | ({} if known else {"camera": "none"}) | ({} if truth else {"ground_truth": False})
+        return (
+            {"path": str(path)}
+            | ({} if camera else {"camera": "none"})
+            | ({} if truth else {"ground_truth": False})
+        )
 
     def open(self) -> FrameSequence:
         params = self.params
@@ -66,10 +70,10 @@ class Tum(Dataset[TumParams]):
         times_s = increasing_times([row.number(0) for row in rows], rows)
         uncalibrated = {} if params.calibration else {"camera": "none"}
         with workaround(**uncalibrated):
-            known, fps = _known_camera(params, folder)
+            recorded, fps = _known_camera(params, folder)
         chosen = params.indices(len(rows), str(folder / "rgb.txt"))
         files = tuple(folder / rows[index].fields[1] for index in chosen)
-        found = params.or_ideal_camera(known, lambda: frame_size(files[0], chosen[0]))
+        known = params.or_ideal_camera(recorded, lambda: frame_size(files[0], chosen[0]))
         truth = None
         if params.ground_truth:
             with workaround(ground_truth=False):
@@ -81,18 +85,18 @@ class Tum(Dataset[TumParams]):
             numbers=chosen,
             timestamps_s=times_s[np.array(chosen)],
             frame_rate_hz=(fps or rate_hz(times_s, 30.0)) / params.stride,
-            camera=found.camera,
+            camera=known.camera,
             uncalibrated=uncalibrated,
             ground_truth=truth,
             color=params.color,
-            notes=(*params.subset_notes(len(rows)), *found.notes),
-            origin=Origin("TUM RGB-D folder", found.source),
+            notes=(*params.subset_notes(len(rows)), *known.notes),
+            origin=Origin("TUM RGB-D folder", known.source),
         )
         return params.as_asked(FileSequence(content))
 
 
 def read_tum_trajectory(file: Path) -> Trajectory:
-    """Poses from lines `time tx ty tz qx qy qz qw`: seconds, metres, world from camera. Raises DatasetError."""
+    """Read poses from lines `time tx ty tz qx qy qz qw`: seconds, meters, world from camera. Raises DatasetError."""
     rows = read_rows(file, "ground truth", 8, exact=True)
     table = np.array([row.numbers() for row in rows])
     times_s = increasing_times(table[:, 0].tolist(), rows)
@@ -100,7 +104,7 @@ def read_tum_trajectory(file: Path) -> Trajectory:
 
 
 def _known_camera(params: TumParams, folder: Path) -> tuple[KnownCamera, float | None]:
-    """The camera that is published or described, and the frame rate if the description has one."""
+    """The published or recorded camera, and the frame rate if its file has one."""
     if params.camera == "none":
         return KnownCamera(), None
     if params.camera != "auto":
@@ -110,12 +114,12 @@ def _known_camera(params: TumParams, folder: Path) -> tuple[KnownCamera, float |
         return read_camera_file(params.calibration)
     if beside.is_file():
         return read_camera_file(beside)
-    named = _FOLDER_NAME.search(folder.resolve().name)
-    if named is None and params.fov_deg is not None:
+    match = _FOLDER_NAME.search(folder.resolve().name)
+    if match is None and params.fov_deg is not None:
         return KnownCamera(), None
-    if named is None:
+    if match is None:
         raise DatasetError(
             f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "
             "give `camera`, `calibration`, `fov_deg`, or `camera: none`"
         )
-    return KnownCamera(FREIBURG[named[0]], f"the folder's name ({named[0]})"), None
+    return KnownCamera(FREIBURG[match[0]], f"the folder's name ({match[0]})"), None

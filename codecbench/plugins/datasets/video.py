@@ -27,13 +27,13 @@ _SAME_TIME_S = 1e-4
 _USUAL_RATE_HZ = 30.0
 _LOSSLESS = ("FFV1", "HFYU", "FFVH", "PNG", "MPNG", "I420", "IYUV", "RGBA", "BGR24", "RAW")
 _GRAY_FORMATS = (b"Y800", b"Y1\0\x0a", b"Y1\0\x0c", b"Y1\0\x10")
-"""What FFmpeg calls pictures without color, of 8, 10, 12 and 16 bits."""
+"""FFmpeg's codes of gray pixel formats with 8, 10, 12 and 16 bits."""
 _PICTURE_BRANDS = (b"heic", b"heix", b"mif1", b"avif")
-"""What a file that begins as MP4 says that it is, if it is a picture."""
+"""Brands of still image formats whose files begin like MP4."""
 _SAMPLED_FRAMES = 9
 _BOX_HEAD_BYTES = 8
 _LEAST_LOSS_S = 1.0
-"""A file that ends this much, and 2 %, before its own length is damaged: containers round."""
+"""A file is damaged if it ends earlier than its stated length by more than this plus 2 %; containers round."""
 
 
 class VideoParams(Selection, GivenCamera):
@@ -44,7 +44,7 @@ class VideoParams(Selection, GivenCamera):
 
 
 class Video(Dataset[VideoParams]):
-    """The frames of a video file, one channel where it is stored gray, else three; no ground truth."""
+    """The frames of a video file: one channel if it is stored gray, else three; no ground truth."""
 
     name: ClassVar[str] = "video"
     version: ClassVar[str] = "1"
@@ -53,7 +53,7 @@ class Video(Dataset[VideoParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        """A file that OpenCV opens, or that begins as MP4; single pictures, which it opens too, are no recording."""
+        """Recognize a file that OpenCV opens or that begins as MP4, except still images, which OpenCV opens too."""
         if path.suffix.lower() in EXTENSIONS or not path.is_file():
             return None
         known = _begins_as_mp4(path) or cv2.VideoCapture(str(path)).isOpened()
@@ -65,27 +65,29 @@ class Video(Dataset[VideoParams]):
 
 @dataclass(frozen=True)
 class _Index:
-    """What one pass over a file finds: presentation times in seconds, the nominal rate, the size, the codec.
-
-    gray: whether it is stored without color. lost: what is to be said of an end that cannot be decoded.
-    """
+    """What one pass over a file finds."""
 
     times_s: tuple[float, ...]
+    """Presentation times."""
     rate_hz: float
+    """Nominal frame rate."""
     width: int
     height: int
     coding: str
+    """Name of the codec."""
     is_gray: bool
+    """Whether the file is stored without color."""
     truncation: str
+    """A note on an end that cannot be decoded; empty if there is none."""
 
     @cached_property
     def has_times(self) -> bool:
-        """Whether the times increase from frame to frame; bare streams have none."""
+        """Whether the times increase from frame to frame; raw streams have no times."""
         return all(before < now for before, now in zip(self.times_s, self.times_s[1:], strict=False))
 
 
 class VideoSequence(FrameSequence):
-    """Decodes forward; a frame that is far ahead or behind is sought, and the jump is checked by its time."""
+    """Decodes forward; seeks a frame that is behind or far ahead, and checks the seek by the frame's time."""
 
     def __init__(self, params: VideoParams) -> None:
         self._params = params
@@ -105,16 +107,16 @@ class VideoSequence(FrameSequence):
         self.frame_rate_hz = rate_hz / params.stride
         self._color = "gray" if params.color == "as_is" and index.is_gray else params.color
         self.channels = 1 if self._color == "gray" else 3
-        camera = params.given_camera(lambda: (index.width, index.height))
-        self.camera = camera.camera
+        known = params.given_camera(lambda: (index.width, index.height))
+        self.camera = known.camera
         self.ground_truth = None
         self.notes = (
             *params.subset_notes(len(index.times_s)),
-            *camera.notes,
+            *known.notes,
             *([f"the file {index.truncation}"] if index.truncation else []),
         )
         coding = f"{index.coding} video".strip()
-        self._origin = Origin(coding, camera.source)
+        self._origin = Origin(coding, known.source)
         if index.coding.upper() not in _LOSSLESS:
             self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
@@ -125,7 +127,7 @@ class VideoSequence(FrameSequence):
 
     @cached_property
     def origin(self) -> Origin:  # type: ignore[override]
-        """What it was opened from; the first use looks whether frames in color show any."""
+        """Where the frames come from; the first access checks whether color frames show any color."""
         places = np.linspace(0, len(self) - 1, min(_SAMPLED_FRAMES, len(self))).astype(int).tolist()
         colored = self.channels == 1 or any(np.ptp(self.read(place).image, axis=2).any() for place in places)
         return self._origin if colored else replace(self._origin, params={"color": "gray"})
@@ -157,7 +159,7 @@ class VideoSequence(FrameSequence):
         return np.asarray(cv2.cvtColor(stored, code), dtype=np.uint8)
 
     def _at(self, source: int) -> cv2.VideoCapture:
-        """The file, about to decode frame `source`."""
+        """The open file, positioned to decode frame `source` next."""
         capture = self._capture
         if capture is not None and not self._next <= source <= self._next + _SKIP_AT_MOST:
             capture = self._jump(capture, source)
@@ -170,7 +172,7 @@ class VideoSequence(FrameSequence):
         return capture
 
     def _jump(self, capture: cv2.VideoCapture, source: int) -> cv2.VideoCapture | None:
-        """The capture after a jump to the frame before `source`, or None where it does not land exactly there."""
+        """Seek to frame `source`, by way of the one before it; None if the seek does not land there."""
         if (
             source == 0
             or not self._index.has_times
@@ -185,7 +187,7 @@ class VideoSequence(FrameSequence):
 
 
 def index_video(file: Path) -> _Index:
-    """Decode a file once to learn its frames' times; remembered while the file stays. Raises DatasetError."""
+    """Decode a file once for its frames' times; cached until the file changes. Raises DatasetError."""
     try:
         status = file.stat()
     except OSError as error:
@@ -194,7 +196,8 @@ def index_video(file: Path) -> _Index:
 
 
 @cache
-def _index_version(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
+def _index_version(file: Path, _size_bytes: int, _mtime_ns: int) -> _Index:
+    """Index a file; size and modification time are only keys of the cache."""
     capture = _open_capture(file)
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
     if not 0.0 < rate_hz < 1e5:
@@ -214,8 +217,8 @@ def _index_version(file: Path, size_bytes: int, mtime_ns: int) -> _Index:
     length_s, declared_s = times_s[-1] - times_s[0], declared_frames / rate_hz
     if not index.has_times or length_s >= 0.98 * declared_s - _LEAST_LOSS_S:
         return index
-    said = f"{length_s:.1f} s of {declared_s:.1f} s can be decoded, {len(times_s):,} frames"
-    return replace(index, truncation=f"is cut short: {said}")
+    decodable = f"{length_s:.1f} s of {declared_s:.1f} s can be decoded, {len(times_s):,} frames"
+    return replace(index, truncation=f"is cut short: {decodable}")
 
 
 def _open_capture(file: Path) -> cv2.VideoCapture:
@@ -231,6 +234,7 @@ def _open_capture(file: Path) -> cv2.VideoCapture:
 
 
 def _begins_as_mp4(file: Path) -> bool:
+    """Whether a file begins with an `ftyp` box that is not a still image's."""
     with suppress(OSError), open(file, "rb") as stream:
         head = stream.read(_BOX_HEAD_BYTES + 4)
         return head[4:8] == b"ftyp" and head[8:] not in _PICTURE_BRANDS
@@ -238,18 +242,18 @@ def _begins_as_mp4(file: Path) -> bool:
 
 
 def _has_index(file: Path) -> bool:
-    """Whether a box `moov` is among those of an MP4 or MOV file: each has its size in 4 bytes, then its name."""
+    """Whether an MP4 or MOV file has a `moov` box. A box begins with its size in 4 bytes, then its name."""
     end = file.stat().st_size
     with open(file, "rb") as stream:
         start = 0
         while start + _BOX_HEAD_BYTES <= end:
             stream.seek(start)
             size, name = struct.unpack(">I4s", stream.read(_BOX_HEAD_BYTES))
-            if size == 1:  # then the size is in the 8 bytes that follow
+            if size == 1:  # the size is in the next 8 bytes
                 size = int.from_bytes(stream.read(8))
             if name == b"moov" and start + size <= end:
                 return True
-            if size < _BOX_HEAD_BYTES:  # 0: up to the end of the file
+            if size < _BOX_HEAD_BYTES:  # 0: the box extends to the end of the file
                 return False
             start += size
     return False

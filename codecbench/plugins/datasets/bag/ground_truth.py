@@ -211,10 +211,10 @@ def _transform_topics(recording: Recording) -> list[Topic]:
 def _find_topic(recording: Recording, name: str) -> Topic:
     topic = recording.topics.get(name)
     if topic is None or not len(topic) or topic.type not in (*POSE_TYPES, *TRANSFORMS):
-        candidates = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
+        names = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
         what = "is not there" if topic is None else f"holds {len(topic)} messages of {topic.type}"
         raise DatasetError(
-            f"{recording.path}: ground_truth {name!r} {what}; topics of poses: {', '.join(candidates) or 'none'}; {_REMEDY}"
+            f"{recording.path}: ground_truth {name!r} {what}; topics of poses: {', '.join(names) or 'none'}; {_REMEDY}"
         )
     return topic
 
