@@ -57,11 +57,7 @@ class Tum(Dataset[TumParams]):
             return None
         camera = (path / "calib.yaml").is_file() or _FOLDER_NAME.search(path.resolve().name)
         truth = (path / "groundtruth.txt").is_file()
-        return (
-            {"path": str(path)}
-            | ({} if camera else {"camera": "none"})
-            | ({} if truth else {"ground_truth": False})
-        )
+        return {"path": str(path)} | ({} if camera else {"camera": "none"}) | ({} if truth else {"ground_truth": False})
 
     def open(self) -> FrameSequence:
         params = self.params

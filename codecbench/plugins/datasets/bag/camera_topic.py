@@ -1,4 +1,4 @@
-"""The camera from sensor_msgs/CameraInfo."""
+"""Cameras from sensor_msgs/CameraInfo messages."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from codecbench.plugins.datasets.calibration import camera_from_model
 
 _REMEDY = "give `calibration: FILE`, or `camera: none` to go without"
 _FISHEYE = ("equidistant", "fisheye")
-_FEWEST = {"plumb_bob": 4, "rational_polynomial": 5, **dict.fromkeys(_FISHEYE, 4)}
+_FEWEST_COEFFICIENTS = {"plumb_bob": 4, "rational_polynomial": 5, **dict.fromkeys(_FISHEYE, 4)}
 
 
 def camera_topic(recording: Recording, images: Topic) -> Topic | None:
-    """The `camera_info` beside a topic of images, else the only topic of that type, else None."""
+    """The `camera_info` topic beside a topic of images, else the only topic of that type, else None."""
     topics = {name: topic for name, topic in recording.topics.items() if topic.type == CAMERA_INFO and len(topic)}
     parent = images.name
     while "/" in parent:
@@ -28,10 +28,10 @@ def camera_topic(recording: Recording, images: Topic) -> Topic | None:
 
 
 def camera_from_topic(recording: Recording, topic: Topic, images: Topic) -> Camera | None:
-    """The camera that the first message describes; None for one that was never calibrated (focal length 0).
+    """The camera in the first message; None if it was never calibrated (focal length 0).
 
-    Pictures of a topic named `image_rect...` are rectified: their camera is the projection matrix, without distortion.
-    Raises DatasetError for a model of distortion that is not known.
+    Images of a topic named `image_rect...` are rectified: their camera is the projection matrix, without distortion.
+    Raises DatasetError if the distortion model is unknown.
     """
     info, where = recording.message(topic, 0), recording.where(topic, 0)
     matrix, projection, distortion = (
@@ -58,10 +58,11 @@ def camera_from_topic(recording: Recording, topic: Topic, images: Topic) -> Came
 
 
 def _distorted_camera(sizes: Any, model: str, distortion: list[float], where: str) -> Camera:
-    known = ", ".join(_FEWEST)
-    if model not in _FEWEST or len(distortion) < _FEWEST[model]:
+    """A camera with a distortion model. Raises DatasetError if it is unknown or lacks coefficients."""
+    models = ", ".join(_FEWEST_COEFFICIENTS)
+    if model not in _FEWEST_COEFFICIENTS or len(distortion) < _FEWEST_COEFFICIENTS[model]:
         raise DatasetError(
-            f"{where}: distortion model {model[:40]!r} with {len(distortion)} numbers; known are {known}; {_REMEDY}"
+            f"{where}: distortion model {model[:40]!r} with {len(distortion)} numbers; known are {models}; {_REMEDY}"
         )
     if model in _FISHEYE:
         return camera_from_model("equidistant", sizes[:2], sizes[2:], distortion[:4])

@@ -75,7 +75,7 @@ class BagParams(Selection, GivenCamera):
 
 
 class Bag(Dataset[BagParams]):
-    """Frames of one topic in the order of their times, with the camera and the poses that the recording has."""
+    """Frames of one topic in the order of their times, with the recording's camera and poses."""
 
     name: ClassVar[str] = "bag"
     version: ClassVar[str] = "1"
@@ -83,7 +83,7 @@ class Bag(Dataset[BagParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        """A file whose name says that it is a bag, or a folder that holds such files of ROS 2."""
+        """Recognize a file with a bag's suffix, or a folder that holds such files of ROS 2."""
         return {"path": str(path)} if has_bag_name(path) else None
 
     def open(self) -> FrameSequence:
@@ -91,13 +91,13 @@ class Bag(Dataset[BagParams]):
 
 
 class BagSequence(FrameSequence):
-    """Reads a message a frame. Opening reads all messages of the pictures, the camera and the poses once."""
+    """Reads one message per frame. Opening reads all messages of the images, the camera and the poses once."""
 
     def __init__(self, params: BagParams) -> None:
         self._params = params
         self._recording = open_recording(params.path)
         self._topic = image_topic(self._recording, params.topic)
-        times_ns, numbers, said = _sort_messages(self._recording, self._topic, params.time)
+        times_ns, numbers, order_notes = _sort_messages(self._recording, self._topic, params.time)
         self._chosen = params.indices(len(numbers), f"{params.path} {self._topic.name}")
         chosen = np.array(self._chosen)
         self._numbers = numbers[chosen]
@@ -109,29 +109,35 @@ class BagSequence(FrameSequence):
         self._size = image.shape[1::-1]
         uncalibrated = {} if params.calibration else {"camera": "none"}
         with workaround(**uncalibrated):
-            found = params.or_ideal_camera(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
-        self.camera = found.camera
+            known = params.or_ideal_camera(self._known_camera(), lambda: (image.shape[1], image.shape[0]))
+        self.camera = known.camera
         frame = frame_name(first.header.frame_id)
         pose_source = PoseSource(params.ground_truth, params.parent_frame, params.child_frame, frame)
         with workaround(ground_truth="none"):
-            self.ground_truth, of_truth = find_ground_truth(self._recording, pose_source)
+            self.ground_truth, truth_notes = find_ground_truth(self._recording, pose_source)
         compressed = self._topic.type == COMPRESSED
         largest = None if compressed else self._largest_sample()
-        of_picture = compressed_notes(first) if compressed else image_notes(first, params.bits, largest)
+        format_notes = compressed_notes(first) if compressed else image_notes(first, params.bits, largest)
         self.origin = Origin(
             f"{self._recording.kind}, topic {self._topic.name}",
-            found.source,
+            known.source,
             params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
         )
-        part = params.subset_notes(len(numbers))
-        self.notes = (*self._recording.remarks, describe_topic(self._recording, self._topic), *part, *of_picture, *said)
-        self.notes += (*found.notes, *of_truth)
+        subset_notes = params.subset_notes(len(numbers))
+        self.notes = (
+            *self._recording.remarks,
+            describe_topic(self._recording, self._topic),
+            *subset_notes,
+            *format_notes,
+            *order_notes,
+        )
+        self.notes += (*known.notes, *truth_notes)
         with workaround(**uncalibrated):
             self._check(image, int(self._numbers[0]))
 
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
-        """Digest over the messages of all frames, times, camera and ground truth; the first use reads every frame."""
+        """Digest over the messages of all frames, times, camera and ground truth; the first access reads them all."""
         messages = (self._recording.raw(self._topic, number) for number in self._numbers.tolist())
         return json_digest(
             {
@@ -151,7 +157,7 @@ class BagSequence(FrameSequence):
         return Frame(index, float(self.timestamps_s[index]), image)
 
     def _picture(self, index: int) -> tuple[Image, Any]:
-        """A frame and its message."""
+        """Read a frame and its message."""
         picture = picture_from_compressed if self._topic.type == COMPRESSED else picture_from_image
         number = int(self._numbers[index])
         with workaround(skip=[self._chosen[index]]):
@@ -160,18 +166,19 @@ class BagSequence(FrameSequence):
         return convert_color(image, self._params.color), message
 
     def _largest_sample(self) -> int | None:
-        """The largest sample of a few frames over the whole, of pictures of 16 bits."""
-        found: list[int] = []
+        """The largest sample of a few frames spread over the sequence; None if they do not have 16 bits."""
+        samples: list[int] = []
         places = np.unique(np.linspace(0, len(self._numbers) - 1, _SAMPLED_FRAMES).astype(int))
         for number in self._numbers[places].tolist():
-            with suppress(DatasetError):  # a damaged frame is an error when it is read
+            with suppress(DatasetError):  # reading a damaged frame raises its error later
                 largest = largest_sample(self._recording.message(self._topic, number))
                 if largest is None:
                     return None
-                found.append(largest)
-        return max(found, default=None)
+                samples.append(largest)
+        return max(samples, default=None)
 
     def _known_camera(self) -> KnownCamera:
+        """The camera from the calibration file or a topic. Raises DatasetError."""
         params = self._params
         if params.calibration is not None:
             return read_camera_file(params.calibration)[0]
@@ -191,8 +198,8 @@ class BagSequence(FrameSequence):
             return KnownCamera(
                 notes=(f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)",)
             )
-        said = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {describe_lens(camera)}"
-        return KnownCamera(camera, "camera_info", (said,))
+        summary = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {describe_lens(camera)}"
+        return KnownCamera(camera, "camera_info", (summary,))
 
     def _check(self, image: Image, number: int) -> None:
         where = self._recording.where(self._topic, number)
@@ -207,38 +214,40 @@ class BagSequence(FrameSequence):
             )
 
 
-def image_topic(found: Recording, name: str | None) -> Topic:
-    """The topic of that name, else the only topic of pictures. Raises DatasetError, which lists what there is."""
-    images = {topic.name: topic for topic in found.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)}
+def image_topic(recording: Recording, name: str | None) -> Topic:
+    """The topic called `name`, else the only topic of images. Raises DatasetError, which lists the topics."""
+    images = {
+        topic.name: topic for topic in recording.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)
+    }
     if name is not None and name in images:
         return images[name]
-    readable = {name: topic for name, topic in images.items() if _may_be_supported(found, topic)}
+    readable = {name: topic for name, topic in images.items() if _may_be_supported(recording, topic)}
     if name is None and len(readable or images) == 1:
         return next(iter((readable or images).values()))
     if not images:
-        topics = list(found.topics.values())[:_MOST_LISTED]
+        topics = list(recording.topics.values())[:_MOST_LISTED]
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
-        raise DatasetError(f"{found.path}: holds no pictures; topics: {listed or 'none'}")
+        raise DatasetError(f"{recording.path}: holds no pictures; topics: {listed or 'none'}")
     images = readable or images
-    listed = "".join(f"\n  {describe_topic(found, topic)}" for topic in list(images.values())[:_MOST_LISTED])
+    listed = "".join(f"\n  {describe_topic(recording, topic)}" for topic in list(images.values())[:_MOST_LISTED])
     what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
-    raise DatasetError(f"{found.path}: {what}; choose one with `topic`:{listed}")
+    raise DatasetError(f"{recording.path}: {what}; choose one with `topic`:{listed}")
 
 
-def _may_be_supported(found: Recording, topic: Topic) -> bool:
-    """Whether the encoding of a topic's first picture is one that is read; a damaged one may be."""
+def _may_be_supported(recording: Recording, topic: Topic) -> bool:
+    """Whether the encoding of a topic's first image is supported; True if that message is damaged."""
     try:
-        return is_supported(found.message(topic, 0))
+        return is_supported(recording.message(topic, 0))
     except DatasetError:
         return True
 
 
-def describe_topic(found: Recording, topic: Topic) -> str:
-    """A topic of pictures in words: its name, type, size and count."""
+def describe_topic(recording: Recording, topic: Topic) -> str:
+    """Describe a topic of images: its name, count, type and size."""
     try:
-        message = found.message(topic, 0)
+        message = recording.message(topic, 0)
         if topic.type == COMPRESSED:
-            height, width = picture_from_compressed(message, 16, found.where(topic, 0)).shape[:2]
+            height, width = picture_from_compressed(message, 16, recording.where(topic, 0)).shape[:2]
             kind = message.format.strip()[:40]
         else:
             width, height, kind = message.width, message.height, message.encoding[:40]
@@ -248,27 +257,28 @@ def describe_topic(found: Recording, topic: Topic) -> str:
     return f"{topic.name}: {len(topic)} of {topic.type}, {size}"
 
 
-def _find_camera_topic(found: Recording, name: str) -> Topic:
-    topic = found.topics.get(name)
+def _find_camera_topic(recording: Recording, name: str) -> Topic:
+    """The CameraInfo topic called `name`. Raises DatasetError."""
+    topic = recording.topics.get(name)
     if topic is None or topic.type != CAMERA_INFO or not len(topic):
-        known = [topic.name for topic in found.topics.values() if topic.type == CAMERA_INFO]
-        raise DatasetError(f"{found.path}: camera {name!r} is no topic of {CAMERA_INFO}; these are: {known}")
+        names = [topic.name for topic in recording.topics.values() if topic.type == CAMERA_INFO]
+        raise DatasetError(f"{recording.path}: camera {name!r} is no topic of {CAMERA_INFO}; these are: {names}")
     return topic
 
 
-def _sort_messages(found: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
-    """Times in ns, strictly increasing, the numbers of their messages, and what has to be said of both."""
-    (times_ns, headers_ns, damage), said = found.index(topic), []
+def _sort_messages(recording: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
+    """Strictly increasing times in ns, the numbers of their messages, and notes on both."""
+    (times_ns, headers_ns, damage), notes = recording.index(topic), []
     if damage is not None:
-        said.append(f"only {len(times_ns)} of {len(topic)} frames are read, up to the damage: {damage}")
+        notes.append(f"only {len(times_ns)} of {len(topic)} frames are read, up to the damage: {damage}")
     if time == "header":
         if headers_ns.min() <= 0:
-            said.append("times are those of the recording, because headers have none")
+            notes.append("times are those of the recording, because headers have none")
         else:
             times_ns = headers_ns
     unique_ns, numbers = np.unique(times_ns, return_index=True)
     if (repeated := len(times_ns) - len(unique_ns)) > 0:
-        said.append(f"{repeated} frames are left out because they repeat the time of another")
+        notes.append(f"{repeated} frames are left out because they repeat the time of another")
     if (np.diff(times_ns) < 0).any():
-        said.append("frames are in the order of their times, which is not that of the recording")
-    return unique_ns, numbers.astype(np.int64), said
+        notes.append("frames are in the order of their times, which is not that of the recording")
+    return unique_ns, numbers.astype(np.int64), notes

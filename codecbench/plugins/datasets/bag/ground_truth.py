@@ -23,15 +23,16 @@ _STATIC: Final = "tf_static"
 
 @dataclass
 class Edge:
-    """The transforms parent_from_child of one frame: times in ns, and positions with quaternions x, y, z, w."""
+    """The transforms parent_from_child of one frame."""
 
     parent: str
     is_static: bool
     times_ns: array[int] = field(default_factory=lambda: array("q"))
     numbers: array[float] = field(default_factory=lambda: array("d"))
+    """Seven per time: position, then quaternion x, y, z, w."""
 
     def trajectory(self, where: str) -> Trajectory:
-        """The transforms in the order of their times, the first of those at one time. Raises DatasetError."""
+        """The transforms sorted by time; the first of several at one time counts. Raises DatasetError."""
         times_ns, first = np.unique(np.frombuffer(self.times_ns, np.int64), return_index=True)
         poses = np.frombuffer(self.numbers, np.float64).reshape(-1, _NUMBERS)[first]
         return Trajectory(
@@ -39,15 +40,15 @@ class Edge:
         )
 
     def constant(self, where: str) -> Floats:
-        """The transform (4, 4) of a static edge: the last that was told."""
+        """The transform (4, 4) of a static edge: the latest one."""
         return np.asarray(self.trajectory(where).world_from_camera[-1])
 
 
 class FrameTree:
-    """Which frame hangs on which, by the transforms of a recording."""
+    """The tree of coordinate frames, from the transforms of a recording."""
 
     def __init__(self, recording: Recording, moving: Topic | None) -> None:
-        """moving: the topic of transforms that change, if they are wanted. Raises DatasetError."""
+        """Read static transforms, and those of the topic `moving` if given. Raises DatasetError."""
         self.edges: dict[str, Edge] = {}
         self._where = str(recording.path)
         for topic in recording.topics.values():
@@ -58,15 +59,15 @@ class FrameTree:
                         self._add(transform, is_static)
 
     def static_between(self, parent: str, child: str) -> Floats | None:
-        """parent_from_child (4, 4) by static transforms alone, or None where they do not connect the two."""
+        """parent_from_child (4, 4) by static transforms alone, or None if they do not connect the two frames."""
         (root, root_from_parent), (other, root_from_child) = self._static_root(parent), self._static_root(child)
         return np.linalg.inv(root_from_parent) @ root_from_child if root == other else None
 
     def path(self, parent: str | None, child: str) -> tuple[str, Trajectory]:
-        """The name of the parent and parent_from_child over time; without a parent, from the top of the tree.
+        """The name of the parent, and parent_from_child over time; without a parent, that of the tree's root.
 
-        Times are those of the transform on the way that comes most often; between its own times a transform is
-        interpolated (linearly, rotations along the arc). Raises DatasetError where there is no way or nothing moves.
+        Times are those of the most frequent transform on the chain. The others are interpolated: positions linearly,
+        rotations along the arc. Raises DatasetError if no chain connects the frames or nothing moves.
         """
         chain = self._ancestors(parent, child)
         top = self.edges[chain[-1]].parent if chain else child
@@ -102,7 +103,7 @@ class FrameTree:
         edge.numbers.extend(pose_numbers(transform.transform.translation, transform.transform.rotation))
 
     def _ancestors(self, parent: str | None, child: str) -> list[str]:
-        """The frames from the child up to the one below the parent."""
+        """The chain of frames from the child up to the one below the parent. Raises DatasetError if there is none."""
         chain: list[str] = []
         frame = child
         while frame != parent and frame in self.edges and len(chain) < _DEEPEST:
@@ -115,6 +116,7 @@ class FrameTree:
         return chain
 
     def _static_root(self, frame: str) -> tuple[str, Floats]:
+        """The topmost frame that static transforms connect to `frame`, and root_from_frame (4, 4)."""
         whole = np.eye(4)
         for _ in range(_DEEPEST):
             edge = self.edges.get(frame)
@@ -132,8 +134,8 @@ class FrameTree:
 
 
 def interpolate_poses(path: Trajectory, times_s: Floats) -> Floats:
-    """Poses (N, 4, 4) of a path at times within it."""
-    from scipy.spatial.transform import Rotation, Slerp  # takes most of a second, and few bags need it
+    """Interpolate the poses (N, 4, 4) of a path at times within it."""
+    from scipy.spatial.transform import Rotation, Slerp  # takes most of a second to import, and few bags need it
 
     poses = np.tile(np.eye(4), (len(times_s), 1, 1))
     for axis in range(3):
@@ -147,17 +149,17 @@ def interpolate_poses(path: Trajectory, times_s: Floats) -> Floats:
 
 
 def pose_numbers(position: Any, rotation: Any) -> tuple[float, ...]:
-    """Position and quaternion of a message: x, y, z, qx, qy, qz, qw."""
+    """Position and quaternion of a message as x, y, z, qx, qy, qz, qw."""
     return (position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
 
 
 def stamp_ns(header: Any) -> int:
-    """The time of a message's header in ns."""
+    """The time in a message's header, in ns."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def frame_name(text: str) -> str:
-    """The name of a frame without the slash that ROS 1 allowed before it."""
+    """The name of a coordinate frame without the leading slash that ROS 1 allows."""
     return text.strip("\0").lstrip("/")
 
 
@@ -167,16 +169,18 @@ _REMEDY: Final = "`ground_truth: none` goes without"
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where the truth is asked for: a topic, `auto` or `none`; between which frames; and the frame of the pictures."""
+    """Which ground truth is requested."""
 
     topic: str
+    """Name of a topic, `auto` or `none`."""
     parent_frame: str | None
     child_frame: str | None
     camera_frame: str
+    """Coordinate frame of the images."""
 
 
 def find_ground_truth(recording: Recording, pose_source: PoseSource) -> tuple[Trajectory | None, list[str]]:
-    """The camera's poses over time, or None, and what has to be said of them. Raises DatasetError."""
+    """The camera's poses over time, or None, and notes on them. Raises DatasetError."""
     if pose_source.topic == "none":
         return None, []
     if pose_source.topic == "auto":
@@ -191,6 +195,7 @@ def find_ground_truth(recording: Recording, pose_source: PoseSource) -> tuple[Tr
 
 
 def _only_topic(recording: Recording) -> tuple[Topic | None, list[str]]:
+    """The recording's topic of poses if there is exactly one, else None and a note."""
     poses = [topic for topic in recording.topics.values() if topic.type in POSE_TYPES and len(topic)]
     if len(poses) == 1:
         return poses[0], []
@@ -209,6 +214,7 @@ def _transform_topics(recording: Recording) -> list[Topic]:
 
 
 def _find_topic(recording: Recording, name: str) -> Topic:
+    """The topic of poses or transforms called `name`. Raises DatasetError."""
     topic = recording.topics.get(name)
     if topic is None or not len(topic) or topic.type not in (*POSE_TYPES, *TRANSFORMS):
         names = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
@@ -240,8 +246,8 @@ def _path_from_poses(recording: Recording, topic: Topic, pose_source: PoseSource
     path, notes = _move_to_camera(
         FrameTree(recording, None), edge.trajectory(topic.name), child, pose_source.camera_frame
     )
-    said = f"ground truth: {len(path)} poses of {topic.name} ({topic.type}); if they are an estimate, {_REMEDY}"
-    return path, [said, *notes]
+    summary = f"ground truth: {len(path)} poses of {topic.name} ({topic.type}); if they are an estimate, {_REMEDY}"
+    return path, [summary, *notes]
 
 
 def _pose(message: Any, type_: str) -> tuple[float, ...]:
@@ -252,7 +258,7 @@ def _pose(message: Any, type_: str) -> tuple[float, ...]:
 
 
 def _move_to_camera(tree: FrameTree, path: Trajectory, child: str, camera_frame: str) -> tuple[Trajectory, list[str]]:
-    """The path of the camera from that of a frame which it is fixed to by static transforms."""
+    """Move the path of frame `child` to the camera by static transforms; also return notes."""
     camera_frame = frame_name(camera_frame)
     if child == camera_frame and child:
         return path, []
@@ -262,5 +268,5 @@ def _move_to_camera(tree: FrameTree, path: Trajectory, child: str, camera_frame:
         return path, [
             f"the poses are {whose}, and no static transform leads to {camera_frame!r}: taken as the camera's"
         ]
-    moved = Trajectory(path.timestamps_s, path.world_from_camera @ mounting)
-    return moved, [f"moved from {child!r} to {camera_frame!r} by static transforms"]
+    camera_path = Trajectory(path.timestamps_s, path.world_from_camera @ mounting)
+    return camera_path, [f"moved from {child!r} to {camera_frame!r} by static transforms"]

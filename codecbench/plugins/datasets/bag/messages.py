@@ -1,6 +1,6 @@
-"""Messages from their bytes, by the definitions that ROS ships.
+"""Deserializes messages by the definitions that ROS ships.
 
-The definitions in a bag are not used: rosbags would make Python code of them, and a bag may be a stranger's.
+The definitions in a bag are not used: rosbags would turn them into Python code, and a bag may be untrusted.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ ENCODINGS: Final = ("cdr", "ros1")
 
 @cache
 def _types(encoding: str) -> Any:
+    """The message types of ROS 2 (`cdr`) or ROS 1, with transforms added to the latter."""
     if encoding == "cdr":
         return get_typestore(Stores.ROS2_HUMBLE)
     types = get_typestore(Stores.ROS1_NOETIC)
@@ -36,7 +37,7 @@ def _types(encoding: str) -> Any:
 
 
 def deserialize(content: bytes, type_: str, encoding: str, where: str) -> Any:
-    """A message. Raises DatasetError, naming `where`, for bytes that are none of this type."""
+    """Deserialize a message. Raises DatasetError, naming `where`, if the bytes are not of this type."""
     type_ = TRANSFORMS[0] if type_ in TRANSFORMS else type_
     types = _types(encoding)
     try:

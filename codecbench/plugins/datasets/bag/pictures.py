@@ -1,4 +1,4 @@
-"""Pictures from messages: sensor_msgs/Image of the usual encodings, and sensor_msgs/CompressedImage."""
+"""Images from messages: sensor_msgs/Image in the usual encodings, and sensor_msgs/CompressedImage."""
 
 from __future__ import annotations
 
@@ -15,21 +15,26 @@ from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
+from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
 
 _COMPRESSED_FORMATS: Final = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """Samples of `bits`, `channels` a pixel, that OpenCV's `conversion` turns into RGB, or None: as they are."""
+    """How an encoding stores samples."""
 
     bits: int
+    """Bits per sample."""
     channels: int
+    """Samples per pixel."""
     conversion: int | None = None
+    """OpenCV's code of the conversion to RGB; None if there is nothing to convert."""
 
 
 def _layouts() -> dict[str, _Layout]:
-    layouts = {
+    """The layout of every supported encoding, by its name."""
+    bases = {
         "mono": _Layout(8, 1),
         "rgb": _Layout(8, 3),
         "bgr": _Layout(8, 3, cv2.COLOR_BGR2RGB),
@@ -40,27 +45,26 @@ def _layouts() -> dict[str, _Layout]:
         "bayer_gbrg": _Layout(8, 1, cv2.COLOR_BayerGBRG2RGB),
         "bayer_grbg": _Layout(8, 1, cv2.COLOR_BayerGRBG2RGB),
     }
-    found = {
-        f"{name}{bits}": _Layout(bits, x.channels, x.conversion) for name, x in layouts.items() for bits in (8, 16)
+    layouts = {
+        f"{name}{bits}": _Layout(bits, x.channels, x.conversion) for name, x in bases.items() for bits in (8, 16)
     }
     for bits in (8, 16):
-        found |= {
-            f"{bits}UC1": found[f"mono{bits}"],
-            f"{bits}UC3": found[f"bgr{bits}"],
-            f"{bits}UC4": found[f"bgra{bits}"],
+        layouts |= {
+            f"{bits}UC1": layouts[f"mono{bits}"],
+            f"{bits}UC3": layouts[f"bgr{bits}"],
+            f"{bits}UC4": layouts[f"bgra{bits}"],
         }
     uyvy, yuyv = (_Layout(8, 2, code) for code in (cv2.COLOR_YUV2RGB_UYVY, cv2.COLOR_YUV2RGB_YUY2))
-    return found | {"yuv422": uyvy, "uyvy": uyvy, "yuv422_yuy2": yuyv, "yuyv": yuyv}
+    return layouts | {"yuv422": uyvy, "uyvy": uyvy, "yuv422_yuy2": yuyv, "yuyv": yuyv}
 
 
 _LAYOUTS: Final = _layouts()
 
 
 def picture_from_image(message: Any, bits: int, where: str) -> Image:
-    """The gray (H, W) or RGB (H, W, 3) picture of a sensor_msgs/Image.
+    """The gray (H, W) or RGB (H, W, 3) image of a sensor_msgs/Image. Raises DatasetError, naming `where`.
 
-    bits: how many of 16 the samples fill; the upper 8 of these are kept. Bayer pictures are interpolated bilinearly.
-    Raises DatasetError, naming `where`.
+    bits: how many of 16 bits the samples fill; the upper 8 of these are kept. Bayer images are interpolated bilinearly.
     """
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
@@ -73,7 +77,7 @@ def picture_from_image(message: Any, bits: int, where: str) -> Image:
             f"{where}: {width}x{height} {message.encoding} in rows of {step} bytes does not fit {len(message.data)} "
             f"bytes, or is more than {MAX_PIXELS} pixels"
         )
-    step = row_bytes if height == 1 else step  # which nothing bounds
+    step = row_bytes if height == 1 else step  # a single row's step may be arbitrarily large
     padded = np.zeros(step * height, np.uint8)
     padded[: len(message.data)] = message.data[: len(padded)]
     rows = np.ascontiguousarray(padded.reshape(height, step)[:, :row_bytes])
@@ -93,24 +97,24 @@ def _rgb(samples: Any, layout: _Layout, where: str) -> Image:
 
 
 def eight_bits(samples: NDArray[Any], bits: int) -> Image:
-    """Samples of up to 16 bits, of which `bits` are used, by their upper 8 bits; larger ones become 255."""
+    """Keep the upper 8 of the `bits` bits that samples use; larger samples become 255."""
     return np.asarray(np.minimum(samples >> (bits - 8), 255), dtype=np.uint8)
 
 
 def is_supported(message: Any) -> bool:
-    """Whether an Image or a CompressedImage holds a picture by its encoding; depths in metres, 32FC1, are none."""
+    """Whether the encoding of an Image or CompressedImage is supported; depth in meters, 32FC1, is not."""
     if hasattr(message, "format"):
         return "compressedDepth" not in message.format
     return message.encoding in _LAYOUTS
 
 
 def bits_of(largest: int) -> int:
-    """How many bits a camera has whose largest sample is this: 8, 10, 12, 14 or 16."""
+    """Bits per sample of a camera with this largest sample: 8, 10, 12, 14 or 16."""
     return max(8, (largest.bit_length() + 1) // 2 * 2)
 
 
 def largest_sample(message: Any) -> int | None:
-    """The largest sample of a sensor_msgs/Image of 16 bits, None for others."""
+    """The largest sample of a 16-bit sensor_msgs/Image, None for others."""
     layout = _LAYOUTS.get(message.encoding)
     if layout is None or layout.bits != 16:
         return None
@@ -119,7 +123,7 @@ def largest_sample(message: Any) -> int | None:
 
 
 def picture_from_compressed(message: Any, bits: int, where: str) -> Image:
-    """The picture of a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `picture_from_image`.
+    """Decode a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `picture_from_image`.
 
     Raises DatasetError, naming `where`.
     """
@@ -141,7 +145,7 @@ def picture_from_compressed(message: Any, bits: int, where: str) -> Image:
 
 
 def _check_header(content: NDArray[np.uint8], where: str) -> None:
-    """Refuse what is no picture, cut short, or says that it is too large, before it is decoded."""
+    """Raise DatasetError, before decoding, if the content is no image, truncated, or too large by its header."""
     try:
         with (
             warnings.catch_warnings(action="ignore"),
@@ -157,9 +161,9 @@ def _check_header(content: NDArray[np.uint8], where: str) -> None:
 
 
 def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
-    """What was done to the samples of a sensor_msgs/Image, in sentences.
+    """Notes on the conversion of a sensor_msgs/Image.
 
-    largest: the largest sample that was seen of 16 bits, None for others.
+    largest: the largest sample seen in 16-bit images, None for others.
     """
     notes = []
     if largest is not None:
@@ -177,14 +181,12 @@ def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
 
 
 def compressed_notes(message: Any) -> list[str]:
-    """What the frames of a sensor_msgs/CompressedImage have lost already, in sentences."""
-    from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
-
+    """Notes on the loss in the frames of a sensor_msgs/CompressedImage."""
     content = np.ascontiguousarray(message.data).tobytes()
     if content.startswith(b"\x89PNG"):
         return ["the frames were recorded as PNG, which loses nothing"]
-    found = quality_from_jpeg(content)
-    measured = "" if found is None else f", {found}"
+    quality = quality_from_jpeg(content)
+    measured = "" if quality is None else f", {quality}"
     kind = message.format.strip()[:60] or "compressed"
     return [
         f"THE FRAMES ARE ALREADY CODED: the topic holds {kind} pictures{measured}; "

@@ -1,7 +1,7 @@
-"""A recording: one or more files, the topics in them, and any message of a topic by its number.
+"""A recording: its files, the topics in them, and random access to a topic's messages.
 
-rosbags reads bags of ROS 1 and SQLite files of ROS 2, mcap reads MCAP files of any profile. Both are used below their
-`AnyReader` and decoders, which would make Python code of the definitions in a bag, and a bag may be a stranger's.
+rosbags reads bags of ROS 1 and SQLite files of ROS 2, mcap reads MCAP files of any profile. Their `AnyReader` and
+decoders are not used: these turn the definitions in a bag into Python code, and a bag may be untrusted.
 """
 
 from __future__ import annotations
@@ -37,26 +37,28 @@ else:
 
 Integers = NDArray[np.int64]
 Stamped = tuple[int, bytes]
-"""When a message was recorded, in ns, and its bytes."""
+"""The time when a message was recorded, in ns, and its bytes."""
 
 _IN_FOLDERS: Final = (".mcap", ".db3")
-"""What ROS 2 puts into the folder of a bag."""
+"""Suffixes of the files in a ROS 2 bag's folder."""
 _NUMBER: Final = re.compile(r"(^|_)\d+$")
 _MOST_NAMES: Final = 20
 _HEAD_BYTES: Final = 12
 _MOST_BYTES: Final = 1 << 28
-"""256 MiB: what a message that is compressed by itself may expand to."""
+"""256 MiB: the most that a compressed message may expand to."""
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _OPEN_AT_ONCE: Final = 4
 
 
 @dataclass(frozen=True)
 class Topic:
-    """The messages of a topic. type: such as `sensor_msgs/msg/Image`. encoding: `cdr` or `ros1`."""
+    """A topic; its length is the number of its messages."""
 
     name: str
     type: str
+    """Message type, such as `sensor_msgs/msg/Image`."""
     encoding: str
+    """`cdr` or `ros1`."""
     count: int
 
     def __len__(self) -> int:
@@ -64,22 +66,24 @@ class Topic:
 
 
 class BagFile(ABC):
-    """A file of messages. kind: what such a file is called. remedy: a command that mends one."""
+    """A file of messages."""
 
     kind: ClassVar[str]
+    """Name of the file format."""
     remedy: ClassVar[str]
+    """Command that repairs such a file."""
 
     @abstractmethod
     def __init__(self, file: Path) -> None:
-        """Open a file and read what is in it; whatever the libraries raise for a damaged one is raised."""
+        """Open a file and read its index; exceptions of the libraries for a damaged file pass through."""
 
     @abstractmethod
     def topics(self) -> Iterator[Topic]:
-        """The topics of the file, one from each publisher."""
+        """Yield the topics of the file, once for each publisher."""
 
     @abstractmethod
     def messages(self, topic: str, start_ns: int) -> Iterator[Stamped]:
-        """The messages of a topic that were recorded at `start_ns` or later, in the order of their times."""
+        """Yield a topic's messages recorded at `start_ns` or later, in the order of their times."""
 
 
 class _RosFile(BagFile):
@@ -113,7 +117,7 @@ class _McapFile(BagFile):
     kind, remedy = "MCAP file", "mcap recover {name} -o whole.mcap"
 
     def __init__(self, file: Path) -> None:
-        self._reader = make_reader(open(file, "rb"))  # noqa: SIM115 - read as long as the sequence lives
+        self._reader = make_reader(open(file, "rb"))  # noqa: SIM115 - open as long as the sequence lives
         summary = self._reader.get_summary()
         if summary is None or summary.statistics is None:
             raise ValueError("it has no index at its end")
@@ -138,7 +142,7 @@ _KINDS: Final[dict[str, type[BagFile]]] = {".bag": _Ros1File, ".mcap": _McapFile
 class Recording:
     """A ROS 1 bag, a ROS 2 bag of one or several files, or an MCAP file.
 
-    kind: what it is called. remarks: what of it is not read.
+    kind: name of the format. remarks: notes on parts that are not read.
     """
 
     def __init__(self, path: Path, files: list[Path]) -> None:
@@ -158,7 +162,7 @@ class Recording:
         ]
 
     def raw(self, topic: Topic, number: int) -> bytes:
-        """A message as it was recorded. Reading one after another is quick. Raises DatasetError."""
+        """The bytes of a message; reading in order is fast. Raises DatasetError."""
         self._files()
         if self._next != (topic.name, number):
             times_ns = self.index(topic)[0] if number else np.zeros(1, np.int64)
@@ -173,22 +177,22 @@ class Recording:
         return content
 
     def message(self, topic: Topic, number: int) -> Any:
-        """A message, deserialised. Raises DatasetError."""
+        """A deserialized message. Raises DatasetError."""
         return deserialize(self.raw(topic, number), topic.type, topic.encoding, self.where(topic, number))
 
     def messages(self, topic: Topic) -> Iterator[tuple[int, Any]]:
-        """When each message of a topic was recorded, in ns, and the message, in this order. Raises DatasetError."""
+        """Yield the recording time in ns and the deserialized message, for each in order. Raises DatasetError."""
         for number, (time_ns, content) in enumerate(self._stream(topic, 0)):
             yield time_ns, deserialize(content, topic.type, topic.encoding, self.where(topic, number))
 
     def where(self, topic: Topic, number: int) -> str:
-        """What to call a message in errors."""
+        """Name of a message in errors."""
         return f"{self.path}: {topic.name}[{number}]"
 
     def index(self, topic: Topic) -> tuple[Integers, Integers, str | None]:
-        """When the messages of a topic were recorded, the times in their headers, and what ends both too early.
+        """Recording times and header times of a topic's messages in ns, and the damage that ends both early, or None.
 
-        All of the topic is read, once. Raises DatasetError where the first message is damaged.
+        The whole topic is read, once. Raises DatasetError if the first message is damaged.
         """
         if topic.name not in self._indexes:
             times_ns: list[int] = []
@@ -206,7 +210,7 @@ class Recording:
         return self._indexes[topic.name]
 
     def _files(self) -> list[BagFile]:
-        """The open files; a forked process opens its own, because a place in a shared file is shared, too."""
+        """The open files; a forked process reopens them, because forks share the position in an open file."""
         if self._process != os.getpid():
             self._next, self._cursor = ("", -1), iter(())
             open_files = []
@@ -221,6 +225,7 @@ class Recording:
     _cursor: Iterator[Stamped]
 
     def _stream(self, topic: Topic, start_ns: int) -> Iterator[Stamped]:
+        """Yield a topic's messages of all files from `start_ns` on, in the order of their times."""
         parts = [
             _expand_messages(path, file.messages(topic.name, start_ns))
             for path, file in zip(self._paths, self._files(), strict=True)
@@ -228,7 +233,7 @@ class Recording:
         return merge(*parts, key=lambda stamped: stamped[0])
 
     def _merge_topics(self, files: list[BagFile]) -> Iterator[Topic]:
-        """Topics from those of all files. Raises DatasetError where a topic has two types."""
+        """Merge the topics of all files by name. Raises DatasetError if a topic has two types."""
         parts: dict[str, list[Topic]] = {}
         for file in files:
             for topic in file.topics():
@@ -243,7 +248,7 @@ class Recording:
 
 @contextmanager
 def _damage_of(file: Path) -> Iterator[None]:
-    """Whatever the libraries raise for a damaged file becomes a DatasetError that names a command which mends it."""
+    """Turn exceptions of the libraries into a DatasetError that names a command to repair the file."""
     try:
         yield
     except DatasetError:
@@ -257,6 +262,7 @@ def _damage_of(file: Path) -> Iterator[None]:
 
 
 def _expand_messages(file: Path, messages: Iterator[Stamped]) -> Iterator[Stamped]:
+    """Yield the messages, decompressed if need be. Raises DatasetError for a damaged file."""
     with _damage_of(file):
         for time_ns, content in messages:
             packed = content[:4] == _ZSTD_MAGIC
@@ -264,35 +270,35 @@ def _expand_messages(file: Path, messages: Iterator[Stamped]) -> Iterator[Stampe
 
 
 def type_from_name(name: str) -> str:
-    """A message type as ROS 2 spells it: `sensor_msgs/Image` becomes `sensor_msgs/msg/Image`."""
+    """Spell a message type as ROS 2 does: `sensor_msgs/Image` becomes `sensor_msgs/msg/Image`."""
     package, _, last = name.partition("/")
     return name if "/" in last or not last else f"{package}/msg/{last}"
 
 
 def _header_time_ns(content: bytes, encoding: str, where: str) -> int:
-    """The time in the header that a message begins with. Raises DatasetError, naming `where`."""
+    """The time in ns in the header at a message's beginning. Raises DatasetError, naming `where`."""
     if len(content) < _HEAD_BYTES:
         raise DatasetError(f"{where}: {len(content)} bytes are too few for a header")
     big = encoding == "cdr" and content[1] == 0
-    # CDR has its 4 bytes of encapsulation where ROS 1 has the header's sequence number.
+    # CDR begins with 4 bytes of encapsulation, ROS 1 with the header's sequence number.
     seconds, nanoseconds = struct.unpack(">iI" if big else "<iI", content[4:_HEAD_BYTES])
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def _are_several_recordings(files: list[Path]) -> bool:
-    """Whether files are of several recordings: those of one are numbered, `walk_0.db3`, `walk_1.db3`."""
+    """Whether files belong to several recordings; those of one are numbered: `walk_0.db3`, `walk_1.db3`."""
     return len({(_NUMBER.sub("", file.stem), file.suffix) for file in files}) > 1
 
 
 def has_bag_name(path: Path) -> bool:
-    """Whether a file's name, or those of a folder's files, say that it is one."""
+    """Whether the suffix of a file, or of a file in a folder, is that of a bag."""
     if not path.is_dir():
         return path.suffix in _KINDS and path.is_file()
     return any(file.suffix in _IN_FOLDERS and file.is_file() for file in path.iterdir())
 
 
 def open_recording(path: Path) -> Recording:
-    """The recording at `path`, indexed once a process while its files stay as they are. Raises DatasetError."""
+    """Open the recording at `path`; the process caches it until its files change. Raises DatasetError."""
     files = _files(path)
     try:
         versions = tuple((file, file.stat().st_size, file.stat().st_mtime_ns) for file in files)
@@ -307,7 +313,7 @@ def _open_version(path: Path, versions: tuple[tuple[Path, int, int], ...]) -> Re
 
 
 def _files(path: Path) -> list[Path]:
-    """The files of a recording in natural order. Raises DatasetError for what is no bag."""
+    """The files of a recording in natural order. Raises DatasetError if it is no bag."""
     if not path.is_dir():
         if not path.exists():
             raise DatasetError(f"{path}: is not there; `path` names a .bag, .mcap or .db3 file or a ROS 2 bag's folder")

@@ -1,1 +1,1 @@
-"""The embedded sequence: a furnished room with real photographs, rendered with its exact camera path."""
+"""The built-in dataset `synthetic`: rendered scenes with exact camera paths."""

@@ -1,4 +1,4 @@
-"""The dataset `synthetic`: sequences that are always there, with loops and with exact ground truth."""
+"""The dataset `synthetic`: rendered sequences with exact ground truth, some with loops."""
 
 from __future__ import annotations
 
@@ -19,7 +19,15 @@ from codecbench.plugins.datasets.synthetic.worlds.presets import WORLD_NAMES, WO
 from codecbench.plugins.datasets.synthetic.worlds.sequence import WorldSequence
 
 _OFFSETS_PX = ((-1 / 3, 0.0), (0.0, 1 / 3), (1 / 3, -1 / 3))
-"""Where in the pixel the samples of a frame lie; the k-th of n is taken in the k-th n-th of the exposure."""
+"""Offsets in the pixel of a frame's samples; the k-th of n is taken in the k-th n-th of the exposure."""
+
+READ_NOISE = 1.0
+"""Standard deviation in gray levels at black."""
+
+SHOT_NOISE = 0.02
+"""Variance per gray level: with READ_NOISE a standard deviation of 1.9 at 128, typical of an indoor webcam."""
+
+_CORNER_LOSS = 0.22
 
 
 class SyntheticParams(Selection):
@@ -46,7 +54,7 @@ class SyntheticParams(Selection):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_from_world(cls, values: Any) -> Any:
-        """Fill in what a world brings, so that two spellings of a setting are one."""
+        """Fill in the defaults of a synthetic scene, so that equivalent parameters become equal."""
         if not isinstance(values, dict) or values.get("world") not in WORLD_NAMES:
             return values
         world = WORLDS[values["world"]]
@@ -59,7 +67,7 @@ class SyntheticParams(Selection):
 
     @model_validator(mode="after")
     def _check_world_or_conditions(self) -> Self:
-        """A world has severity instead of single conditions, and only worlds have severity and rate."""
+        """Refuse single conditions together with a synthetic scene, and severity or rate without one."""
         names = ("severity", "rate_hz") if self.world is None else ("speed", "noise", "motion_blur")
         for name in names:
             if getattr(self, name) != type(self).model_fields[name].default:
@@ -68,13 +76,13 @@ class SyntheticParams(Selection):
                 raise ValueError(f"{name} is part of world {self.world}; set its severity, or leave out the world")
         return self
 
-    def picture(self) -> dict[str, Any]:
-        """What determines the pixels of frame i of the room without a world, whichever frames are asked for."""
+    def pixel_inputs(self) -> dict[str, Any]:
+        """Everything that determines the pixels of frame i of the room without `world`, whatever is selected."""
         return self.model_dump(include={"width", "height", "seed", "speed", "noise", "motion_blur"})
 
 
 class Synthetic(Dataset[SyntheticParams]):
-    """Rendered sequences with exact truth: a room walked round by hand, or a named world at a severity."""
+    """Rendered sequences with exact ground truth: a hand-held walk around a room, or a named synthetic scene."""
 
     name: ClassVar[str] = "synthetic"
     version: ClassVar[str] = "1"
@@ -89,14 +97,14 @@ class Synthetic(Dataset[SyntheticParams]):
 
 
 class SyntheticSequence(RenderedSequence):
-    """The furnished room with scikit-image's photographs, seen by a hand-held camera that walks round its table."""
+    """The furnished room with scikit-image's photographs, seen by a hand-held camera that circles its table."""
 
     def __init__(self, params: SyntheticParams) -> None:
         self._params = params
-        picture = [Synthetic.version, params.picture(), photographs_digest()]
+        pixel_inputs = [Synthetic.version, params.pixel_inputs(), photographs_digest()]
         path = HandheldPath(params.seed, params.speed)
         camera = room_camera(params.width, params.height)
-        super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, picture)
+        super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, pixel_inputs)
 
     def render(self, source: int) -> Image:
 
@@ -107,7 +115,7 @@ class SyntheticSequence(RenderedSequence):
         return expose_and_digitize(light, params.noise, np.random.default_rng([params.seed, 2, source]))
 
     def _exposure_poses(self, time_s: float) -> NDArray[np.float64]:
-        """Poses (S, 4, 4) spread evenly over the exposure, whose middle is the frame's time."""
+        """Poses (S, 4, 4) spread evenly over the exposure, which is centered on the frame's time."""
         count = len(_OFFSETS_PX)
         shares = (np.arange(count) + 0.5) / count - 0.5
         times_s = time_s + shares * self._params.motion_blur / FRAME_RATE_HZ
@@ -115,30 +123,22 @@ class SyntheticSequence(RenderedSequence):
 
 
 def room_camera(width: int, height: int) -> Camera:
-    """A camera without distortion with the field of view of TUM's: 525 pixels of focal length at 640 wide."""
+    """A camera without distortion, with the field of view of TUM's: a focal length of 525 pixels at 640 wide."""
     focal_px = 525.0 * width / 640.0
     return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
 
 @cache
 def _renderer(width: int, height: int) -> Any:
+    # Imported here because they load numba, which cached frames do not need.
     from codecbench.plugins.datasets.synthetic.render import Renderer
     from codecbench.plugins.datasets.synthetic.room import room_atlas
 
     return Renderer(room_atlas(), room_camera(width, height))
 
 
-READ_NOISE = 1.0
-"""Standard deviation in gray levels at black."""
-
-SHOT_NOISE = 0.02
-"""Variance per gray level of brightness: with READ_NOISE, a deviation of 1.9 at 128, as of an indoor webcam."""
-
-_CORNER_LOSS = 0.22
-
-
 def expose_and_digitize(light: NDArray[np.float32], noise: float, rng: np.random.Generator) -> Image:
-    """The picture (H, W, 3) that the sensor gives for `light`, 0..255; `noise` scales both deviations."""
+    """The sensor's image (H, W, 3) of `light`, 0..255: vignetting, noise, rounding; `noise` scales both deviations."""
     exposed = light * _vignette(*light.shape[:2])
     if noise > 0.0:
         deviation = np.sqrt(np.float32(READ_NOISE**2) + np.float32(SHOT_NOISE) * exposed) * np.float32(noise)
@@ -148,7 +148,7 @@ def expose_and_digitize(light: NDArray[np.float32], noise: float, rng: np.random
 
 @cache
 def _vignette(height: int, width: int) -> NDArray[np.float32]:
-    """(H, W, 1) factors: 1 in the middle, falling with the square of the distance."""
+    """Vignetting factors (H, W, 1): 1 in the middle, falling with the squared distance from it."""
     rows = (np.arange(height) - (height - 1) / 2)[:, None]
     columns = (np.arange(width) - (width - 1) / 2)[None, :]
     squares = (rows**2 + columns**2) / (((height - 1) / 2) ** 2 + ((width - 1) / 2) ** 2 + 1e-9)

@@ -1,6 +1,6 @@
 """Pieces of furniture: lists of panels about an origin on the floor, their fronts towards -y, their backs at y = 0.
 
-Sizes in metres. Every face gets a place of its own in a photograph, so that no two look alike.
+Sizes are in meters. Each face shows a different part of a photograph, so no two look alike.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ _COVER_COLORS: tuple[Color, ...] = (
 
 
 def texels(size_m: float, density: float = _DENSITY) -> int:
+    """Number of texels along `size_m` meters, at least 4; density: texels per meter."""
     return max(4, round(size_m * density))
 
 
 def wood_skin(rng: Rng, color: Color, density: float = _DENSITY) -> Skin:
-    """Wood on every face, the grain along the longer side."""
+    """Skin of wood on every face, the grain along the longer side."""
 
     def skin(face: str, width: float, height: float) -> Image:
         long, short = texels(max(width, height), density), texels(min(width, height), density)
@@ -50,7 +51,7 @@ def wood_skin(rng: Rng, color: Color, density: float = _DENSITY) -> Skin:
 
 
 def photo_skin(name: str, rng: Rng, density: float = _DENSITY, zoom: float = 1.0, color: Color | None = None) -> Skin:
-    """On every face another place of one photograph, in its own colours or in shades of one."""
+    """Skin with another part of one photograph on every face, in its colors or in shades of `color`."""
 
     def skin(face: str, width: float, height: float) -> Image:
         piece = crop(name, texels(height, density), texels(width, density), rng, zoom)
@@ -60,7 +61,7 @@ def photo_skin(name: str, rng: Rng, density: float = _DENSITY, zoom: float = 1.0
 
 
 def picture(name: str, width: float, rng: Rng, frame: Color = WALNUT, mat_m: float = 0.045) -> list[Panel]:
-    """A whole photograph behind a mat in a wooden frame; the origin is the middle of its back."""
+    """A photograph behind a mat in a wooden frame; the origin is the middle of its back."""
     photo = photograph(name)
     inner_width = texels(width - 2 * mat_m - 0.06, 600.0)
     image = resize(photo, round(inner_width * photo.shape[0] / photo.shape[1]), inner_width)
@@ -73,6 +74,7 @@ def picture(name: str, width: float, rng: Rng, frame: Color = WALNUT, mat_m: flo
 
 
 def _add_frame(image: Image, border: int, rng: Rng, color: Color) -> Image:
+    """Put an image into a wooden frame of `border` texels."""
     height, width = image.shape[0] + 2 * border, image.shape[1] + 2 * border
     frame = wood(height, width, rng, color)
     frame[border:-border, border:-border] = image
@@ -80,7 +82,7 @@ def _add_frame(image: Image, border: int, rng: Rng, color: Color) -> Image:
 
 
 def bookcase(width: float, height: float, shelves: int, rng: Rng, color: Color, depth: float = 0.28) -> list[Panel]:
-    """Shelves full of books, each row a little behind the boards."""
+    """Shelves full of books, each row slightly behind the boards."""
     skin = wood_skin(rng, color)
     board = 0.022
     middle = -depth / 2
@@ -100,7 +102,7 @@ def bookcase(width: float, height: float, shelves: int, rng: Rng, color: Color, 
 
 
 def _books(width: int, height: int, rng: Rng) -> Image:
-    """The backs of a row of books, of every width and height, some leaning apart."""
+    """Texture of a row of book spines of various sizes, with occasional gaps."""
     row = np.full((height, width, 3), 14, np.uint8)
     left = int(rng.integers(4))
     while True:
@@ -116,7 +118,7 @@ def _books(width: int, height: int, rng: Rng) -> Image:
 
 
 def _spine(height: int, width: int, rng: Rng) -> Image:
-    """The back of one book: lettering on a colour, or a piece of a photograph."""
+    """Texture of one book spine: lettering on a color, or part of a photograph."""
     if rng.random() < 0.6:
         name, color = str(rng.choice(("page", "text"))), _COVER_COLORS[int(rng.integers(len(_COVER_COLORS)))]
         return recolor(np.ascontiguousarray(np.rot90(crop(name, width, height, rng, zoom=0.8))), color, 1.5)
@@ -135,7 +137,7 @@ def table(width: float, depth: float, height: float, rng: Rng, color: Color) -> 
 
 
 def chair(rng: Rng, color: Color, fabric: str) -> list[Panel]:
-    """Seat, legs and a back with slats; the origin is below its middle."""
+    """A seat, legs and a slatted back; the origin is below its middle."""
     skin = wood_skin(rng, color)
     cushion = photo_skin(fabric, rng, 500.0, 0.8)
     panels = box((0, 0, 0.41), (0.42, 0.42, 0.03), skin) + box((0, 0, 0.44), (0.39, 0.39, 0.035), cushion)
@@ -148,7 +150,7 @@ def chair(rng: Rng, color: Color, fabric: str) -> list[Panel]:
 
 
 def cabinet(width: float, height: float, doors: tuple[str, ...], rng: Rng, color: Color) -> list[Panel]:
-    """A sideboard, a photograph on each of its doors."""
+    """A sideboard with a photograph on each of its doors."""
     depth = 0.38
     skin = wood_skin(rng, color)
     panels = box((0, -depth / 2, 0), (width, depth, height), skin, leave_out=("back", "bottom"))
@@ -164,7 +166,7 @@ def cabinet(width: float, height: float, doors: tuple[str, ...], rng: Rng, color
 
 
 def sofa(rng: Rng, color: Color, cushions: tuple[str, ...]) -> list[Panel]:
-    """A couch of woven fabric with a printed cushion for each name."""
+    """A couch of woven fabric, with one printed cushion per name in `cushions`."""
     width, depth = 1.9, 0.80
 
     def fabric(face: str, w: float, h: float) -> Image:
@@ -187,7 +189,7 @@ def carton(size: tuple[float, float, float], name: str, rng: Rng, density: float
 
 
 def book_lying(rng: Rng, width: float = 0.17, depth: float = 0.23, height: float = 0.035) -> list[Panel]:
-    """A book that lies on its back cover; the origin is below its middle."""
+    """A book lying on its back cover; the origin is below its middle."""
     cover = str(rng.choice(_COVERS))
     skin = photo_skin(cover, rng, _NEAR_DENSITY, 1.3)
     pages = photo_skin("page", rng, _NEAR_DENSITY, 0.7)

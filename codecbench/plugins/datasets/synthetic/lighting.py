@@ -1,7 +1,7 @@
-"""Soft light baked into textures: two ceiling lamps with soft shadows, and open sky darkened in corners.
+"""Bakes soft light into textures: lamps with soft shadows, and ambient light that is darker in corners.
 
-Light is computed at points of a coarse grid on every panel and multiplied into its texture, so that rendering
-a frame costs nothing for it and the picture of a surface does not change with the viewpoint.
+Light is computed on a coarse grid on every panel and multiplied into its texture. Rendering a frame then costs
+nothing extra, and a surface looks the same from every viewpoint.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _SKY_REACH_M = 0.7
 _SKY = 0.80
 _LAMP = 4.6
 _LIFT_M = 1e-4
-"""Rays start this far in front of their surface."""
+"""Distance in front of their surface at which rays start."""
 
 
 def bake_light(panels: Sequence[Panel], lamps: Floats, rng: np.random.Generator) -> list[Panel]:
-    """The panels with light in their textures. lamps: (L, 3) points on lamps that shine downwards."""
+    """Multiply light into the textures of panels. lamps: (L, 3) points on lamps that shine downwards."""
     edges = panel_edges(panels)
     sky = _cosine_directions(rng)
     return [
@@ -40,6 +40,7 @@ def bake_light(panels: Sequence[Panel], lamps: Floats, rng: np.random.Generator)
 
 
 def _lit_texture(panel: Panel, edges: Floats, lamps: Floats, sky: Floats) -> Image:
+    """The panel's texture times its light."""
     counts = [max(2, min(_GRID_MOST, int(np.sqrt(edge @ edge) / _GRID_M) + 1)) for edge in (panel.down, panel.right)]
     along, below = ((np.arange(count) + 0.5) / count for count in (counts[1], counts[0]))
     points = panel.corner + below[:, None, None] * panel.down + along[None, :, None] * panel.right
@@ -51,19 +52,20 @@ def _lit_texture(panel: Panel, edges: Floats, lamps: Floats, sky: Floats) -> Ima
 
 
 def _nearby_panels(panel: Panel, edges: Floats, reach: float) -> Floats:
-    """The panels whose bounding boxes come within `reach` of this panel's."""
+    """Edges of the panels whose bounding boxes come within `reach` of this panel's."""
     low, high = _bounds(edges)
-    own_low, own_high = _bounds(panel_edges([panel]))
-    return np.ascontiguousarray(edges[((low - reach <= own_high) & (high + reach >= own_low)).all(axis=1)])
+    panel_low, panel_high = _bounds(panel_edges([panel]))
+    return np.ascontiguousarray(edges[((low - reach <= panel_high) & (high + reach >= panel_low)).all(axis=1)])
 
 
 def _bounds(edges: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest coordinates (P, 3) of each panel."""
     corners = edges[:, :1] + np.stack([0 * edges[:, 1], edges[:, 1], edges[:, 2], edges[:, 1] + edges[:, 2]], axis=1)
     return corners.min(axis=1), corners.max(axis=1)
 
 
 def _upsample_grid(grid: Floats, height: int, width: int) -> NDArray[np.float32]:
-    """The grid, whose values lie at cell centres, at every texel: linear between centres."""
+    """Interpolate the grid, whose values lie at cell centers, linearly at every texel."""
     rows = np.clip((np.arange(height) + 0.5) * grid.shape[0] / height - 0.5, 0, grid.shape[0] - 1.0)
     columns = np.clip((np.arange(width) + 0.5) * grid.shape[1] / width - 0.5, 0, grid.shape[1] - 1.0)
     top, left = np.minimum(rows.astype(int), grid.shape[0] - 2), np.minimum(columns.astype(int), grid.shape[1] - 2)
@@ -74,7 +76,7 @@ def _upsample_grid(grid: Floats, height: int, width: int) -> NDArray[np.float32]
 
 
 def _cosine_directions(rng: np.random.Generator) -> Floats:
-    """(R, 3) directions about +z, as dense as the cosine to it: points on a sphere that touches at the pole."""
+    """Cosine-weighted random directions (R, 3) about +z: points on a sphere that touches the origin."""
     points = rng.normal(size=(_SKY_RAYS, 3))
     points /= np.sqrt((points * points).sum(axis=1, keepdims=True))
     points[:, 2] += 1.0
@@ -83,7 +85,7 @@ def _cosine_directions(rng: np.random.Generator) -> Floats:
 
 @compiled
 def _light(points: Any, normal: Any, edges: Any, nearby: Any, lamps: Any, sky: Any) -> Any:
-    """The light (N,) on points of one surface; `nearby` are the edges that its sky rays can reach."""
+    """The light (N,) at points of one surface; `nearby` are the edges that its sky rays can reach."""
     helper, first, second, towards = np.zeros(3), np.empty(3), np.empty(3), np.empty(3)
     helper[0 if abs(normal[0]) < 0.7 else 1] = 1.0
     _cross(normal, helper, first)
@@ -131,9 +133,9 @@ def _cross(a: Any, b: Any, out: Any) -> None:
 
 @compiled
 def _occlusion(point: Any, towards: Any, edges: Any, normals: Any) -> float:
-    """How much of the light from one direction an obstacle keeps off: 1 at hand, falling to 0 at point + towards.
+    """The share of light from one direction that an obstacle blocks: 1 at `point`, falling to 0 at point + towards.
 
-    Obstacles are the fronts of panels: a ray into a box enters through one.
+    Only the fronts of panels block: a ray into a box enters through one.
     """
     nearest = 1.0
     for k in range(len(edges)):

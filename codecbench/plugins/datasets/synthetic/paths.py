@@ -1,4 +1,4 @@
-"""The way of a hand-held camera round the table and past its own beginning."""
+"""Camera paths through synthetic scenes: exact poses at any time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TREMOR_DEG = (0.55, 0.30, 0.12, 0.05)
 
 
 class Tremor:
-    """The trembling of a hand: a few slow waves along and about each axis, their phases from `seed`, times `factor`."""
+    """Hand tremor: a few slow waves along and about each axis, with phases from `seed`, times `factor`."""
 
     def __init__(self, seed: int, factor: float = 1.0) -> None:
         self._factor = factor
@@ -33,19 +33,18 @@ class Tremor:
         self._phases = rng.uniform(0.0, 2.0 * pi, (6, len(_TREMOR_HZ)))
 
     def at(self, time_s: float) -> Floats:
-        """(6,) displacement in metres and turn in radians at a time."""
+        """Displacement in meters and rotation in radians (6,) at a time."""
         waves = np.sin(2.0 * pi * np.array(_TREMOR_HZ) * time_s + self._phases)
         sizes = np.vstack([np.tile(_TREMOR_M, (3, 1)), np.tile(np.radians(_TREMOR_DEG), (3, 1))])
         return np.asarray((waves * sizes).sum(axis=1) * self._factor)
 
 
 class HandheldPath:
-    """Exact camera poses at any time, in seconds from the start.
+    """A hand-held camera that circles the room's table.
 
-    One round returns to the start exactly but for the hand's tremor, which does not repeat: the second round
-    sees the same places in the same direction from a few millimetres or centimetres beside. speed: rounds are
-    walked that many times as fast; the tremor keeps its rhythm. seed: of the tremor's phases. tremor: factor on it.
-    loop_s: time of one round.
+    A round returns to the start exactly, except for the tremor, which does not repeat: the second round sees the
+    same places from a few millimeters or centimeters away. speed: factor on the walking speed, not on the tremor's
+    frequencies. seed: of the tremor's phases. tremor: factor on its amplitude. loop_s: time of one round.
     """
 
     def __init__(self, seed: int, speed: float = 1.0, tremor: float = 1.0) -> None:
@@ -54,7 +53,7 @@ class HandheldPath:
         self.loop_s = LOOP_S / speed
 
     def world_from_camera(self, time_s: float) -> Floats:
-        """The pose (4, 4) at a time: x right, y down, z forward in the camera; z up in the world; metres."""
+        """The pose (4, 4) at a time: x right, y down, z forward in the camera; z up in the world; meters."""
         tremor = self._tremor.at(time_s)
         phase = 2.0 * pi * time_s * self._speed / LOOP_S
         position = _position(phase) + tremor[:3]
@@ -73,7 +72,7 @@ def _position(phase: float) -> Floats:
 
 
 def _target(phase: float) -> Floats:
-    """Where the camera looks: about the middle of the table, wandering."""
+    """The point the camera looks at, which wanders about the middle of the table."""
     return np.array(
         [
             0.16 * np.sin(2 * phase) - 0.10 * np.cos(phase),
@@ -84,7 +83,7 @@ def _target(phase: float) -> Floats:
 
 
 def looking_pose(position: Floats, direction: Floats, turn: Floats) -> Floats:
-    """The pose (4, 4) of a level camera at `position` that looks along `direction`, then turned by `turn` (radians)."""
+    """The pose (4, 4) of a level camera that looks along `direction`, then rotated by `turn` (radians)."""
     pose = np.eye(4)
     pose[:3, :3] = _looking_rotation(direction) @ _small_rotation(turn)
     pose[:3, 3] = position
@@ -100,7 +99,7 @@ def _looking_rotation(direction: Floats) -> Floats:
 
 
 def _small_rotation(angles: Floats) -> Floats:
-    """The rotation (3, 3) by a vector of angles in radians, exactly orthonormal (Rodrigues' formula)."""
+    """The rotation (3, 3) by a rotation vector in radians, exactly orthonormal (Rodrigues' formula)."""
     angle = float(np.sqrt(angles @ angles))
     if angle == 0.0:
         return np.eye(3)
@@ -110,9 +109,9 @@ def _small_rotation(angles: Floats) -> Floats:
 
 
 class Route:
-    """A closed way on the ground: straight lines between corners, arcs of one radius round them.
+    """A closed route on the ground: straight lines between corners, rounded by arcs of one radius.
 
-    length_m: of one round. It begins halfway between the first corner and the second.
+    It begins halfway between the first corner and the second. length_m: length of one round.
     """
 
     def __init__(self, corners_m: Sequence[tuple[float, float]], radius_m: float) -> None:
@@ -138,7 +137,7 @@ class Route:
         self.length_m += length
 
     def at(self, distance_m: float) -> Floats:
-        """The point (2,) at a distance along the route, which goes round and round."""
+        """The point (2,) at a distance along the route, modulo its length."""
         if distance_m != self.length_m:
             distance_m %= self.length_m
         start, position, heading, bend = next(piece for piece in reversed(self._pieces) if piece[0] <= distance_m)
@@ -150,9 +149,9 @@ class Route:
 
 
 class RouteWalk:
-    """A camera carried along a route, looking at the point of it that lies `ahead_m` further on.
+    """A camera that moves along a route and looks at the point `ahead_m` further on.
 
-    loop_m: after how much of the route its beginning is seen again; loop_s is the time of that.
+    loop_m: distance after which the route's start is seen again; loop_s is the corresponding time.
     """
 
     def __init__(
@@ -175,7 +174,7 @@ class RouteWalk:
 
 
 class Turning:
-    """A camera on the spot that looks outwards from a small circle, round and round."""
+    """A camera that turns on the spot, looking outwards from a small circle."""
 
     def __init__(self, conditions: Conditions, seed: int) -> None:
         self._rate = radians(conditions.turn_deg_s)
@@ -193,7 +192,7 @@ class Turning:
 
 
 class Panning:
-    """A camera that looks to and fro, up and down, from one place, held a little before the axis it turns about."""
+    """A camera that pans to and fro, up and down, from one place, slightly in front of its axis of rotation."""
 
     _SWING, _NOD = radians(70.0), radians(10.0)
 
@@ -212,9 +211,9 @@ class Panning:
 
 
 class Drive:
-    """A car straight down the first street; at its end it stands. It never sees its beginning again.
+    """A car that drives straight down the first street, stops at its end and never sees its start again.
 
-    end_s: when it comes to the end. A van ahead of it, where the place has one, keeps its distance.
+    end_s: time at which it reaches the end. A van ahead of it, if the place has one, keeps its distance.
     """
 
     _START_M, _LENGTH_M, _VAN_M = 4.0, 200.0, 12.0
@@ -235,12 +234,12 @@ class Drive:
         return looking_pose(position, np.array([1.0, 0.0, -0.02]), tremor[3:])
 
     def van_m(self, time_s: float) -> Floats:
-        """Where the van is at a time, (3,)."""
+        """Position of the van (3,) at a time, in meters."""
         return np.array([self._along_m(time_s) + self._VAN_M, 0.0, 0.0])
 
 
 class Slider:
-    """A camera on a rail along a wall of the corridor: it starts slowly, stands at the end and comes back."""
+    """A camera on a rail along a wall of the corridor: it starts slowly, stops at the end and comes back."""
 
     _START_M, _LENGTH_M = (2.0, 0.8, 1.5), 3.0
 
@@ -257,7 +256,7 @@ class Slider:
 
 
 class Flight:
-    """An aircraft's round over a field, thirty metres up, its camera pointing down and a little ahead."""
+    """An aircraft that circles over a field thirty meters up, its camera pointing down and slightly ahead."""
 
     _RADIUS_M = 32.0
     _HEIGHT_M = 30.0

@@ -1,10 +1,10 @@
-"""Perspective pictures of an atlas: exact visibility per sample, perspective-correct trilinear textures.
+"""Renders an atlas in perspective: exact visibility per sample, perspective-correct trilinear textures.
 
 A point corner + s right + t down at depth z lies on the ray (x, y, 1) z. So s/z, t/z and 1/z are linear in the
-pixel, and a panel covers a pixel where 0 <= s/z <= 1/z and 0 <= t/z <= 1/z: four inequalities that need no
-clipping, even where a panel passes behind the camera (Olano and Greer, "Triangle Scan Conversion using 2D
-Homogeneous Coordinates", 1997). Only exactly rounded arithmetic is used, so frames do not depend on a
-mathematics library.
+pixel, and a panel covers a pixel if 0 <= s/z <= 1/z and 0 <= t/z <= 1/z: four inequalities that need no
+clipping, even if a panel extends behind the camera (Olano and Greer, "Triangle Scan Conversion using 2D
+Homogeneous Coordinates", 1997). Only exactly rounded arithmetic is used, so frames do not depend on the
+math library.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from codecbench.plugins.datasets.synthetic.scene import Atlas
 
 Floats = NDArray[np.float64]
 _LEVEL_BIAS = 0.33
-"""Squared: a sample stands for some 0.6 of a pixel's width, since several are averaged."""
+"""Square of about 0.6: since several samples are averaged, each covers that share of a pixel's width."""
 
 
 class Renderer:
-    """Renders one atlas through one camera without distortion; keeps its buffers between pictures."""
+    """Renders one atlas through one camera without distortion; reuses its buffers between frames."""
 
     def __init__(self, atlas: Atlas, camera: Camera) -> None:
         self.atlas = atlas
@@ -35,9 +35,9 @@ class Renderer:
         self._panels = np.empty(shape, np.int32)
 
     def mean_of_samples(self, world_from_cameras: Floats, offsets_px: Floats) -> NDArray[np.float32]:
-        """The average (H, W, 3), 0..255, of a picture from each pose (S, 4, 4), each moved by offsets_px (S, 2).
+        """The mean image (H, W, 3), 0..255, over poses (S, 4, 4), each with a pixel offset (S, 2).
 
-        Distinct offsets within a pixel smooth edges; distinct poses within the exposure blur motion.
+        Different offsets within a pixel antialias edges; different poses within the exposure make motion blur.
         """
         total = np.zeros((self.camera.height, self.camera.width, 3), np.float32)
         for pose, offset in zip(world_from_cameras, offsets_px, strict=True):
@@ -53,6 +53,7 @@ class Renderer:
             return self._panels.copy(), 1.0 / self._nearness
 
     def _find_visible(self, world_from_camera: Floats, offset_px: Floats) -> Floats:
+        """Fill the buffers with the panel and 1/z of each pixel; return the plane equations."""
         planes = plane_equations(self.atlas.edges, world_from_camera, self._intrinsics, offset_px)
         rows = candidate_rows(planes, self.camera.width, self.camera.height)
         self._nearness[:] = 0.0
@@ -65,7 +66,7 @@ def plane_equations(edges: Floats, world_from_camera: Floats, intrinsics: Floats
     """For each panel the coefficients of x, y and 1 that give s/z, t/z and 1/z at a pixel: (P, 3, 3).
 
     The rows are the inverse of the matrix [right down corner] in the camera's frame, times that of the
-    calibration matrix. All zero for a panel that is seen from behind or edge on.
+    calibration matrix. All are zero if the panel is seen from behind or edge on.
     """
     rotation, center = world_from_camera[:3, :3], world_from_camera[:3, 3]
     corner = (edges[:, 0] - center) @ rotation
@@ -84,13 +85,13 @@ def plane_equations(edges: Floats, world_from_camera: Floats, intrinsics: Floats
 
 
 def _cross(first: Floats, second: Floats) -> Floats:
-    """The products (P, 3) of vectors; np.cross takes longer to find out what it is given."""
+    """Cross products (P, 3) of vectors; faster than np.cross, which checks its arguments."""
     (a, b, c), (d, e, f) = first.T, second.T
     return np.column_stack([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 def candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64]:
-    """First row and one past the last (P, 2) in which a panel may show; safe, not tight.
+    """First row and one past the last (P, 2) in which a panel may be visible; safe, not tight.
 
     The inverse of a panel's matrix gives its corners: (x, y, 1) z at s, t in {0, 1}.
     """
@@ -109,7 +110,7 @@ def candidate_rows(planes: Floats, width: int, height: int) -> NDArray[np.int64]
 
 @compiled
 def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
-    """First column and one past the last at which a panel covers row y; empty where first >= last."""
+    """First column and one past the last at which a panel covers row y; empty if first >= last."""
     first, last = 0.0, width - 1.0
     for side in range(4):
         row = side >> 1
@@ -130,7 +131,7 @@ def _span(plane: Any, y: float, width: int) -> tuple[int, int]:
 
 @compiled
 def cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
-    """Keep, in every pixel, the panel with the largest 1/z."""
+    """Set each pixel of `panels` to the panel with the largest 1/z, kept in `nearness`."""
     width = nearness.shape[1]
     for panel in range(len(planes)):
         plane = planes[panel]
@@ -146,7 +147,7 @@ def cover(planes: Any, rows: Any, nearness: Any, panels: Any) -> None:
 
 @compiled
 def _shade(planes: Any, panels: Any, texels: Any, first_level: Any, level_count: Any, levels: Any, total: Any) -> None:
-    """Add the texture's colour at every covered pixel to `total`."""
+    """Add the texture's color at every covered pixel to `total`."""
     height, width = panels.shape
     for y in range(height):
         x = 0
@@ -161,7 +162,7 @@ def _shade(planes: Any, panels: Any, texels: Any, first_level: Any, level_count:
 
 @compiled
 def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: Any, total: Any) -> None:
-    """Add one panel's colour to the pixels begin <= x < end of row y."""
+    """Add one panel's color to the pixels begin <= x < end of row y."""
     sx, tx, nx = plane[0, 0], plane[1, 0], plane[2, 0]
     s1, t1, n1 = plane[0, 1] * y + plane[0, 2], plane[1, 1] * y + plane[1, 2], plane[2, 1] * y + plane[2, 2]
     level, share = 0, 0
@@ -180,7 +181,7 @@ def _shade_run(plane: Any, y: int, begin: int, end: int, levels: Any, texels: An
 
 @compiled
 def texture_level(plane: Any, along: float, below: float, depth: float, levels: Any) -> tuple[int, int]:
-    """The reduction of a texture that suits a pixel, and the share in eighths that the next one gets."""
+    """The mip level that suits a pixel, and the share in eighths of the next coarser one."""
     reach = 0.0
     for axis in range(2):
         u = (plane[0, axis] - along * plane[2, axis]) * depth * levels[0, 2]
@@ -198,17 +199,17 @@ def texture_level(plane: Any, along: float, below: float, depth: float, levels: 
 
 LANE = np.uint64((1 << 21) - 1)
 TEXEL_WEIGHT = 32 * 32
-"""What the weights of the four texels in a bilinear colour add up to."""
+"""Sum of the weights of the four texels in a bilinear color."""
 
 _FULL_WEIGHT = 8 * TEXEL_WEIGHT
-"""What the weights of the texels in a blend of two levels add up to: 255 times this fits into 21 bits."""
+"""Sum of the texels' weights in a blend of two levels; 255 times this fits into 21 bits."""
 
 
 @compiled(inline="always")
 def texel(texels: Any, levels: Any, level: int, along: float, below: float) -> Any:
-    """1024 times the bilinear colour of one level at (along, below) in 0..1: three numbers of 21 bits in one word.
+    """1024 times the bilinear color of one level at (along, below) in 0..1: three numbers of 21 bits in one word.
 
-    One multiplication weighs all three channels; weights are multiples of 1/32 in each direction.
+    One multiplication weights all three channels; weights are multiples of 1/32 in each direction.
     """
     offset, rows, columns = levels[level, 0], levels[level, 1], levels[level, 2]
     u = min(max(int(along * (32.0 * columns) - 15.5), 0), (columns - 1) << 5)
@@ -226,7 +227,7 @@ def texel(texels: Any, levels: Any, level: int, along: float, below: float) -> A
 
 @compiled(inline="always")
 def _lanes(texel: Any) -> Any:
-    """A texel's three bytes, 21 bits apart."""
+    """Spread a texel's three bytes to 21 bits each."""
     word = np.uint64(texel)
     green, blue = word & np.uint64(0xFF00), word & np.uint64(0xFF0000)
     return (word & np.uint64(0xFF)) | (green << np.uint64(13)) | (blue << np.uint64(26))

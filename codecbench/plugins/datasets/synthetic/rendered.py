@@ -1,4 +1,4 @@
-"""A sequence that is rendered at first use: its poses come from a path, its frames from a renderer and the cache."""
+"""Sequences rendered at first use, and the cache of their frames on disk."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _DIGEST_BYTES = 32
 
 
 class FrameStore:
-    """Frames of one shape in a folder, by index.
+    """Stores frames of one shape in a folder, one file per frame.
 
     Any number of processes may read and write at once: a file appears complete, and its first bytes are the
-    SHA-256 of the rest. A folder that cannot be written costs time and nothing else.
+    SHA-256 of the rest. If the folder cannot be written, frames are rendered again.
     """
 
     def __init__(self, folder: Path, shape: tuple[int, int, int]) -> None:
@@ -37,7 +37,7 @@ class FrameStore:
         return self.folder / f"{index:06d}.rgb"
 
     def load(self, index: int) -> Image | None:
-        """The frame, or None where it is not there or not as it was written."""
+        """Load a frame; None if it is missing or its checksum is wrong."""
         try:
             content = self.file(index).read_bytes()
         except OSError:
@@ -48,35 +48,36 @@ class FrameStore:
         return np.frombuffer(pixels, np.uint8).reshape(self.shape).copy()
 
     def save(self, index: int, image: Image) -> None:
-        """Keep a frame, as far as the disk allows."""
+        """Store a frame; errors of the disk are ignored."""
         pixels = image.tobytes()
-        unfinished = None
+        temporary = None
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            handle, unfinished = tempfile.mkstemp(prefix=".new-", dir=self.folder)
+            handle, temporary = tempfile.mkstemp(prefix=".new-", dir=self.folder)
             with os.fdopen(handle, "wb") as stream:
                 stream.write(hashlib.sha256(pixels).digest())
                 stream.write(pixels)
-            os.replace(unfinished, self.file(index))
+            os.replace(temporary, self.file(index))
         except OSError:
-            if unfinished is not None:
-                Path(unfinished).unlink(missing_ok=True)
+            if temporary is not None:
+                Path(temporary).unlink(missing_ok=True)
 
 
 class CameraPath(Protocol):
-    """A camera's way. loop_s: when it first comes to see its beginning again."""
+    """A camera's path."""
 
     loop_s: float
+    """Time at which the camera first sees its start again."""
 
     def world_from_camera(self, time_s: float) -> NDArray[np.float64]:
         """The exact pose (4, 4) at a time in seconds: x right, y down, z forward in the camera, metres."""
 
 
 class RenderedSequence(FrameSequence):
-    """Frames rendered at first use and kept in the cache folder, 0.9 MB each at 640 x 480.
+    """Renders frames at first use and keeps them in the cache folder, 0.9 MB each at 640 x 480.
 
-    frames, rate_hz: how long the whole is and how often it is seen, before a selection. pixel_inputs: what determines the
-    pixels of frame i, whichever frames are asked for. has_loop: whether the selected frames come back to their first.
+    frames, rate_hz: length and frame rate before the selection. pixel_inputs: everything that determines the pixels of
+    frame i, independent of the selection. has_loop: whether the selected frames return to the first one.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class RenderedSequence(FrameSequence):
 
     @abstractmethod
     def render(self, source: int) -> Image:
-        """Frame `source` of the whole (H, W, 3), not from the cache."""
+        """Render frame `source`, counted before the selection, as (H, W, 3), without the cache."""
 
 
 def _digest(value: Any) -> str:

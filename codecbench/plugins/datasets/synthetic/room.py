@@ -1,6 +1,6 @@
-"""The room: walls, floor and ceiling, what stands along the walls, and the table in the middle.
+"""The room: walls, floor and ceiling, furniture along the walls, and the table in the middle.
 
-Metres; the origin is on the floor below the middle of the table, x to the east, y to the north, z up.
+Units are meters; the origin is on the floor below the middle of the table, x to the east, y to the north, z up.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from codecbench.plugins.datasets.synthetic.textures import crop, photograph, pla
 HALF_X, HALF_Y, HEIGHT = 2.7, 2.3, 2.6
 TABLE_TOP = 0.74
 _ARRANGEMENT = 20240607
-"""Seed of the arrangement: which places of the photographs go where. The room is the same for every path."""
+"""Seed of the arrangement, such as which parts of photographs are shown where; the same for every path."""
 
 _TURNS = {"north": 0.0, "south": 180.0, "east": -90.0, "west": 90.0}
 _WALL_DENSITY = 260.0
@@ -26,7 +26,7 @@ _WALL_DENSITY = 260.0
 
 @cache
 def room_atlas() -> Atlas:
-    """The room for the renderer; made once a process."""
+    """The room for the renderer; made once per process."""
     return make_atlas(furnished_room())
 
 
@@ -39,7 +39,7 @@ def furnished_room() -> list[Panel]:
 
 
 def _at_wall(panels: list[Panel], wall: str, along: float, foot: float = 0.0) -> list[Panel]:
-    """Furniture with its back to a wall, `along` metres to the right of the wall's middle as seen from inside."""
+    """Place furniture with its back to a wall, `along` meters right of the wall's middle as seen from inside."""
     feet: dict[str, Point] = {
         "north": (along, HALF_Y, foot),
         "south": (-along, -HALF_Y, foot),
@@ -50,6 +50,7 @@ def _at_wall(panels: list[Panel], wall: str, along: float, foot: float = 0.0) ->
 
 
 def _shell(rng: np.random.Generator) -> list[Panel]:
+    """Walls, floor, ceiling and rug."""
     long, short, high = (texels(2 * side, _WALL_DENSITY) for side in (HALF_X, HALF_Y, HEIGHT / 2))
     plaster = recolor(scatter_patches("moon", high, long, rng, 160, 0.9), (214, 200, 172), 0.85)
     stone = recolor(scatter_patches("gravel", high, long, rng, 150, 0.8), (172, 164, 158), 0.45)

@@ -1,4 +1,4 @@
-"""Geometry of a scene: textured rectangles in space, and boxes made of them."""
+"""Geometry of a scene: textured rectangles (panels), boxes of them, and panels as arrays for compiled code."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from codecbench.plugins.datasets.synthetic.textures import halve, round_to_uint8
 Floats = NDArray[np.float64]
 Point = tuple[float, float, float]
 Skin = Callable[[str, float, float], Image]
-"""Texture of a box's face from the face's name, width and height in metres."""
+"""Returns the texture of a box's face, given the face's name, width and height in meters."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A textured rectangle that is seen from one side.
-
-    corner, right, down: (3,) metres in the world: the corner where the texture begins, and the edges along
-    its rows and columns as seen from the front. glows: shows its texture unlit.
-    """
+    """A textured rectangle that is visible from one side only."""
 
     corner: Floats
+    """(3,) meters in the world: where the texture begins."""
     right: Floats
+    """(3,) meters: the edge along the texture's rows as seen from the front."""
     down: Floats
+    """(3,) meters: the edge along the texture's columns."""
     texture: Image
     glows: bool = False
+    """Whether the texture is shown unlit."""
 
     def point(self, along: float, below: float) -> Floats:
         """The point (3,) at these shares, 0..1, of the two edges."""
@@ -38,13 +38,13 @@ class Panel:
 
     @property
     def normal(self) -> Floats:
-        """(3,) unit vector towards the side from which the panel is seen."""
+        """(3,) unit vector towards the visible side."""
         outward = np.cross(self.down, self.right)
         return np.asarray(outward / np.sqrt(outward @ outward))
 
 
 def uniform_skin(texture: Image) -> Skin:
-    """The same texture on every face."""
+    """Skin with the same texture on every face."""
     return lambda face, width, height: texture
 
 
@@ -57,10 +57,10 @@ def upright(center: Point, facing_deg: float, width: float, height: float, textu
 
 
 def box(foot: Point, size: Point, skin: Skin, turn_deg: float = 0.0, leave_out: tuple[str, ...] = ()) -> list[Panel]:
-    """A box whose bottom has its centre at `foot`, turned about the vertical.
+    """A box with the center of its bottom at `foot`, turned about the vertical.
 
     size: along x, y and z before turning. Faces are `front` (towards -y), `back`, `left` (-x), `right`, `top`,
-    `bottom`; those in `leave_out` are not made.
+    `bottom`, except those in `leave_out`.
     """
     w, d, h = size
     corners = {
@@ -83,7 +83,7 @@ def box(foot: Point, size: Point, skin: Skin, turn_deg: float = 0.0, leave_out: 
 
 
 def place_panels(panels: list[Panel], foot: Point, turn_deg: float = 0.0) -> list[Panel]:
-    """The panels turned about the vertical through the origin, then moved so that the origin comes to `foot`."""
+    """Turn panels about the vertical through the origin, then move the origin to `foot`."""
     c, s = cos(radians(turn_deg)), sin(radians(turn_deg))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return [
@@ -94,29 +94,29 @@ def place_panels(panels: list[Panel], foot: Point, turn_deg: float = 0.0) -> lis
 
 @dataclass(frozen=True)
 class Atlas:
-    """What the renderer reads.
-
-    edges: (P, 3, 3) corner, right and down of each panel, metres, world. texels: (N,) uint32, all levels of all
-    textures, row by row, red in the lowest byte. first_level: (P,) row of `levels` at which a panel's texture
-    begins. level_count: (P,). levels: (L, 3) offset into `texels`, height, width; each level has half the sides
-    of the one before. carried: so many panels at the end belong to a thing that moves.
-    """
+    """Panels and the mip levels of their textures as arrays, for the renderer."""
 
     edges: NDArray[np.float64]
+    """(P, 3, 3) corner, right and down of each panel, meters, world."""
     texels: NDArray[np.uint32]
+    """(N,) all levels of all textures, row by row, red in the lowest byte."""
     first_level: NDArray[np.int64]
+    """(P,) row of `levels` at which a panel's texture begins."""
     level_count: NDArray[np.int64]
+    """(P,) number of levels of a panel's texture."""
     levels: NDArray[np.int64]
+    """(L, 3) offset into `texels`, height, width; each level has half the sides of the one before."""
     moving_count: int = 0
+    """How many panels, at the end, belong to a moving object."""
 
 
 def panel_edges(panels: Sequence[Panel]) -> NDArray[np.float64]:
-    """(P, 3, 3) corner, right and down of each panel."""
+    """Corner, right and down of each panel (P, 3, 3)."""
     return np.array([[panel.corner, panel.right, panel.down] for panel in panels])
 
 
 def make_atlas(panels: Sequence[Panel]) -> Atlas:
-    """Reduce every texture down to one texel and lay them end to end; one array on several panels is kept once."""
+    """Compute the mip levels of all textures and concatenate them; a texture shared by panels is stored once."""
     blocks: list[NDArray[np.uint32]] = []
     levels: list[tuple[int, int, int]] = []
     first_level, level_count = [], []
@@ -150,5 +150,6 @@ def make_atlas(panels: Sequence[Panel]) -> Atlas:
 
 
 def _pack_colors(image: Image) -> NDArray[np.uint32]:
+    """The pixels as uint32, red in the lowest byte."""
     colors = image.reshape(-1, 3).astype(np.uint32)
     return np.asarray(colors[:, 0] | colors[:, 1] << 8 | colors[:, 2] << 16, dtype=np.uint32)

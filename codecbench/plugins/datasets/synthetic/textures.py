@@ -1,7 +1,7 @@
-"""Surfaces made of photographs: crops, tones, seamless large surfaces, planks, framed pictures.
+"""scikit-image's photographs, and textures made of them: crops, recolored and seamless surfaces, wood, planks.
 
-Everything here is plain arithmetic on arrays, not a library's resampling, so that the pixels do not depend on
-the version of a library. Textures are (H, W, 3) uint8 RGB; densities are texels per metre.
+Resampling is plain arithmetic on arrays, not a library's, so the pixels do not depend on a library's version.
+Textures are (H, W, 3) uint8 RGB; densities are texels per meter.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 
+Floats = NDArray[np.float32]
+Color = tuple[float, float, float]
+_CROP_TRIALS = 8
 PHOTOGRAPH_FILES = {
     "astronaut": "astronaut.png",
     "brick": "brick.png",
@@ -37,11 +40,11 @@ PHOTOGRAPH_FILES = {
     "rocket": "rocket.jpg",
     "text": "text.png",
 }
-"""Our names of the photographs, and their files in `skimage/data`."""
+"""Names of the photographs here, and their files in `skimage/data`."""
 
 
 def photograph_file(name: str) -> Path:
-    """Where a photograph lies. Raises DatasetError where scikit-image or the file is missing."""
+    """The file of a photograph, without scikit-image's downloader. Raises DatasetError if it is missing."""
     package = find_spec("skimage")
     if package is None or package.origin is None:
         raise DatasetError("synthetic: scikit-image is not installed, and its photographs cover the room")
@@ -53,7 +56,7 @@ def photograph_file(name: str) -> Path:
 
 @cache
 def photograph(name: str) -> Image:
-    """One photograph as (H, W, 3) RGB; do not write into it."""
+    """A photograph as (H, W, 3) RGB, read-only and cached."""
     content = np.frombuffer(photograph_file(name).read_bytes(), np.uint8)
     stored = cv2.imdecode(content, cv2.IMREAD_COLOR)
     if stored is None:
@@ -65,20 +68,15 @@ def photograph(name: str) -> Image:
 
 @cache
 def photographs_digest() -> str:
-    """Hex digest over the bytes of all photographs, part of the fingerprint of what is rendered from them."""
+    """Hex digest over the bytes of all photographs, part of the fingerprints of rendered sequences."""
     digest = hashlib.sha256()
     for name in sorted(PHOTOGRAPH_FILES):
         digest.update(hashlib.sha256(photograph_file(name).read_bytes()).digest())
     return digest.hexdigest()
 
 
-Floats = NDArray[np.float32]
-Color = tuple[float, float, float]
-_CROP_TRIALS = 8
-
-
 def resize(image: NDArray[np.generic], height: int, width: int) -> Image:
-    """The image at another size: halved by averaging as often as it goes, then bilinear."""
+    """Resize an image: halve it by averaging as often as possible, then interpolate bilinearly."""
     pixels = image.astype(np.float32)
     while pixels.shape[0] >= 2 * height and pixels.shape[1] >= 2 * width:
         pixels = halve(pixels)
@@ -88,7 +86,7 @@ def resize(image: NDArray[np.generic], height: int, width: int) -> Image:
 
 
 def halve(pixels: Floats) -> Floats:
-    """Averages over 2 x 2 pixels; an odd last row or column is repeated."""
+    """Average over 2 x 2 pixels; an odd last row or column is repeated."""
     odd = (pixels.shape[0] % 2, pixels.shape[1] % 2)
     even = np.pad(pixels, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else pixels
     quarters = even[0::2, 0::2] + even[0::2, 1::2] + even[1::2, 0::2] + even[1::2, 1::2]
@@ -96,6 +94,7 @@ def halve(pixels: Floats) -> Floats:
 
 
 def _interpolate(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floats:
+    """Interpolate linearly along an axis at fractional indices."""
     low = places.astype(np.int64)
     high = np.minimum(low + 1, pixels.shape[axis] - 1)
     share = (places - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
@@ -104,31 +103,31 @@ def _interpolate(pixels: Floats, places: NDArray[np.float64], axis: int) -> Floa
 
 
 def round_to_uint8(pixels: NDArray[np.floating]) -> Image:
-    """The nearest gray levels, 0..255."""
+    """Round to the nearest gray levels, 0..255."""
     return np.asarray(np.clip(np.rint(pixels), 0, 255), dtype=np.uint8)
 
 
 def crop(name: str, height: int, width: int, rng: np.random.Generator, zoom: float = 1.0) -> Image:
-    """A place in a photograph at the given size; of several places, the one with most detail.
+    """Crop a photograph to the given size, at the most detailed of several random positions.
 
-    zoom: texels per pixel of the photograph. A photograph too small for that is enlarged.
+    zoom: texels per pixel of the photograph, more if the photograph is too small.
     """
     photo = photograph(name)
     zoom = max(zoom, height / photo.shape[0], width / photo.shape[1])
     rows, columns = max(int(height / zoom), 1), max(int(width / zoom), 1)
-    best, most = photo[:rows, :columns], -1.0
+    best, most_detail = photo[:rows, :columns], -1.0
     for _ in range(_CROP_TRIALS):
         row = int(rng.integers(photo.shape[0] - rows + 1))
         column = int(rng.integers(photo.shape[1] - columns + 1))
         candidate = photo[row : row + rows, column : column + columns]
         detail = float(np.abs(np.diff(candidate[:, :, 1].astype(np.float32), axis=1)).sum())
-        if detail > most:
-            best, most = candidate, detail
+        if detail > most_detail:
+            best, most_detail = candidate, detail
     return resize(best, height, width)
 
 
 def recolor(image: Image, color: Color, contrast: float = 1.0) -> Image:
-    """The brightness of an image, about its mean, in the shades of one colour (0..255)."""
+    """Show the brightness of an image, relative to its mean, in shades of one color (0..255)."""
     gray = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     deviation = (gray - gray.mean(dtype=np.float64)) / 128.0 * contrast
     return round_to_uint8(np.array(color) * (1.0 + deviation[:, :, None]))
@@ -137,9 +136,9 @@ def recolor(image: Image, color: Color, contrast: float = 1.0) -> Image:
 def scatter_patches(
     name: str, height: int, width: int, rng: np.random.Generator, patch: int, zoom: float = 1.0
 ) -> Image:
-    """A large gray surface without repetition or seams, from overlapping random patches of a photograph.
+    """Make a large gray surface without repetition or seams from overlapping random patches of a photograph.
 
-    Patches are weighted by a smooth window, and the sum is scaled so that contrast stays as it was.
+    Patches are weighted by a smooth window, and the sum is scaled to preserve contrast.
     Source: Heitz and Neyret, "High-Performance By-Example Noise using a Histogram-Preserving Blending
     Operator", 2018, equation 2, without its histogram transform.
     """
@@ -182,7 +181,7 @@ def wood(height: int, width: int, rng: np.random.Generator, color: Color) -> Ima
 
 @cache
 def _fine_grain() -> Floats:
-    """(1024, 1024) factors about 1: the roughness of every wooden surface, each taking another place of it."""
+    """Factors about 1 (1024, 1024): the roughness of wood; each surface uses another part of it."""
     gray = recolor(
         scatter_patches("gravel", 1024, 1024, np.random.default_rng(1), 64, 0.4), (128.0, 128.0, 128.0), 0.16
     )
@@ -208,7 +207,7 @@ def planks(height: int, width: int, rng: np.random.Generator, color: Color, plan
 
 
 def add_mat(image: Image, border: int, color: Color = (236.0, 232.0, 224.0)) -> Image:
-    """A picture with a plain border."""
+    """Put an image on a plain mat with a border of `border` texels."""
     sheet = np.empty((image.shape[0] + 2 * border, image.shape[1] + 2 * border, 3), np.uint8)
     sheet[:] = np.array(color, np.uint8)
     sheet[border:-border, border:-border] = image

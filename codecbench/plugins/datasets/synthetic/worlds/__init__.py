@@ -1,1 +1,1 @@
-"""Named worlds: a place, a path through it, and conditions that hurt more and more."""
+"""Named synthetic scenes: a place, a path through it, and conditions of increasing severity."""

@@ -1,6 +1,6 @@
-"""A corridor round a block of offices: bays with a door, a picture and something on the floor, alike or each its own.
+"""A corridor around a block of offices: bays with a door, a poster and a carton, alike or each different.
 
-Metres; the floor is at 0, and the way through the middle is the rectangle of CORRIDOR_CORNERS_M.
+Units are meters; the floor is at 0, and the corridor's center line is the rectangle of CORRIDOR_CORNERS_M.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PAINTS = ((206.0, 198.0, 182.0), (170.0, 184.0, 178.0), (202.0, 184.0, 156.0), 
 
 
 def corridor(distinctness: float) -> list[Panel]:
-    """All panels with the light in their textures. distinctness: 1 every bay its own, 0 all alike."""
+    """All panels with the light in their textures. distinctness: at 1 every bay differs, at 0 all are alike."""
     rng = np.random.default_rng(_ARRANGEMENT)
     length, depth = CORRIDOR_CORNERS_M[2]
     panels: list[Panel] = []
@@ -37,7 +37,7 @@ def corridor(distinctness: float) -> list[Panel]:
 
 
 def _wall(width: float, distinctness: float, rng: Rng) -> list[Panel]:
-    """A wall along x about the origin, its front towards -y, as many bays as fit."""
+    """A wall along x about the origin, its front towards -y, divided into bays."""
     count = max(1, round(width / _BAY))
     panels: list[Panel] = []
     for bay in range(count):
@@ -47,25 +47,32 @@ def _wall(width: float, distinctness: float, rng: Rng) -> list[Panel]:
 
 
 def _bay(width: float, distinctness: float, rng: Rng) -> list[Panel]:
-    """One bay: what all have in common, with a share of what this one has for itself."""
-    own, common = _BaySurfaces(np.random.default_rng(rng.integers(2**32))), _BaySurfaces(np.random.default_rng(7))
+    """One bay: a blend of the surfaces common to all bays and of its individual ones."""
+    individual, common = (
+        _BaySurfaces(np.random.default_rng(rng.integers(2**32))),
+        _BaySurfaces(np.random.default_rng(7)),
+    )
 
-    def mixed(name: str) -> Skin:
-        first, second = getattr(own, name), getattr(common, name)
+    def blended_skin(name: str) -> Skin:
+        first, second = getattr(individual, name), getattr(common, name)
         return lambda face, w, h: _blend(first(face, w, h), second(face, w, h), distinctness)
 
     shift = distinctness * float(rng.uniform(-0.12, 0.12))
     size = 0.34 + distinctness * float(rng.uniform(-0.1, 0.2))
-    paint = mixed("paint")("front", width, _HEIGHT)
+    paint = blended_skin("paint")("front", width, _HEIGHT)
     panels = [upright((0.0, 0.0, _HEIGHT / 2), -90.0, width, _HEIGHT, paint)]
-    panels += box((shift - width / 4, -0.03, 0.0), (0.9, 0.06, 2.05), mixed("door"), leave_out=("back", "bottom"))
-    panels += box((shift + width / 4, -0.02, 1.25), (0.62 + size / 2, 0.04, 0.85), mixed("poster"), leave_out=("back",))
-    carton = box((width / 4 - shift, -0.2, 0.0), (size, 0.3, size * 1.3), mixed("carton"), leave_out=("bottom",))
+    panels += box(
+        (shift - width / 4, -0.03, 0.0), (0.9, 0.06, 2.05), blended_skin("door"), leave_out=("back", "bottom")
+    )
+    panels += box(
+        (shift + width / 4, -0.02, 1.25), (0.62 + size / 2, 0.04, 0.85), blended_skin("poster"), leave_out=("back",)
+    )
+    carton = box((width / 4 - shift, -0.2, 0.0), (size, 0.3, size * 1.3), blended_skin("carton"), leave_out=("bottom",))
     return panels + carton
 
 
 class _BaySurfaces:
-    """The surfaces of one bay, each a texture for a face of given size, chosen by a generator of its own."""
+    """The surfaces of one bay as skins, chosen by the random generator."""
 
     def __init__(self, rng: Rng) -> None:
         self._rng = rng
@@ -87,21 +94,21 @@ class _BaySurfaces:
         return add_mat(print_, 5) if face == "front" else print_
 
 
-def _blend(own: Image, common: Image, share: float) -> Image:
-    """share 1: the first; 0: the second. Their sizes may differ by a texel."""
-    rows, columns = min(own.shape[0], common.shape[0]), min(own.shape[1], common.shape[1])
-    pair = own[:rows, :columns].astype(np.float32), common[:rows, :columns].astype(np.float32)
+def _blend(first: Image, second: Image, share: float) -> Image:
+    """Blend two images, whose sizes may differ by a texel; share: weight of the first."""
+    rows, columns = min(first.shape[0], second.shape[0]), min(first.shape[1], second.shape[1])
+    pair = first[:rows, :columns].astype(np.float32), second[:rows, :columns].astype(np.float32)
     return round_to_uint8(pair[0] * np.float32(share) + pair[1] * np.float32(1 - share))
 
 
 def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[Panel]:
-    """Floor and ceiling under and over everything, and the lamps."""
+    """Floor and ceiling of the whole corridor, and the lamps."""
     w, d = length + 2 * _HALF_WIDTH, depth + 2 * _HALF_WIDTH
     east, north = np.array([w, 0.0, 0.0]), np.array([0.0, d, 0.0])
     west_south = np.array([-_HALF_WIDTH, -_HALF_WIDTH, 0.0])
     rows, columns = texels(d, _GROUND_DENSITY), texels(w, _GROUND_DENSITY)
-    floor = _tiled(recolor(scatter_patches("gravel", rows, columns, rng, 110, 0.7), (138, 122, 108), 0.5), distinctness)
-    ceiling = _tiled(recolor(scatter_patches("moon", rows, columns, rng, 110, 0.7), (222, 220, 214), 0.4), distinctness)
+    floor = _tile(recolor(scatter_patches("gravel", rows, columns, rng, 110, 0.7), (138, 122, 108), 0.5), distinctness)
+    ceiling = _tile(recolor(scatter_patches("moon", rows, columns, rng, 110, 0.7), (222, 220, 214), 0.4), distinctness)
     glass = np.full((8, 8, 3), 250, np.uint8)
     lamps = [
         Panel(panel.corner, panel.right, panel.down, glass, glows=True)
@@ -115,8 +122,8 @@ def _ground(length: float, depth: float, distinctness: float, rng: Rng) -> list[
     ]
 
 
-def _tiled(surface: Image, distinctness: float) -> Image:
-    """Slabs of 60 cm with joints; at distinctness 0 all are the same slab."""
+def _tile(surface: Image, distinctness: float) -> Image:
+    """Divide a surface into slabs of 60 cm with joints; at distinctness 0 all slabs are the same."""
     slab = round(0.6 * _GROUND_DENSITY)
     rows, columns = -(-surface.shape[0] // slab), -(-surface.shape[1] // slab)
     repeated = np.tile(surface[:slab, :slab], (rows, columns, 1))
@@ -128,6 +135,7 @@ def _tiled(surface: Image, distinctness: float) -> Image:
 
 
 def _lamps(length: float, depth: float) -> list[tuple[float, float]]:
+    """Positions of the lamps."""
     lamps = [(x, y) for x in np.linspace(0.0, length, 5) for y in (0.0, depth)]
     lamps += [(x, y) for x in (0.0, length) for y in np.linspace(0.0, depth, 4)[1:-1]]
     return [(float(x), float(y)) for x, y in lamps]

@@ -1,4 +1,4 @@
-"""Exposing a picture: sub-frames over the time that the shutter is open, each row at its own time."""
+"""Renders the exposure of a frame: sub-frames while the shutter is open, each row at its own time."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ Floats = NDArray[np.float64]
 Pose = Callable[[float], Floats]
 
 MOST_SAMPLES = 16
-"""Sums of more sub-frames would not fit into the 21 bits of a channel."""
+"""Most sub-frames whose sum fits into the 21 bits of a channel."""
 
 SAMPLE_WEIGHT = TEXEL_WEIGHT // 2
-"""What a sub-frame of gray level 1 adds to a sum."""
+"""What a sub-frame of gray level 1 adds to the sum."""
 
 _HALVES = np.uint64((LANE >> np.uint64(1)) * np.uint64(1 + (1 << 21) + (1 << 42)))
-"""The bits that stay when a colour's three numbers are halved."""
+"""Mask of the bits that remain when a color's three numbers are halved."""
 
 _FEWEST_SAMPLES = 2
 CACHED_ROWS = 32
-"""Rows of which all that a sub-frame reads and writes fits into the cache of a core."""
+"""So many rows that the data of a sub-frame fit into the cache of a core."""
 
 _KNOT_ROWS = 60
 _STRIP_ROWS = 4
 
 
 class Exposure:
-    """Renders an atlas through a camera while both shutter and camera move; keeps its buffers between pictures."""
+    """Renders an atlas through a moving camera with a moving shutter; reuses its buffers between frames."""
 
     def __init__(self, atlas: Atlas, camera: Camera) -> None:
         self._atlas = atlas
@@ -56,17 +56,17 @@ class Exposure:
     def total(
         self, pose: Pose, time_s: float, open_s: float, readout_s: float, samples: int, carrier: Pose | None = None
     ) -> NDArray[np.uint64]:
-        """The sum (H, W) of sub-frames, three channels of 21 bits in a word, SAMPLE_WEIGHT a sample and gray level.
+        """The sum (H, W) of sub-frames, three channels of 21 bits per word, SAMPLE_WEIGHT per sample and gray level.
 
-        pose: world_from_camera (4, 4) at a time. time_s: the middle of the middle row's exposure. open_s: how long a
-        row is exposed. readout_s: from the first row's exposure to the last row's. carrier: where the atlas's carried
-        panels are at a time, (3,) metres.
+        pose: world_from_camera (4, 4) at a time. time_s: middle of the middle row's exposure. open_s: exposure time of
+        a row. readout_s: from the first row's exposure to the last row's. carrier: position of the atlas's moving
+        panels at a time, (3,) meters.
         """
         total = np.zeros((self._camera.height, self._camera.width), np.uint64)
         a = self._atlas
         middles_s = time_s + ((np.arange(samples) + 0.5) / samples - 0.5) * open_s
         sub_frames = zip(middles_s.tolist(), offsets_px(samples), strict=True)
-        # All sub-frames of a strip before the next: what they share of the textures is then still in the cache.
+        # Render all sub-frames of a strip before the next, so that the textures they share are still in the cache.
         for strips in zip(
             *(self._strips(pose, carrier, s, readout_s, offset) for s, offset in sub_frames), strict=True
         ):
@@ -81,9 +81,9 @@ class Exposure:
     def _strips(
         self, pose: Pose, carrier: Pose | None, middle_s: float, readout_s: float, offset: Floats
     ) -> Iterator[tuple[int, int, Floats, NDArray[np.int64]]]:
-        """First row, one past the last, plane equations and candidate rows of strips with one pose each.
+        """Yield first row, one past the last, plane equations and candidate rows of strips with one pose each.
 
-        With a rolling shutter, coefficients are computed at knots and linear between them, as they are smooth in time.
+        With a rolling shutter, coefficients are computed at knots and interpolated linearly: they are smooth in time.
         """
         height, width = self._camera.height, self._camera.width
         if readout_s == 0.0:
@@ -108,7 +108,7 @@ class Exposure:
             yield first, last, solved[k] * (1 - share) + solved[k + 1] * share, rows
 
     def _edges(self, carrier: Pose | None, time_s: float) -> Floats:
-        """The atlas's edges with what is carried where it is at a time."""
+        """The atlas's edges, with the moving panels at their positions at a time."""
         if carrier is None:
             return self._atlas.edges
         edges = self._atlas.edges.copy()
@@ -117,7 +117,7 @@ class Exposure:
 
 
 def samples_for(pose: Pose, time_s: float, open_s: float, focal_px: float, view_m: float) -> int:
-    """How many sub-frames a picture needs: about one for three pixels of motion blur, within limits."""
+    """Number of sub-frames of a frame: about one for three pixels of motion blur, within limits."""
     first, last = pose(time_s - open_s / 2), pose(time_s + open_s / 2)
     turned = np.abs(first[:3, :3] - last[:3, :3]).max()
     moved = np.abs(first[:3, 3] - last[:3, 3]).max() / view_m
@@ -125,7 +125,7 @@ def samples_for(pose: Pose, time_s: float, open_s: float, focal_px: float, view_
 
 
 def offsets_px(samples: int) -> Floats:
-    """Where in the pixel each sub-frame is sampled (S, 2): no two in one row or column, their mean in the middle."""
+    """Offset in the pixel of each sub-frame's samples (S, 2): no two in one row or column, their mean in the middle."""
     rng = np.random.default_rng(samples)
     places = (np.arange(samples) + 0.5) / samples - 0.5
     return np.column_stack([places[rng.permutation(samples)], places[rng.permutation(samples)]])
@@ -136,10 +136,10 @@ def _add_rows(
     planes: Any, panels: Any, first: int, last: int, sharper: float,
     texels: Any, first_level: Any, level_count: Any, levels: Any, total: Any,
 ) -> None:  # fmt: skip
-    """Add the texture's colour at the covered pixels of some rows.
+    """Add the texture's color at the covered pixels of some rows.
 
-    sharper: in eighths. Where the coarser of two reductions deserves a larger share it is taken, else the finer one;
-    over the sub-frames of a picture, which come with different numbers, that is a blend.
+    sharper: threshold in eighths. The coarser of two mip levels is taken if its share is larger, else the finer one.
+    The threshold differs between the sub-frames of a frame, so their sum is a blend.
     """
     width = panels.shape[1]
     for y in range(first, last):
@@ -155,7 +155,7 @@ def _add_rows(
 
 @compiled
 def _add_run(plane: Any, y: int, begin: int, end: int, sharper: float, levels: Any, texels: Any, total: Any) -> None:
-    """Add one panel's colour to the pixels begin <= x < end of row y."""
+    """Add one panel's color to the pixels begin <= x < end of row y."""
     sx, tx, nx = plane[0, 0], plane[1, 0], plane[2, 0]
     s1, t1, n1 = plane[0, 1] * y + plane[0, 2], plane[1, 1] * y + plane[1, 2], plane[2, 1] * y + plane[2, 2]
     level = 0

@@ -1,6 +1,6 @@
-"""Farmland from above: fields in their colours with furrows, hedges, trees, farms.
+"""Farmland from above: fields with furrows, hedges, trees, farms.
 
-Metres; the ground is at 0 and its middle at the origin.
+Units are meters; the ground is at 0 and its middle at the origin.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Rectangle = tuple[float, float, float, float]
 
 
 def farmland() -> list[Panel]:
-    """All panels, lit by the sun."""
+    """All panels, with the sunlight in their textures."""
     rng = np.random.default_rng(_ARRANGEMENT)
     fields = _divide((-_HALF, -_HALF, _HALF, _HALF), rng)
     panels = [_field(field, rng) for field in fields]
@@ -46,7 +46,7 @@ def farmland() -> list[Panel]:
 
 
 def _divide(area: Rectangle, rng: Rng) -> list[Rectangle]:
-    """The area cut across its longer side again and again, down to fields."""
+    """Cut an area across its longer side repeatedly, down to the size of fields."""
     left, low, right, high = area
     wide, tall = right - left, high - low
     if max(wide, tall) < _LARGEST_FIELD_M:
@@ -60,7 +60,7 @@ def _divide(area: Rectangle, rng: Rng) -> list[Rectangle]:
 
 
 def _field(area: Rectangle, rng: Rng) -> Panel:
-    """One field: soil or crop, its furrows, and a path along its border."""
+    """One field: soil or crop, furrows, and a path along one border."""
     left, low, right, high = area
     rows, columns = (max(8, round(side * _DENSITY)) for side in (high - low, right - left))
     name, color = _SOILS[int(rng.integers(len(_SOILS)))]
@@ -85,12 +85,12 @@ def _leaves(rng: Rng) -> Image:
 
 
 def _random_skin(images: list[Image], rng: Rng) -> Skin:
-    """One of the images, the same on every face."""
+    """Skin of a random one of the images, the same on every face."""
     return uniform_skin(images[int(rng.integers(len(images)))])
 
 
 def _hedge(start: tuple[float, float], along: tuple[float, float], leaves: list[Image], rng: Rng) -> list[Panel]:
-    """Bushes in a row."""
+    """A row of bushes."""
     panels: list[Panel] = []
     count = max(1, round((along[0] + along[1]) / 6.0))
     for number in range(count):
@@ -110,7 +110,7 @@ def _tree(leaves: list[Image], rng: Rng) -> list[Panel]:
 
 
 def _barn(rng: Rng) -> list[Panel]:
-    """A farm building: walls and a roof of two slopes."""
+    """A farm building: walls and a gable roof."""
     length, width, height = float(rng.uniform(9, 20)), float(rng.uniform(6, 10)), float(rng.uniform(3, 5))
     wall = recolor(crop("brick", 60, 200, rng, 0.6), (176.0, 160.0, 140.0), 0.8)
     tint = ((150.0, 82.0, 62.0), (112.0, 108.0, 106.0), (128.0, 70.0, 58.0))[int(rng.integers(3))]
@@ -127,13 +127,13 @@ def _barn(rng: Rng) -> list[Panel]:
 
 
 def _shadow(length: float, width: float) -> Panel:
-    """The dark ground round something that stands, a little above the field."""
+    """The dark ground around an object, slightly above the field."""
     dark = np.full((8, 8, 3), (44, 50, 34), np.uint8)
     corner = np.array([-length / 2 - 0.5, width / 2 + 0.8, 0.02])
     return Panel(corner, np.array([length, 0.0, 0.0]), np.array([0.0, -width, 0.0]), dark)
 
 
 def _apply_sunlight(panel: Panel) -> Panel:
-    """The panel with the light of sun and sky on its texture."""
+    """Multiply the light of sun and sky into a panel's texture."""
     light = 0.55 + 0.55 * max(0.0, float(panel.normal @ _SUN))
     return Panel(panel.corner, panel.right, panel.down, round_to_uint8(panel.texture * np.float32(light)))

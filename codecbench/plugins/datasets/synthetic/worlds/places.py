@@ -1,4 +1,4 @@
-"""The places of worlds as atlases, under given conditions; each takes some seconds to make and is kept."""
+"""Atlases of the places in synthetic scenes; each takes some seconds to make and is cached."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from codecbench.plugins.datasets.synthetic.worlds.street import town, van
 
 @lru_cache(maxsize=2)
 def place_atlas(place: Place, contrast: float, distinctness: float) -> Atlas:
-    """A place with the contrast of its surfaces scaled, and the distinctness of its repetitions."""
+    """The atlas of a place, with scaled contrast and the given distinctness of repeated surfaces."""
     if place == "room" and contrast == 1.0:
         return room_atlas()
     panels = _panels(place, distinctness)
@@ -41,7 +41,7 @@ def _panels(place: Place, distinctness: float) -> list[Panel]:
 
 
 def scale_contrast(panels: list[Panel], contrast: float) -> list[Panel]:
-    """The panels with their textures' contrast about the mean colour scaled; lamps stay."""
+    """Scale the contrast of textures about their mean color; lamps stay unchanged."""
     textures: dict[int, Image] = {}
     for panel in panels:
         if id(panel.texture) not in textures:

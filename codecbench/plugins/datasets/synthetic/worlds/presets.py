@@ -1,4 +1,4 @@
-"""The named worlds: where each is, how the camera moves, and what severity makes worse."""
+"""The named synthetic scenes: the place, the camera's path, and what severity makes worse."""
 
 from __future__ import annotations
 
@@ -58,25 +58,27 @@ def _street_path(conditions: Conditions, seed: int) -> CameraPath:
 
 @dataclass(frozen=True)
 class World:
-    """A named world.
-
-    about: one line. calm, hard: conditions at severity 0 and 1. way: the camera's path under conditions and a seed.
-    focal: focal length as a share of the image's width. view_m: typical distance of what is seen.
-    """
+    """A named synthetic scene."""
 
     about: str
+    """Description in one line."""
     place: Place
     calm: Conditions
+    """Conditions at severity 0."""
     hard: Conditions
+    """Conditions at severity 1."""
     make_path: Callable[[Conditions, int], CameraPath] = _handheld_path
+    """Makes the camera's path from conditions and a seed."""
     width: int = 640
     height: int = 480
     rate_hz: float = 30.0
     focal: float = 525.0 / 640.0
+    """Focal length as a share of the image's width."""
     view_m: float = 1.8
+    """Typical distance of visible surfaces."""
 
     def at(self, severity: float) -> Conditions:
-        """The conditions at a severity, 0 to 1."""
+        """The conditions at a severity from 0 to 1."""
         return interpolate_conditions(self.calm, self.hard, severity)
 
     def path(self, conditions: Conditions, seed: int) -> CameraPath:
@@ -84,7 +86,7 @@ class World:
         return self.make_path(conditions, seed)
 
     def frames(self, severity: float, rate_hz: float) -> int:
-        """Frames of one loop and the beginning of the next, a seventh of it; of the whole way where none closes."""
+        """Default length: one loop and a seventh of the next, or the whole path if it has no loop."""
         path = self.path(self.at(severity), 0)
         return round((path.end_s if isinstance(path, Drive) else path.loop_s * 8 / 7) * rate_hz)
 
@@ -92,7 +94,7 @@ class World:
 CORRIDOR_CORNERS_M = ((0.0, 0.0), (9.0, 0.0), (9.0, 6.5), (0.0, 6.5))
 STREET_CORNERS_M = ((0, 0), (80, 0), (80, 60), (0, 60), (0, 0), (240, 0), (240, 120), (80, 120), (80, 60), (0, 60))
 STREET_LOOP_M = 280.0
-"""From the first crossing over three others back to it, without what arcs cut off its four corners."""
+"""Distance from the first crossing over three others back to it, before arcs shorten its four corners."""
 
 _ROOM = Conditions(speed_m_s=0.6)
 _CORRIDOR = Conditions(speed_m_s=0.8, radius_m=1.0, tremor=0.6)
@@ -219,4 +221,4 @@ WORLDS: dict[WorldName, World] = {
         view_m=30.0,
     ),
 }
-"""Every world by its name; `severity` moves from the first conditions of each to the second."""
+"""Every synthetic scene by its name; `severity` interpolates from its first conditions to the second."""

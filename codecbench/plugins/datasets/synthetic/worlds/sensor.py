@@ -1,7 +1,7 @@
-"""From light to gray levels: lens, exposure, photons counted one by one, reading out, gamma.
+"""Converts light to gray levels: lens blur, exposure, shot noise, read noise, gamma.
 
-Pictures are averaged as display values whose gamma is 2, so that only exactly rounded arithmetic is needed in both
-directions: light is the square of the value, the value is the root of the light.
+Sub-frames are averaged as display values with a gamma of 2, so exactly rounded arithmetic suffices in both directions:
+light is the square of the value, and the value is the square root of the light.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from codecbench.plugins.datasets.synthetic.worlds.exposure import SAMPLE_WEIGHT
 
 READ_NOISE_ELECTRONS = 6.0
 CORNER_LOSS = 0.30
-"""Share of the light that is lost in the corners."""
+"""Share of the light lost in the corners."""
 
 
 class Sensor:
     """A camera's lens and sensor.
 
-    electrons: of a white pixel. brightness: of white, as a share of the range. lens_blur_px: standard deviation, at
-    most 1.
+    electrons: in a white pixel. brightness: of white, as a share of the range. lens_blur_px: standard deviation of the
+    lens's blur, at most 1.
     """
 
     def __init__(self, electrons: float, brightness: float, lens_blur_px: float) -> None:
@@ -35,9 +35,9 @@ class Sensor:
         self._side = np.float32(lens_blur_px**2 / 4)
 
     def picture(self, total: NDArray[np.uint64], samples: int, gain: float, key: int) -> Image:
-        """The picture (H, W, 3) of a renderer's sum of samples (H, W).
+        """The image (H, W, 3) of a renderer's sum of sub-frames (H, W).
 
-        gain: factor on the exposure. key: chooses the noise.
+        gain: factor on the exposure. key: seed of the noise.
         """
         height, width = total.shape
         light = np.empty((height, 3 * width), np.float32)
@@ -59,13 +59,13 @@ _NOISE_LENGTH = 1 << 19
 
 @cache
 def _normals() -> NDArray[np.float32]:
-    """Normal numbers from which every row of every picture takes a run: quicker than drawing them anew."""
+    """Normal numbers; each row of a frame uses a run of them, which is faster than drawing new ones."""
     return np.random.default_rng(20250101).standard_normal(_NOISE_LENGTH, dtype=np.float32)
 
 
 @cache
 def _vignette(height: int, width: int) -> NDArray[np.float32]:
-    """(H, 3 W) factors on the light of each channel: 1 in the middle, falling with the square of the distance."""
+    """Vignetting factors (H, 3 W) of each channel: 1 in the middle, falling with the squared distance from it."""
     rows = (np.arange(height) - (height - 1) / 2)[:, None]
     columns = (np.arange(width) - (width - 1) / 2)[None, :]
     squares = (rows**2 + columns**2) / (((height - 1) / 2) ** 2 + ((width - 1) / 2) ** 2 + 1e-9)
@@ -74,7 +74,7 @@ def _vignette(height: int, width: int) -> NDArray[np.float32]:
 
 @compiled
 def _develop(total: Any, scale: float, light: Any) -> None:
-    """Light (H, 3 W), 1 for white, of packed display values (H, W)."""
+    """Convert packed display values (H, W) to light (H, 3 W), 1 for white."""
     height, width = total.shape
     for y in range(height):
         for x in range(width):
@@ -87,7 +87,7 @@ def _develop(total: Any, scale: float, light: Any) -> None:
 
 @compiled
 def _blur_rows(light: Any, side: Any, out: Any) -> None:
-    """Weigh each value with those of the pixels beside it: side, 1 - 2 side, side; the outermost repeat."""
+    """Blur along rows with weights side, 1 - 2 side, side; the outermost pixels repeat."""
     height, width = light.shape
     middle = np.float32(1.0) - side - side
     for y in range(height):
@@ -102,7 +102,7 @@ def _blur_rows(light: Any, side: Any, out: Any) -> None:
 
 @compiled
 def _blur_columns(light: Any, side: Any, out: Any) -> None:
-    """The same with the pixels above and below."""
+    """Blur along columns with the weights of `_blur_rows`."""
     height, width = light.shape
     middle = np.float32(1.0) - side - side
     for y in range(height):
@@ -113,7 +113,7 @@ def _blur_columns(light: Any, side: Any, out: Any) -> None:
 
 @compiled
 def _expose(light: Any, factors: Any, normals: Any, starts: Any, electrons: Any, read_noise: Any, image: Any) -> None:
-    """Display values of light times `factors`, with shot noise and read noise from `normals`, row by row."""
+    """Convert light times `factors` to display values, with shot noise and read noise from `normals`, row by row."""
     height, width = light.shape
     for y in range(height):
         start = starts[y]

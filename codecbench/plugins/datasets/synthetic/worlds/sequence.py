@@ -1,4 +1,4 @@
-"""A named world as a sequence."""
+"""The sequence of a named synthetic scene."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
 
 WORLDS_VERSION = "1"
-"""Raised whenever a world's pictures change."""
+"""Version of the rendered frames, part of the fingerprint; increase it if any frame changes."""
 
 _SWING_PERIOD_S = 2.0
 _DARK_S, _DAWN_S = 0.9, 0.2
-"""How long there is only the first light, and how long it takes to become full."""
+"""Duration of the first light, and of its rise to full light."""
 
 
 class WorldSequence(RenderedSequence):
-    """A world at one severity; conditions are those of all its frames."""
+    """A synthetic scene at one severity; its conditions are the same for all frames."""
 
     def __init__(
         self,
@@ -45,11 +45,12 @@ class WorldSequence(RenderedSequence):
         width, height = size
         focal_px = self._world.focal * width
         camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
-        picture = ["worlds", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
+        pixel_inputs = ["worlds", WORLDS_VERSION, world, severity, rate_hz, width, height, seed, photographs_digest()]
         path = self._world.path(self.conditions, seed)
-        super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, camera, path, picture)
+        super().__init__(f"{world}-{severity:g}", selection, frames, rate_hz, camera, path, pixel_inputs)
 
     def render(self, source: int) -> Image:
+        # Imported here because they load numba, which cached frames do not need.
         from codecbench.plugins.datasets.synthetic.worlds.exposure import samples_for
         from codecbench.plugins.datasets.synthetic.worlds.sensor import Sensor
 
@@ -71,6 +72,7 @@ class WorldSequence(RenderedSequence):
 
 @lru_cache(maxsize=2)
 def _exposure(place: Place, contrast: float, distinctness: float, camera: Camera) -> Exposure:
+    # Imported here because they load numba, which cached frames do not need.
     from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
     from codecbench.plugins.datasets.synthetic.worlds.places import place_atlas
 

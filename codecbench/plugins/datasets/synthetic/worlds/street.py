@@ -1,6 +1,6 @@
-"""A town of six blocks: streets of fourteen metres between house fronts, parked cars, trees, lamp posts, a clouded sky.
+"""A town of six blocks: streets fourteen meters wide, house fronts, parked cars, trees, lamp posts, a cloudy sky.
 
-Metres; the ground is at 0, and crossings lie where STREET_CORNERS_M has its corners and their neighbours.
+Units are meters; the ground is at 0, and the crossings lie at the corners of STREET_CORNERS_M and beside them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PAINT: tuple[Color, ...] = (
 
 
 def town() -> list[Panel]:
-    """All panels of the town; light is that of an overcast day."""
+    """All panels of the town, under the light of an overcast day."""
     rng = np.random.default_rng(_ARRANGEMENT)
     stock = _Stock(rng)
     width, depth = _BLOCK_X - 2 * _HALF_STREET, _BLOCK_Y - 2 * _HALF_STREET
@@ -52,7 +52,7 @@ def town() -> list[Panel]:
 
 
 def van() -> list[Panel]:
-    """A lettered van about the origin that drives along x; those who follow see the letters on its doors."""
+    """A lettered van about the origin that drives along x; its back shows the letters to a car behind it."""
     rng = np.random.default_rng(_ARRANGEMENT)
     skin: Skin = lambda face, w, h: crop("text", round(1.5 * h * _DENSITY), round(1.5 * w * _DENSITY), rng)  # noqa: E731
     body = box((0.0, 0.0, 0.4), (4.6, 1.9, 1.9), skin, leave_out=("bottom",))
@@ -60,7 +60,7 @@ def van() -> list[Panel]:
 
 
 def _row(length: float, stock: _Stock, rng: Rng) -> list[Panel]:
-    """House fronts along x about the origin, facing -y, and what stands before them."""
+    """House fronts along x about the origin, facing -y, with cars, trees and posts in front of them."""
     count = round(length / _FRONT[0])
     panels: list[Panel] = []
     for number in range(count):
@@ -95,7 +95,7 @@ def _house(width: float, front: Image, rng: Rng) -> list[Panel]:
 
 
 def _facade(rng: Rng) -> Image:
-    """A house front: a wall of plaster, stone or bricks, rows of windows, a door and a shop window."""
+    """Texture of a house front: a wall of plaster, stone or bricks with rows of windows and shop windows."""
     width, height = (round(side * _DENSITY) for side in _FRONT)
     name = ("brick", "gravel", "moon")[int(rng.integers(3))]
     wall = recolor(
@@ -116,7 +116,7 @@ def _facade(rng: Rng) -> Image:
 
 
 def _opening(wall: Image, top: int, left: int, tall: int, wide: int, rng: Rng, brightness: float) -> None:
-    """Write a window into a wall: a frame, a bar, and what the pane shows."""
+    """Write a window into a wall: a frame, a bar and the image in the pane."""
     name = str(rng.choice(("coffee", "camera", "motorcycle", "cat", "astronaut", "retina", "rocket", "text")))
     pane = crop(name, tall, wide, rng, 0.6).astype(np.float32) * float(rng.uniform(0.5, 1.0)) * brightness
     frame = float(rng.choice((40.0, 90.0, 225.0)))
@@ -128,7 +128,7 @@ def _opening(wall: Image, top: int, left: int, tall: int, wide: int, rng: Rng, b
 
 
 class _Stock:
-    """The surfaces that houses, cars and trees are made of: many things share one, in ever new combinations."""
+    """The surfaces of houses, cars and trees, shared by many objects in different combinations."""
 
     def __init__(self, rng: Rng) -> None:
         self._rng = rng
@@ -142,7 +142,7 @@ class _Stock:
         self.signs = [crop(name, 40, 40, rng) for name in ("text", "page", "rocket", "colors")]
 
     def random_skin(self, images: list[Image]) -> Skin:
-        """One of the images, the same on every face."""
+        """Skin of a random one of the images, the same on every face."""
         return uniform_skin(images[int(self._rng.integers(len(images)))])
 
 
@@ -171,7 +171,7 @@ def _post(stock: _Stock) -> list[Panel]:
 
 
 def _streets(rng: Rng) -> list[Panel]:
-    """Lanes between crossings, of a few pieces that repeat, and the crossings."""
+    """The crossings, and lanes between them made of a few repeated pieces."""
     pieces = [_lane(rng) for _ in range(4)]
     crossing = _asphalt(rng, round(2 * _HALF_STREET * _DENSITY), round(2 * _HALF_STREET * _DENSITY))
     panels = []
@@ -191,7 +191,7 @@ def _streets(rng: Rng) -> list[Panel]:
 
 
 def _flat(middle: np.ndarray[tuple[int, ...], np.dtype[np.float64]], length: float, turn: float, top: Image) -> Panel:
-    """A piece of ground as wide as a street, `length` along x before it is turned."""
+    """A piece of ground as wide as a street; `length`: along x before it is turned."""
     corner = np.array([-length / 2, _HALF_STREET, 0.0])
     flat = Panel(corner, np.array([length, 0.0, 0.0]), np.array([0.0, -2 * _HALF_STREET, 0.0]), top)
     return place_panels([flat], (float(middle[0]), float(middle[1]), 0.0), turn)[0]
@@ -202,7 +202,7 @@ def _asphalt(rng: Rng, rows: int, columns: int) -> Image:
 
 
 def _lane(rng: Rng) -> Image:
-    """Twenty-two metres of street: pavement, kerb, asphalt with patches and a broken line."""
+    """Texture of twenty-two meters of street: sidewalk, curb, asphalt with patches and a dashed line."""
     rows, columns = round(2 * _HALF_STREET * _DENSITY), round(22.0 * _DENSITY)
     lane = _asphalt(rng, rows, columns)
     kerb = round(2.8 * _DENSITY)
