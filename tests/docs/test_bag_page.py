@@ -11,7 +11,7 @@ from project import DOCS
 
 from codecbench.cli.plan import plan
 from codecbench.plugins.datasets.bag.dataset import BagParams
-from codecbench.plugins.datasets.bag.pictures import _LAYOUTS
+from codecbench.plugins.datasets.bag.images import _LAYOUTS
 
 PAGE = (DOCS / "datasets.md").read_text()
 SECTION = PAGE.partition("## `bag`")[2].partition("## Cameras")[0]

@@ -135,7 +135,7 @@ DATASETS: tuple[CatalogEntry, ...] = (
 
 
 def list_datasets() -> tuple[CatalogEntry, ...]:
-    """Every dataset that is known here; `is_there` says whether it has been fetched."""
+    """All datasets of the catalog; `is_there` is true if one has been fetched."""
     return DATASETS
 
 

@@ -77,7 +77,7 @@ class ResumingDownloader:
 
     def _receive(self, url: str, stream: IO[bytes]) -> bool:
         """Receive over one connection; return whether the file is complete."""
-        with self._ask(url, stream) as response:
+        with self._request(url, stream) as response:
             if response.status != 206:
                 stream.seek(0)
                 stream.truncate()
@@ -91,7 +91,7 @@ class ResumingDownloader:
             stream.flush()
         return total is None or stream.tell() >= total
 
-    def _ask(self, url: str, stream: IO[bytes]) -> Any:
+    def _request(self, url: str, stream: IO[bytes]) -> Any:
         """Open the response: the rest of the same version of the file, or else the whole file."""
         request = urllib.request.Request(url, headers={"User-Agent": "codecbench"})
         version = self._version.read_text() if self._version.is_file() else ""

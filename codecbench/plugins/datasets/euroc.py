@@ -13,7 +13,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.calibration import YamlFile, camera_from_model, finite_numbers
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCamera, workaround
+from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCameraParams, workaround
 from codecbench.plugins.datasets.tables import increasing_times, orthonormalize, read_rows, trajectory_from_quaternions
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,7 @@ _USUAL_RATE_HZ = 20.0
 _SENSOR_POSES_NOTE = "without calibration the poses are those of the vehicle's sensor, which are taken as the camera's"
 
 
-class EurocParams(FolderSelection, RecordedCamera):
+class EurocParams(FolderSelection, RecordedCameraParams):
     """Parameters of `euroc`."""
 
     camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"

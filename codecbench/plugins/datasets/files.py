@@ -57,8 +57,8 @@ def frame_size(file: Path, number: int) -> tuple[int, int]:
 def _header_size(file: Path) -> tuple[int, int] | None:
     """Width and height from a file's header, without decoding it; None if the header cannot be read."""
     try:
-        with catch_warnings(action="ignore"), PillowImage.open(file) as picture:
-            return picture.size
+        with catch_warnings(action="ignore"), PillowImage.open(file) as header_image:
+            return header_image.size
     except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
         return None
 

@@ -12,10 +12,10 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FolderSelection, GivenCamera
+from codecbench.plugins.datasets.selection import FolderSelection, GivenCameraParams
 
 
-class FolderParams(FolderSelection, GivenCamera):
+class FolderParams(FolderSelection, GivenCameraParams):
     """Parameters of `folder`."""
 
     frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0

@@ -13,7 +13,7 @@ from pydantic import Field
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence, Origin, Trajectory
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCamera, workaround
+from codecbench.plugins.datasets.selection import FolderSelection, KnownCamera, RecordedCameraParams, workaround
 from codecbench.plugins.datasets.tables import increasing_times, orthonormalize, rate_hz, read_rows
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,7 @@ _Camera = Literal["image_0", "image_1", "image_2", "image_3"]
 _CAMERA_0_POSES_NOTE = "without calibration the poses are those of camera 0, which are taken as this camera's"
 
 
-class KittiParams(FolderSelection, RecordedCamera):
+class KittiParams(FolderSelection, RecordedCameraParams):
     """Parameters of `kitti`."""
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"

@@ -125,7 +125,7 @@ class FieldOfView(Params):
         return KnownCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
 
 
-class RecordedCamera(FieldOfView):
+class RecordedCameraParams(FieldOfView):
     """Camera parameters of recordings that include a calibration."""
 
     calibration: Annotated[
@@ -133,7 +133,7 @@ class RecordedCamera(FieldOfView):
     ] = "auto"
 
 
-class GivenCamera(FieldOfView):
+class GivenCameraParams(FieldOfView):
     """Camera parameters of recordings without calibration: a calibration file, or an ideal camera's field of view."""
 
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None

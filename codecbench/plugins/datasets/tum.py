@@ -15,7 +15,7 @@ from codecbench.plugins.datasets.calibration import FREIBURG
 from codecbench.plugins.datasets.files import Content, FileSequence, frame_size
 from codecbench.plugins.datasets.selection import (
     FolderSelection,
-    GivenCamera,
+    GivenCameraParams,
     KnownCamera,
     read_camera_file,
     workaround,
@@ -25,7 +25,7 @@ from codecbench.plugins.datasets.tables import increasing_times, rate_hz, read_r
 _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
 
 
-class TumParams(FolderSelection, GivenCamera):
+class TumParams(FolderSelection, GivenCameraParams):
     """Parameters of `tum`."""
 
     camera: Annotated[

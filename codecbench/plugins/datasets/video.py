@@ -18,7 +18,7 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, file_digest, fingerprint_facts, json_digest
-from codecbench.plugins.datasets.selection import GivenCamera, Selection, convert_color, workaround
+from codecbench.plugins.datasets.selection import GivenCameraParams, Selection, convert_color, workaround
 
 _SKIP_AT_MOST = 64
 """Frames ahead that are decoded and dropped before a jump is tried."""
@@ -36,7 +36,7 @@ _LEAST_LOSS_S = 1.0
 """A file is damaged if it ends earlier than its stated length by more than this plus 2 %; containers round."""
 
 
-class VideoParams(Selection, GivenCamera):
+class VideoParams(Selection, GivenCameraParams):
     """Parameters of `video`."""
 
     path: Annotated[PathParam, Field(description="video file")]
@@ -135,8 +135,8 @@ class VideoSequence(FrameSequence):
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
         """Digest over the file's bytes, the selection, times and camera."""
-        picture = {"video": file_digest(self._file), "indices": list(self._indices), "channels": self.channels}
-        return json_digest({**picture, **fingerprint_facts(self)})
+        contents = {"video": file_digest(self._file), "indices": list(self._indices), "channels": self.channels}
+        return json_digest({**contents, **fingerprint_facts(self)})
 
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
@@ -147,7 +147,7 @@ class VideoSequence(FrameSequence):
         return Frame(index, float(self.timestamps_s[index]), convert_color(image, self._color))
 
     def _decode(self, source: int) -> Image:
-        capture = self._at(source)
+        capture = self._capture_at(source)
         self._next = source + 1
         done, stored = capture.read()
         if not done:
@@ -158,7 +158,7 @@ class VideoSequence(FrameSequence):
         code = cv2.COLOR_GRAY2RGB if stored.ndim == 2 else cv2.COLOR_BGR2RGB
         return np.asarray(cv2.cvtColor(stored, code), dtype=np.uint8)
 
-    def _at(self, source: int) -> cv2.VideoCapture:
+    def _capture_at(self, source: int) -> cv2.VideoCapture:
         """The open file, positioned to decode frame `source` next."""
         capture = self._capture
         if capture is not None and not self._next <= source <= self._next + _SKIP_AT_MOST:

@@ -110,7 +110,7 @@ MIDDLE = (slice(90, 110), slice(135, 165))
 
 @pytest.mark.parametrize("electrons", [100.0, 2000.0])
 def test_noise_is_that_of_electrons_and_reading_out(electrons):
-    image = Sensor(electrons, 1.0, 0.0).picture(flat(128), 1, 1.0, 7)[MIDDLE].astype(float)
+    image = Sensor(electrons, 1.0, 0.0).expose(flat(128), 1, 1.0, 7)[MIDDLE].astype(float)
     light = (128 / 255) ** 2
     expected = np.sqrt(light * electrons + READ_NOISE_ELECTRONS**2) / electrons
     assert ((image / 255) ** 2).std() == pytest.approx(expected, rel=0.06)
@@ -119,7 +119,7 @@ def test_noise_is_that_of_electrons_and_reading_out(electrons):
 
 def test_brightness_and_gain_scale_the_light_up_to_white():
     def middle(brightness, gain, value=200):
-        return Sensor(1e9, brightness, 0.5).picture(flat(value), 1, gain, 1)[MIDDLE].astype(float).mean()
+        return Sensor(1e9, brightness, 0.5).expose(flat(value), 1, gain, 1)[MIDDLE].astype(float).mean()
 
     assert middle(1.0, 1.0) == pytest.approx(200, abs=1)
     assert middle(0.25, 1.0) == pytest.approx(100, abs=1)
@@ -128,7 +128,7 @@ def test_brightness_and_gain_scale_the_light_up_to_white():
 
 
 def test_corners_lose_light():
-    image = Sensor(1e9, 1.0, 0.0).picture(flat(250), 1, 1.0, 1)
+    image = Sensor(1e9, 1.0, 0.0).expose(flat(250), 1, 1.0, 1)
     assert (image[0, 0, 1] / 250) ** 2 == pytest.approx(1 - CORNER_LOSS, abs=0.01)
     assert image[100, 150, 1] == pytest.approx(250, abs=1)
 
@@ -137,7 +137,7 @@ def test_corners_lose_light():
 def test_the_lens_spreads_a_point_as_far_as_it_says(blur_px):
     total = flat(0)
     total[100, 150] = flat(255)[0, 0]
-    picture = Sensor(1e9, 1.0, blur_px).picture(total, 1, 1.0, 1).astype(float)[95:106, 145:156]
+    picture = Sensor(1e9, 1.0, blur_px).expose(total, 1, 1.0, 1).astype(float)[95:106, 145:156]
     for channel in range(3):
         light = (picture[:, :, channel] / 255) ** 2
         rows, columns = np.indices(light.shape) - 5
@@ -148,7 +148,7 @@ def test_the_lens_spreads_a_point_as_far_as_it_says(blur_px):
 
 def test_keys_choose_the_noise_and_nothing_else():
     sensor = Sensor(500.0, 1.0, 0.6)
-    first, again, other = (sensor.picture(flat(120), 1, 1.0, key) for key in (1, 1, 2))
+    first, again, other = (sensor.expose(flat(120), 1, 1.0, key) for key in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     correlation = np.corrcoef(first[MIDDLE].ravel().astype(float), other[MIDDLE].ravel().astype(float))[0, 1]

@@ -1,4 +1,4 @@
-"""The dataset `bag`: a topic of pictures in a ROS 1 bag, a ROS 2 bag or an MCAP file."""
+"""The dataset `bag`: a topic of images in a ROS 1 bag, a ROS 2 bag or an MCAP file."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
 from codecbench.plugins.datasets.bag.ground_truth import PoseSource, find_ground_truth, frame_name
-from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
-from codecbench.plugins.datasets.bag.pictures import (
+from codecbench.plugins.datasets.bag.images import (
     bits_of,
     compressed_notes,
+    decode_compressed,
+    decode_image,
     image_notes,
     is_supported,
     largest_sample,
-    picture_from_compressed,
-    picture_from_image,
 )
+from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
 from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, has_bag_name, open_recording
 from codecbench.plugins.datasets.calibration import describe_lens
 from codecbench.plugins.datasets.files import fingerprint_facts, json_digest
 from codecbench.plugins.datasets.selection import (
-    GivenCamera,
+    GivenCameraParams,
     KnownCamera,
     Selection,
     convert_color,
@@ -45,7 +45,7 @@ _MOST_LISTED: Final = 40
 _SAMPLED_FRAMES: Final = 9
 
 
-class BagParams(Selection, GivenCamera):
+class BagParams(Selection, GivenCameraParams):
     """Parameters of `bag`."""
 
     path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
@@ -104,7 +104,7 @@ class BagSequence(FrameSequence):
         self.name = params.path.resolve().stem
         self.timestamps_s = times_ns[chosen] / 1e9
         self.frame_rate_hz = rate_hz((times_ns - times_ns[0]) / 1e9, _USUAL_RATE_HZ * params.stride) / params.stride
-        image, first = self._picture(0)
+        image, first = self._read_image(0)
         self.channels = channel_count(image)
         self._size = image.shape[1::-1]
         uncalibrated = {} if params.calibration else {"camera": "none"}
@@ -151,18 +151,18 @@ class BagSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._params.path}: frame {index} is not in 0..{len(self) - 1}")
-        image, _ = self._picture(index)
+        image, _ = self._read_image(index)
         with workaround(skip=[self._chosen[index]]):
             self._check(image, int(self._numbers[index]))
         return Frame(index, float(self.timestamps_s[index]), image)
 
-    def _picture(self, index: int) -> tuple[Image, Any]:
+    def _read_image(self, index: int) -> tuple[Image, Any]:
         """Read a frame and its message."""
-        picture = picture_from_compressed if self._topic.type == COMPRESSED else picture_from_image
+        decode = decode_compressed if self._topic.type == COMPRESSED else decode_image
         number = int(self._numbers[index])
         with workaround(skip=[self._chosen[index]]):
             message = self._recording.message(self._topic, number)
-            image = picture(message, self._params.bits, self._recording.where(self._topic, number))
+            image = decode(message, self._params.bits, self._recording.where(self._topic, number))
         return convert_color(image, self._params.color), message
 
     def _largest_sample(self) -> int | None:
@@ -247,7 +247,7 @@ def describe_topic(recording: Recording, topic: Topic) -> str:
     try:
         message = recording.message(topic, 0)
         if topic.type == COMPRESSED:
-            height, width = picture_from_compressed(message, 16, recording.where(topic, 0)).shape[:2]
+            height, width = decode_compressed(message, 16, recording.where(topic, 0)).shape[:2]
             kind = message.format.strip()[:40]
         else:
             width, height, kind = message.width, message.height, message.encoding[:40]

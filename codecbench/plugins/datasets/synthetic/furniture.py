@@ -60,7 +60,7 @@ def photo_skin(name: str, rng: Rng, density: float = _DENSITY, zoom: float = 1.0
     return skin
 
 
-def picture(name: str, width: float, rng: Rng, frame: Color = WALNUT, mat_m: float = 0.045) -> list[Panel]:
+def wall_picture(name: str, width: float, rng: Rng, frame: Color = WALNUT, mat_m: float = 0.045) -> list[Panel]:
     """A photograph behind a mat in a wooden frame; the origin is the middle of its back."""
     photo = photograph(name)
     inner_width = texels(width - 2 * mat_m - 0.06, 600.0)

@@ -38,7 +38,7 @@ def furnished_room() -> list[Panel]:
     return bake_light(panels, _lamp_points(rng), rng)
 
 
-def _at_wall(panels: list[Panel], wall: str, along: float, foot: float = 0.0) -> list[Panel]:
+def _place_at_wall(panels: list[Panel], wall: str, along: float, foot: float = 0.0) -> list[Panel]:
     """Place furniture with its back to a wall, `along` meters right of the wall's middle as seen from inside."""
     feet: dict[str, Point] = {
         "north": (along, HALF_Y, foot),
@@ -92,65 +92,67 @@ def _lamp_points(rng: np.random.Generator) -> np.ndarray[tuple[int, ...], np.dty
 
 
 def _north(rng: np.random.Generator) -> list[Panel]:
-    panels = _at_wall(furniture.bookcase(1.5, 2.05, 6, rng, OAK), "north", -1.65)
+    panels = _place_at_wall(furniture.bookcase(1.5, 2.05, 6, rng, OAK), "north", -1.65)
     bricks = np.rot90(photograph("brick"))
     chimney = recolor(np.vstack([bricks, bricks[::-1]])[:, :440], (172, 100, 78), 1.3)
-    panels += _at_wall(
+    panels += _place_at_wall(
         box((0, -0.09, 0), (1.1, 0.18, 2.6), lambda *_: chimney, 0, ("back", "top", "bottom")), "north", 0.0
     )
-    portrait = place_panels(furniture.picture("astronaut", 0.72, rng), (0, -0.18, 0))
-    panels += _at_wall(portrait, "north", 0.0, 1.62)
-    panels += _at_wall(furniture.cabinet(1.6, 0.82, ("retina", "coins", "camera"), rng, PALE), "north", 1.72)
-    panels += _at_wall(furniture.picture("coffee", 0.80, rng, PALE), "north", 1.42, 1.62)
-    panels += _at_wall(furniture.picture("coins", 0.55, rng), "north", 2.24, 1.45)
+    portrait = place_panels(furniture.wall_picture("astronaut", 0.72, rng), (0, -0.18, 0))
+    panels += _place_at_wall(portrait, "north", 0.0, 1.62)
+    panels += _place_at_wall(furniture.cabinet(1.6, 0.82, ("retina", "coins", "camera"), rng, PALE), "north", 1.72)
+    panels += _place_at_wall(furniture.wall_picture("coffee", 0.80, rng, PALE), "north", 1.42, 1.62)
+    panels += _place_at_wall(furniture.wall_picture("coins", 0.55, rng), "north", 2.24, 1.45)
     for along, name, size in ((1.15, "tissue", 0.26), (1.72, "motorcycle", 0.34), (2.25, "galaxies", 0.22)):
         piece = furniture.carton((size, size * 0.8, size * 0.9), name, rng)
-        panels += _at_wall(place_panels(piece, (0, -0.2, 0), float(rng.uniform(-25, 25))), "north", along, 0.82)
+        panels += _place_at_wall(place_panels(piece, (0, -0.2, 0), float(rng.uniform(-25, 25))), "north", along, 0.82)
     return panels
 
 
 def _east(rng: np.random.Generator) -> list[Panel]:
-    panels = _at_wall(furniture.sofa(rng, (92, 116, 150), ("cat", "tissue", "retina")), "east", -0.25)
-    panels += _at_wall(furniture.picture("motorcycle", 1.0, rng, PALE), "east", 0.62, 1.65)
-    panels += _at_wall(furniture.picture("camera", 0.62, rng), "east", -0.55, 1.62)
-    panels += _at_wall(furniture.picture("colors", 0.50, rng, OAK), "east", -1.45, 1.72)
+    panels = _place_at_wall(furniture.sofa(rng, (92, 116, 150), ("cat", "tissue", "retina")), "east", -0.25)
+    panels += _place_at_wall(furniture.wall_picture("motorcycle", 1.0, rng, PALE), "east", 0.62, 1.65)
+    panels += _place_at_wall(furniture.wall_picture("camera", 0.62, rng), "east", -0.55, 1.62)
+    panels += _place_at_wall(furniture.wall_picture("colors", 0.50, rng, OAK), "east", -1.45, 1.72)
     foot = 0.0
     for name, size in (("motorcycle", 0.52), ("coffee", 0.44), ("page", 0.36)):
         piece = furniture.carton((size, size * 0.9, size * 0.8), name, rng, 500.0)
-        panels += _at_wall(place_panels(piece, (0, -0.36, 0), float(rng.uniform(-20, 20))), "east", 1.75, foot)
+        panels += _place_at_wall(place_panels(piece, (0, -0.36, 0), float(rng.uniform(-20, 20))), "east", 1.75, foot)
         foot += size * 0.8
-    return panels + _at_wall(furniture.bookcase(0.8, 1.25, 4, rng, WALNUT), "east", -1.82)
+    return panels + _place_at_wall(furniture.bookcase(0.8, 1.25, 4, rng, WALNUT), "east", -1.82)
 
 
 def _south(rng: np.random.Generator) -> list[Panel]:
-    panels = _at_wall(place_panels(furniture.table(1.5, 0.62, 0.74, rng, PALE), (0, -0.32, 0)), "south", 0.75)
+    panels = _place_at_wall(place_panels(furniture.table(1.5, 0.62, 0.74, rng, PALE), (0, -0.32, 0)), "south", 0.75)
     screen = crop("page", 330, 560, rng, 1.4)
     monitor = box(
         (0, -0.2, 0.86), (0.62, 0.04, 0.37), lambda f, w, h: screen if f == "front" else screen[:20, :20] // 4
     )
     stand = box((0, -0.18, 0.74), (0.10, 0.06, 0.14), furniture.wood_skin(rng, (60, 60, 64)))
-    panels += _at_wall(monitor + stand, "south", 0.72)
+    panels += _place_at_wall(monitor + stand, "south", 0.72)
     for along, name, size in ((0.2, "astronaut", 0.2), (1.22, "text", 0.28), (1.36, "coins", 0.16)):
-        panels += _at_wall(
+        panels += _place_at_wall(
             place_panels(furniture.carton((size, size, size), name, rng), (0, -0.33, 0), 15), "south", along, 0.74
         )
-    panels += _at_wall(furniture.picture("rocket", 1.15, rng, (228, 226, 220), 0.0), "south", 0.75, 1.78)
-    panels += _at_wall(furniture.bookcase(1.3, 2.0, 6, rng, WALNUT), "south", -0.95)
-    panels += _at_wall(furniture.picture("moon", 0.58, rng), "south", -2.02, 1.60)
-    panels += _at_wall(furniture.picture("text", 0.60, rng, OAK), "south", 1.95, 1.45)
-    return panels + _at_wall(furniture.cabinet(0.75, 0.95, ("gravel",), rng, OAK), "south", -2.12)
+    panels += _place_at_wall(furniture.wall_picture("rocket", 1.15, rng, (228, 226, 220), 0.0), "south", 0.75, 1.78)
+    panels += _place_at_wall(furniture.bookcase(1.3, 2.0, 6, rng, WALNUT), "south", -0.95)
+    panels += _place_at_wall(furniture.wall_picture("moon", 0.58, rng), "south", -2.02, 1.60)
+    panels += _place_at_wall(furniture.wall_picture("text", 0.60, rng, OAK), "south", 1.95, 1.45)
+    return panels + _place_at_wall(furniture.cabinet(0.75, 0.95, ("gravel",), rng, OAK), "south", -2.12)
 
 
 def _west(rng: np.random.Generator) -> list[Panel]:
-    panels = _at_wall(furniture.cabinet(2.0, 0.62, ("galaxies", "tissue", "cat", "brick"), rng, WALNUT), "west", 0.35)
-    panels += _at_wall(furniture.picture("cat", 0.95, rng, OAK), "west", -0.15, 1.62)
-    panels += _at_wall(furniture.picture("retina", 0.66, rng), "west", 0.92, 1.60)
-    panels += _at_wall(furniture.picture("page", 0.62, rng, PALE), "west", 1.78, 1.75)
+    panels = _place_at_wall(
+        furniture.cabinet(2.0, 0.62, ("galaxies", "tissue", "cat", "brick"), rng, WALNUT), "west", 0.35
+    )
+    panels += _place_at_wall(furniture.wall_picture("cat", 0.95, rng, OAK), "west", -0.15, 1.62)
+    panels += _place_at_wall(furniture.wall_picture("retina", 0.66, rng), "west", 0.92, 1.60)
+    panels += _place_at_wall(furniture.wall_picture("page", 0.62, rng, PALE), "west", 1.78, 1.75)
     for along, name, size in ((-0.4, "rocket", 0.3), (0.1, "grass", 0.2), (0.7, "camera", 0.36), (1.1, "colors", 0.22)):
         piece = furniture.carton((size, size * 0.7, size), name, rng)
-        panels += _at_wall(place_panels(piece, (0, -0.19, 0), float(rng.uniform(-20, 20))), "west", along, 0.62)
-    panels += _at_wall(furniture.bookcase(0.9, 1.85, 5, rng, PALE), "west", -1.55)
-    return panels + _at_wall(
+        panels += _place_at_wall(place_panels(piece, (0, -0.19, 0), float(rng.uniform(-20, 20))), "west", along, 0.62)
+    panels += _place_at_wall(furniture.bookcase(0.9, 1.85, 5, rng, PALE), "west", -1.55)
+    return panels + _place_at_wall(
         place_panels(furniture.carton((0.5, 0.45, 0.8), "motorcycle", rng, 500.0), (0, -0.3, 0)), "west", 1.85
     )
 

@@ -12,7 +12,7 @@ from bag_files import BagWriter, picture, time_ns
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets.bag.dataset import Bag
-from codecbench.plugins.datasets.bag.pictures import bits_of
+from codecbench.plugins.datasets.bag.images import bits_of
 
 RGB = picture(1, (24, 32, 3))
 GRAY = picture(2, (24, 32))

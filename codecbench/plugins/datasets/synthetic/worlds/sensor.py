@@ -34,7 +34,7 @@ class Sensor:
         self._brightness = brightness
         self._side = np.float32(lens_blur_px**2 / 4)
 
-    def picture(self, total: NDArray[np.uint64], samples: int, gain: float, key: int) -> Image:
+    def expose(self, total: NDArray[np.uint64], samples: int, gain: float, key: int) -> Image:
         """The image (H, W, 3) of a renderer's sum of sub-frames (H, W).
 
         gain: factor on the exposure. key: seed of the noise.

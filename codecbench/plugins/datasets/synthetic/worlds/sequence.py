@@ -67,7 +67,7 @@ class WorldSequence(RenderedSequence):
         dusk = min(max((time_s - _DARK_S) / _DAWN_S, 0.0), 1.0)
         gain *= conditions.first_light + (1.0 - conditions.first_light) * dusk
         key = int(np.random.default_rng([self._seed, 3, source]).integers(2**63))
-        return sensor.picture(total, samples, float(gain), key)
+        return sensor.expose(total, samples, float(gain), key)
 
 
 @lru_cache(maxsize=2)

@@ -61,7 +61,7 @@ def _layouts() -> dict[str, _Layout]:
 _LAYOUTS: Final = _layouts()
 
 
-def picture_from_image(message: Any, bits: int, where: str) -> Image:
+def decode_image(message: Any, bits: int, where: str) -> Image:
     """The gray (H, W) or RGB (H, W, 3) image of a sensor_msgs/Image. Raises DatasetError, naming `where`.
 
     bits: how many of 16 bits the samples fill; the upper 8 of these are kept. Bayer images are interpolated bilinearly.
@@ -122,8 +122,8 @@ def largest_sample(message: Any) -> int | None:
     return int(np.asarray(whole).view(">u2" if message.is_bigendian else "<u2").max(initial=0))
 
 
-def picture_from_compressed(message: Any, bits: int, where: str) -> Image:
-    """Decode a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `picture_from_image`.
+def decode_compressed(message: Any, bits: int, where: str) -> Image:
+    """Decode a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `decode_image`.
 
     Raises DatasetError, naming `where`.
     """
