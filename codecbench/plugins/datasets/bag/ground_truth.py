@@ -1,4 +1,4 @@
-"""The camera's true path from poses in a recording."""
+"""The camera's ground truth, from poses or transforms in a recording."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from codecbench.plugins.datasets.bag.recording import Recording, Topic
 from codecbench.plugins.datasets.tables import transforms_from_quaternions
 
 Floats = NDArray[np.float64]
-_NUMBERS: Final = 7
-_DEEPEST: Final = 100
+_POSE_NUMBERS: Final = 7
+_MOST_ANCESTORS: Final = 100
 _STATIC: Final = "tf_static"
 
 
@@ -34,7 +34,7 @@ class Edge:
     def trajectory(self, where: str) -> Trajectory:
         """The transforms sorted by time; the first of several at one time counts. Raises DatasetError."""
         times_ns, first = np.unique(np.frombuffer(self.times_ns, np.int64), return_index=True)
-        poses = np.frombuffer(self.numbers, np.float64).reshape(-1, _NUMBERS)[first]
+        poses = np.frombuffer(self.numbers, np.float64).reshape(-1, _POSE_NUMBERS)[first]
         return Trajectory(
             times_ns / 1e9, transforms_from_quaternions(poses, lambda number: f"{where}[{first[number]}]")
         )
@@ -72,9 +72,7 @@ class FrameTree:
         chain = self._ancestors(parent, child)
         top = self.edges[chain[-1]].parent if chain else child
         moving = {
-            name: self.edges[name].trajectory(self._edge_label(name))
-            for name in chain
-            if not self.edges[name].is_static
+            name: self.edges[name].trajectory(self._label(name)) for name in chain if not self.edges[name].is_static
         }
         if not moving:
             raise DatasetError(
@@ -86,13 +84,12 @@ class FrameTree:
         times_s = times_s[(start_s <= times_s) & (times_s <= end_s)]
         if not len(times_s):
             raise DatasetError(f"{self._where}: the transforms between {top!r} and {child!r} are of different times")
-        whole = np.tile(np.eye(4), (len(times_s), 1, 1))
+        top_from_child = np.tile(np.eye(4), (len(times_s), 1, 1))
         for name in chain:
             edge = self.edges[name]
-            whole = (
-                edge.constant(self._edge_label(name)) if edge.is_static else interpolate_poses(moving[name], times_s)
-            ) @ whole
-        return top, Trajectory(times_s, whole)
+            poses = edge.constant(self._label(name)) if edge.is_static else interpolate_poses(moving[name], times_s)
+            top_from_child = poses @ top_from_child
+        return top, Trajectory(times_s, top_from_child)
 
     def _add(self, transform: Any, is_static: bool) -> None:
         child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
@@ -106,10 +103,10 @@ class FrameTree:
         """The chain of frames from the child up to the one below the parent. Raises DatasetError if there is none."""
         chain: list[str] = []
         frame = child
-        while frame != parent and frame in self.edges and len(chain) < _DEEPEST:
+        while frame != parent and frame in self.edges and len(chain) < _MOST_ANCESTORS:
             chain.append(frame)
             frame = self.edges[frame].parent
-        if len(chain) == _DEEPEST or (parent is not None and frame != parent):
+        if len(chain) == _MOST_ANCESTORS or (parent is not None and frame != parent):
             raise DatasetError(
                 f"{self._where}: no transforms lead from {parent!r} to {child!r}; {self._describe_transforms()}"
             )
@@ -118,14 +115,14 @@ class FrameTree:
     def _static_root(self, frame: str) -> tuple[str, Floats]:
         """The topmost frame that static transforms connect to `frame`, and root_from_frame (4, 4)."""
         whole = np.eye(4)
-        for _ in range(_DEEPEST):
+        for _ in range(_MOST_ANCESTORS):
             edge = self.edges.get(frame)
             if edge is None or not edge.is_static:
                 break
-            whole, frame = edge.constant(self._edge_label(frame)) @ whole, edge.parent
+            whole, frame = edge.constant(self._label(frame)) @ whole, edge.parent
         return frame, whole
 
-    def _edge_label(self, child: str) -> str:
+    def _label(self, child: str) -> str:
         return f"{self._where}: transforms of {child!r}"
 
     def _describe_transforms(self) -> str:

@@ -107,7 +107,6 @@ class SyntheticSequence(RenderedSequence):
         super().__init__("synthetic", params, params.frames, FRAME_RATE_HZ, camera, path, pixel_inputs)
 
     def render(self, source: int) -> Image:
-
         params = self._params
         light = _renderer(params.width, params.height).mean_of_samples(
             self._exposure_poses(source / FRAME_RATE_HZ), np.array(_OFFSETS_PX)
