@@ -1,1 +1,1 @@
-"""What a plugin author writes against. Empty on purpose: import the module that you need."""
+"""The interfaces that plugin authors implement. Empty on purpose: import the module that you need."""

@@ -1,13 +1,13 @@
 """The codec contract: three ways of writing a codec, and one way of using it.
 
-One class is one codec, and an instance of it one setting.
+A class is a codec; an instance of it is one operating point, called a setting.
 
-A `Codec` codes pictures one by one by `encode` and `decode`; a `StreamCodec` writes sessions, which remember what came
-before; a `FeatureCodec` finds features and writes sessions for these. Whoever uses a codec opens sessions of any of
-them: frames go in and packets come out, packets go in and pictures or features come out. A picture that is coded on its
-own is a packet of its own. What a codec is, `carries` and `stateless` say.
+A `Codec` codes each frame on its own by `encode` and `decode`. A `StreamCodec` is an inter-frame (video) codec: its
+sessions hold state. A `FeatureCodec` extracts features and opens sessions that code them. All are used
+through sessions: frames go in and packets come out, then packets go in and decoded frames or features come out. A
+stateless codec makes one packet a frame. `carries` and `stateless` tell the kinds apart.
 
-Codecs are silent about time and quality: others measure. Bitstreams are self-contained: a decoder gets packets and
+Codecs measure neither time nor quality: evaluators do. Bitstreams are self-contained: a decoder gets packets and
 nothing else, so no table, shape or quality may reach it outside the bytes that are counted.
 """
 
@@ -32,118 +32,115 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 Reference = Literal["", "baseline", "anchor"]
 
 Architecture = Literal["cta", "features"]
-"""Who analyses: `cta`, the server does, on whatever the codec sends; `features`, the same, and that is features."""
+"""What the server analyzes: `cta` (compress-then-analyze), whatever the codec sends; `features`, features only."""
 
 Decoded: TypeAlias = Picture | FeatureSet
-"""What comes of a packet."""
+"""What a decoder returns for a packet."""
 
 
 class Decoder(Protocol):
-    """A stream of any codec being decoded: a `StreamDecoder`, or one that gives a FeatureSet for each packet."""
+    """A decoding session of any codec: a `StreamDecoder`, or one that returns a FeatureSet for each packet."""
 
     def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> Sequence[Decoded]:
-        """What is ready after this packet, or after knowing that the next one is LOST."""
+        """Decode the next packet, or LOST in its place; return what is ready."""
 
     def flush(self) -> Sequence[Decoded]:
-        """What was held back; the session is over then."""
+        """Return what the decoder still held back, and end the session."""
 
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a codec can do, checked before anything runs.
-
-    channels: layouts of images that it takes (1 gray, 3 RGB). A layout that is missing makes the cell `unsupported`.
-    lossless: every setting returns the very pixels; for codecs where it depends, override `Codec.is_lossless`.
-    counts_operations: all arithmetic is in kernels run through the trace; False means opaque (foreign library).
-    thread_safe: one instance may encode and decode from several threads at once.
-    partial_decoding: `Codec.decode_partial` makes something of a bitstream of which parts are missing.
-    """
+    """What a codec can do, checked before anything runs."""
 
     channels: tuple[int, ...] = (1, 3)
+    """Image layouts that it takes: 1 gray, 3 RGB. Cells of other layouts are `unsupported`."""
     lossless: bool = False
+    """Every setting returns the exact pixels. If that depends on parameters, override `is_lossless`."""
     counts_operations: bool = False
+    """All arithmetic is in kernels run through the trace; False for codecs of a foreign library."""
     thread_safe: bool = True
+    """One instance may encode and decode from several threads at once."""
     partial_decoding: bool = False
+    """`decode_partial` decodes bitstreams of which parts are missing."""
 
 
 @dataclass(frozen=True)
 class Fragment:
-    """Bytes of a bitstream that are there. offset: where in it they begin."""
+    """A contiguous part of a bitstream that arrived."""
 
     offset: int
+    """Position of its first byte in the bitstream."""
     data: bytes = field(repr=False)
 
     @property
     def end(self) -> int:
-        """Where in the bitstream they end."""
+        """Position after its last byte in the bitstream."""
         return self.offset + len(self.data)
 
 
 @dataclass(frozen=True)
 class PartialImage:
-    """What a decoder makes of a bitstream of which parts are missing.
-
-    image: of the encoded image's shape. whole: (H, W) where it is what the whole bitstream gives; elsewhere it is
-    coarser than that, or made up.
-    """
+    """An image decoded from a bitstream of which parts are missing."""
 
     image: Image = field(repr=False)
+    """The image, of the encoded image's shape."""
     whole: NDArray[np.bool_] = field(repr=False)
+    """(H, W) True for pixels that equal the complete bitstream's; the others are coarser or concealed."""
 
     @classmethod
     def of_whole(cls, image: Image) -> Self:
-        """Nothing was missing."""
+        """Wrap an image of which nothing was missing."""
         return cls(image, np.ones(image.shape[:2], dtype=bool))
 
 
 class AnyCodec(Configured[P]):
-    """What codecs of pictures, of streams and of features have in common, and how all are used.
+    """Base of the three kinds of codec, with what all have in common; subclass one of those.
 
-    Class attributes: `name` as used in a matrix; `version`, raised whenever bitstreams or decoded pixels
-    change, so that stored cells are recomputed; `params_type`; `capabilities`; `examples`, parameters of the
-    settings on which the conformance kit and the benchmarks exercise this codec; `reference`, what it is to
-    others: the `baseline` that a task without compression is judged by, or the `anchor` of rates; `kernels`, the
-    packages, modules and functions whose listed kernels it calls, which a run compiles ahead; a setting that calls
-    fewer has its own. The classes below say the rest: `carries`, what its packets carry, and `stateless`, whether each
-    picture is coded on its own, so that `encode` and `decode` may be called too.
+    Raise `version` whenever bitstreams or decoded pixels change.
     """
 
     capabilities: ClassVar[Capabilities]
+    """What it can do."""
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
+    """Parameters of the settings on which the conformance kit and the benchmarks run this codec."""
     kernels: tuple[str, ...] = ()
+    """Packages, modules and functions whose kernels a run compiles ahead; a setting that calls fewer sets its own."""
     reference: ClassVar[Reference] = ""
+    """Marks the codec as the uncompressed `baseline` or the BD-rate `anchor`; empty for all others."""
     carries: ClassVar[Literal["pictures", "features"]] = "pictures"
+    """What its packets carry."""
     stateless: ClassVar[bool] = False
+    """Whether each frame is coded on its own, so that `encode` and `decode` work too."""
 
     @abstractmethod
     def open_encoder(self, frame_rate_hz: float) -> StreamEncoder:
-        """A session that takes the frames of one sequence and gives packets."""
+        """Open a session that encodes the frames of one sequence into packets."""
 
     @abstractmethod
     def open_decoder(self) -> Decoder:
-        """A session that takes the packets of one stream, which any instance of this class encoded."""
+        """Open a session that decodes the packets of one stream, encoded by any instance of this class."""
 
     def is_lossless(self) -> bool:
-        """Whether this setting returns the very pixels that went in."""
+        """Return whether this setting reproduces the exact pixels."""
         return self.capabilities.lossless
 
     def remark(self) -> str:
-        """What readers of results are to know of this setting beside all numbers, in a few words; empty for nothing.
+        """Return a few words that every table shows beside this setting's numbers; empty for none.
 
-        Every table says it, so it is for properties without which numbers cannot be compared, such as the pixel format.
+        Use it for properties without which numbers cannot be compared, such as the pixel format.
         """
         return ""
 
     def libraries(self) -> dict[str, str]:
-        """Foreign libraries whose version can change the bytes, as name -> version. Recorded with every run."""
+        """Return the foreign libraries whose version can change the bytes, as name -> version. A run records them."""
         return {}
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
-        """What one pastes into a robot to send what this setting sends; by default a call of codecbench itself."""
-        given = self.params.model_dump(mode="json", exclude_defaults=True)
-        if type(self.params).model_validate(given) != self.params:  # where one parameter sets another's default
-            given = self.params.model_dump(mode="json")
-        values = "".join(f", {name}={value!r}" for name, value in given.items())
+        """Return code that sends the same bytes from a robot's stack; by default a call of codecbench itself."""
+        values_set = self.params.model_dump(mode="json", exclude_defaults=True)
+        if type(self.params).model_validate(values_set) != self.params:  # if one parameter sets another's default
+            values_set = self.params.model_dump(mode="json")
+        values = "".join(f", {name}={value!r}" for name, value in values_set.items())
         layout = "gray" if scene.channels == 1 else "rgb"
         text = f"""import codecbench
 
@@ -158,15 +155,15 @@ def encode({layout}):
         return (Recipe("Python, codecbench", "python", text, note),)
 
     def is_low_delay(self) -> bool:
-        """Whether each pushed picture gives its packet at once, and each packet its picture at once."""
+        """Return whether every pushed frame yields its packet at once, and every packet its frame."""
         return True
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        """The bitstream of one image, of a stateless codec; others raise Unsupported, which names what to call."""
+        """Encode one image. Raises Unsupported, naming what to call, if the codec is not stateless."""
         raise self._sessions_only()
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        """The image of one bitstream, of a stateless codec; others raise Unsupported."""
+        """Decode one bitstream. Raises Unsupported if the codec is not stateless."""
         raise self._sessions_only()
 
     def _sessions_only(self) -> Unsupported:
@@ -178,54 +175,54 @@ def encode({layout}):
         )
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
-        """The image of a bitstream as far as the fragments of it go; for codecs with `capabilities.partial_decoding`.
+        """Decode the fragments of a bitstream that arrived; for codecs with `capabilities.partial_decoding`.
 
         fragments: one or more, undamaged, in order and with a gap before each but the first; how much is missing after
-        the last is not known. A whole bitstream, as one fragment, gives what `decode` gives. Raises BitstreamError
-        where nothing can be made of them, which for a setting may be whenever anything is missing.
+        the last is unknown. A complete bitstream, as one fragment, gives what `decode` gives. Raises BitstreamError if
+        nothing can be decoded, which for some settings is whenever anything is missing.
         """
         raise Unsupported(f"{self.name} decodes nothing of a bitstream of which parts are missing")
 
     def with_params(self, **values: Any) -> Self:
-        """The setting with these parameters in place of its own. Raises pydantic.ValidationError."""
+        """Return this setting with some parameters replaced. Raises pydantic.ValidationError."""
         return type(self)(type(self).params_type.model_validate({**self.params.model_dump(), **values}))  # type: ignore[arg-type]
 
     def at_encoder(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What `function(codec, *arguments)` returns in the process that encodes; a function of a module's own.
+        """Return `function(codec, *arguments)`, called in the process that encodes; `function` is a module's own.
 
         A codec of another distribution encodes in a process of its own, where times and operations are measured.
         """
         return function(self, *arguments)
 
     def at_decoder(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """The same in the process that decodes, which never sees a frame that was encoded."""
+        """Return the same, called in the process that decodes, which never sees an original frame."""
         return function(self, *arguments)
 
     def prepared(self, image: Image) -> Self:
-        """This setting with all found that `encode` would search for on this image: the rate that reaches a size, say.
+        """Return this setting with the result of any search that `encode` does on this image, such as a target size.
 
-        `codec.prepared(image).encode(image)` gives the bytes of `codec.encode(image)` by one encoding, which is what
-        is timed. It is for that image alone; this instance stays as it is. A codec that searches for nothing returns
-        itself. Raises what `encode` raises.
+        `codec.prepared(image).encode(image)` returns the bytes of `codec.encode(image)` by a single encoding, which is
+        what is timed. It is valid for that image only; this instance does not change. A codec that searches for nothing
+        returns itself. Raises what `encode` raises.
         """
         return self
 
 
 class Codec(AnyCodec[P]):
-    """Base class of codecs that code each picture on its own, by an instance that remembers nothing."""
+    """Base class of stateless codecs, which code each frame on its own."""
 
     stateless = True
 
     @abstractmethod
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        """The bitstream of one image, which is left untouched.
+        """Encode one image, without writing to it. Equal images give equal bytes.
 
-        Raises ImageError for an image outside `capabilities`. Equal images give equal bytes.
+        Raises ImageError for an image outside `capabilities`.
         """
 
     @abstractmethod
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        """The image of a bitstream that any instance of this class encoded, from the bytes alone.
+        """Decode a bitstream of any instance of this class, from the bytes alone.
 
         Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
         """
@@ -238,15 +235,15 @@ class Codec(AnyCodec[P]):
 
 
 class StreamCodec(AnyCodec[P]):
-    """Base class of codecs with memory. Equal pictures, pushed in the same order, give equal packets."""
+    """Base class of inter-frame (video) codecs. Equal frames, pushed in the same order, give equal packets."""
 
     @abstractmethod
     def encoder(self, frame_rate_hz: float) -> StreamEncoder:
-        """A session for one sequence, which knows nothing of any other."""
+        """Open an encoding session for one sequence, independent of all others."""
 
     @abstractmethod
     def decoder(self) -> StreamDecoder:
-        """A session for one stream that any instance of this class encoded, from its packets alone."""
+        """Open a decoding session for one stream of any instance of this class, from its packets alone."""
 
     def open_encoder(self, frame_rate_hz: float) -> StreamEncoder:
         return self.encoder(frame_rate_hz)
@@ -256,28 +253,28 @@ class StreamCodec(AnyCodec[P]):
 
 
 class FeatureCodec(AnyCodec[P]):
-    """Base class of codecs of features. Equal images, in the same order, give equal packets.
+    """Base class of feature codecs. Equal images, in the same order, give equal packets.
 
-    A lossless setting gives back positions, levels and descriptors to the bit, in any order, and angles to within
-    ANGLE_TOLERANCE_RAD; responses need not come back.
+    A lossless setting reproduces positions, levels and descriptors to the bit, in any order, and angles to within
+    ANGLE_TOLERANCE_RAD; responses need not be sent.
     """
 
     carries = "features"
 
     @abstractmethod
     def extract(self, image: Image) -> Features:
-        """What the device finds in an image, gray or RGB, which is left untouched.
+        """Extract the features of an image, gray or RGB, without writing to it. Equal images give equal features.
 
-        Raises ImageError for an image outside `capabilities`. Equal images give equal features.
+        Raises ImageError for an image outside `capabilities`.
         """
 
     @abstractmethod
     def encoder(self) -> FeatureEncoder:
-        """A session for one sequence, which knows nothing of any other."""
+        """Open an encoding session for one sequence, independent of all others."""
 
     @abstractmethod
     def decoder(self) -> FeatureDecoder:
-        """A session for one stream that any instance of this class encoded, from its packets alone."""
+        """Open a decoding session for one stream of any instance of this class, from its packets alone."""
 
     def open_encoder(self, frame_rate_hz: float) -> StreamEncoder:
         return _ExtractingEncoder(self)
@@ -287,7 +284,7 @@ class FeatureCodec(AnyCodec[P]):
 
 
 class _ExtractingEncoder(StreamEncoder):
-    """What a device does with a codec of features."""
+    """The device's side of a feature codec: extracts the features of each frame and encodes them."""
 
     def __init__(self, codec: FeatureCodec[Any]) -> None:
         self._codec, self._encoder = codec, codec.encoder()
@@ -300,7 +297,7 @@ class _ExtractingEncoder(StreamEncoder):
 
 
 class _SetDecoder:
-    """Each packet gives its set at once."""
+    """Decodes each packet into its feature set at once."""
 
     def __init__(self, decoder: FeatureDecoder) -> None:
         self._decoder = decoder
@@ -326,7 +323,7 @@ class _StandaloneEncoder(StreamEncoder):
 
 
 class _StandaloneDecoder(StreamDecoder):
-    """Each packet gives its picture; a lost one is missing, numbered after the one before it."""
+    """Decodes each packet into its frame; the frame of a lost packet is missing, and numbered by its place."""
 
     def __init__(self, codec: Codec[Any]) -> None:
         self._codec, self._next = codec, 0
@@ -343,12 +340,15 @@ class _StandaloneDecoder(StreamDecoder):
 
 
 def encoder_of(codec: AnyCodec[Any], frame_rate_hz: float) -> StreamEncoder:
-    """A session of any codec, which extracts features where it is one of these. Raises TypeError for no codec."""
+    """Open an encoding session of any codec; a feature codec's extracts features. Raises TypeError for no codec."""
     return _codec(codec).open_encoder(frame_rate_hz)
 
 
 def decoder_of(codec: AnyCodec[Any]) -> StreamDecoder:
-    """A session of any codec of pictures. Raises Unsupported for one of features, and TypeError for no codec."""
+    """Open a decoding session of any codec but a feature codec.
+
+    Raises Unsupported for a feature codec, and TypeError for no codec.
+    """
     if _codec(codec).carries == "features":
         raise sends_no_picture(codec)
     return cast("StreamDecoder", codec.open_decoder())
@@ -362,9 +362,9 @@ def _codec(codec: object) -> AnyCodec[Any]:
 
 
 def gets_features(codec: AnyCodec[Any], architecture: str) -> bool:
-    """Whether who analyses what a codec sends gets features: so it is with codecs of features, whatever was asked for.
+    """Return whether the server gets features of this codec: those of a feature codec, whatever the architecture.
 
-    Raises Unsupported where `architecture` is `features` and the codec is of pictures.
+    Raises Unsupported if `architecture` is `features` and the codec sends frames.
     """
     if codec.carries == "features":
         return True
@@ -374,7 +374,7 @@ def gets_features(codec: AnyCodec[Any], architecture: str) -> bool:
 
 
 def sends_no_picture(codec: AnyCodec[Any]) -> Unsupported:
-    """For who asks a codec of features for a picture."""
+    """Return the error for asking a feature codec for a frame."""
     return Unsupported(
         f"{codec.name} sends features, so that there is no picture to look at; "
         f"measure it by what reads features: docs/pictures-or-features.md says what does"
@@ -382,7 +382,7 @@ def sends_no_picture(codec: AnyCodec[Any]) -> Unsupported:
 
 
 def sends_no_features(codec: AnyCodec[Any]) -> Unsupported:
-    """For who asks a codec of pictures for features."""
+    """Return the error for asking a codec that sends frames for features."""
     return Unsupported(
         f"{codec.name} sends pictures, not features; "
         f"leave `architecture: features` out, and each codec is measured by what it sends"

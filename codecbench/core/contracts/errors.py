@@ -1,7 +1,7 @@
 """The errors that codecbench raises on purpose.
 
-Each says what is wrong, where, what was got, what is allowed and what to do next. Anything else that
-escapes from a plugin is a fault of that plugin and becomes the reason of its cell.
+Each message says what is wrong, where, what is allowed and what to do next. Any other exception from a plugin is a
+fault of that plugin and becomes the reason of its cell.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any, get_args
 
 
 class CodecbenchError(Exception):
-    """Every error that codecbench raises on purpose is one of these."""
+    """Base of every error that codecbench raises on purpose."""
 
 
 class ImageError(CodecbenchError, ValueError):
-    """An image has a shape, dtype or layout that the contract or this codec does not take."""
+    """An image has a shape, dtype or layout that the contract or this codec does not allow."""
 
 
 class BitstreamError(CodecbenchError, ValueError):
@@ -31,25 +31,23 @@ class KeyCollision(ParamsError):
 
 
 class DatasetError(CodecbenchError):
-    """A sequence on disk is missing, damaged or inconsistent; the message names the file and line.
-
-    what: the message. without: parameters of its dataset, as JSON types, that open the rest, which its text says.
-    """
+    """A sequence on disk is missing, damaged or inconsistent; the message names the file and line."""
 
     def __init__(self, what: str = "", without: dict[str, Any] | None = None) -> None:
+        """`without`: parameters of its dataset, as JSON types, that open the undamaged rest; the text suggests them."""
         super().__init__(what)
         self.what = what
         self.without = without or {}
 
     @property
     def settings(self) -> str:
-        """What opens the rest as a matrix has it, such as `skip: [4]`; empty where nothing does."""
+        """The parameters that open the rest, spelled as in a matrix, such as `skip: [4]`; empty for none."""
         values = {name: value if isinstance(value, str) else json.dumps(value) for name, value in self.without.items()}
         return ", ".join(f"`{name}: {value}`" for name, value in values.items())
 
     def __str__(self) -> str:
-        said = not self.settings or self.settings in self.what
-        return self.what if said else f"{self.what}; set {self.settings} to go without it"
+        complete = not self.settings or self.settings in self.what
+        return self.what if complete else f"{self.what}; set {self.settings} to go without it"
 
 
 class MatrixError(CodecbenchError):
@@ -61,7 +59,7 @@ class PluginError(CodecbenchError):
 
 
 def require_choice(what: str, got: object, choices: Any) -> None:
-    """Raise PluginError where something is none of the choices of a Literal."""
+    """Raise PluginError if a value is none of the choices of a Literal."""
     if got not in get_args(choices):
         raise PluginError(f"{what} is {got!r}; it is one of {', '.join(get_args(choices))}")
 
@@ -77,6 +75,6 @@ class SlamError(CodecbenchError):
 class Unsupported(CodecbenchError):
     """This combination cannot be computed here; it becomes a row with status `unsupported` and this reason.
 
-    Raise it where a library, a system tool or a property of the sequence is missing. Say what is missing
-    and the command that provides it.
+    Raise it if a library, a system tool or a property of the sequence is missing. Say what is missing and which command
+    provides it.
     """

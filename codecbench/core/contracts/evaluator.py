@@ -1,8 +1,8 @@
 """The evaluator contract: what is measured, on what, and how it is declared.
 
-Three kinds differ in what they are handed: a FrameEvaluator one coded frame at a time, a SequenceEvaluator
-the whole coded sequence in order, a CodecEvaluator the codec itself (to time or trace it). All yield
-Measurements of metrics that the class declared; an undeclared one fails the cell.
+A FrameEvaluator gets one coded frame at a time, a SequenceEvaluator the whole coded sequence in order, and a
+CodecEvaluator the codec itself, to time or trace it. All yield Measurements of the metrics that the class declares; an
+undeclared one fails the cell.
 """
 
 from __future__ import annotations
@@ -31,22 +31,23 @@ from codecbench.core.contracts.view import Drawing, KeypointOverlay, View
 
 @dataclass(frozen=True)
 class Measurement:
-    """One value of one metric; `frame` and `stage` where it belongs to one.
-
-    A stage is `encode` or `decode`, or one of their parts: `encode/dct`. A value may be infinite (identical
-    images) but a NaN must come with a reason: it then is a missing value and never a number.
-    """
+    """One value of one metric."""
 
     metric: str
+    """Name of a metric that the evaluator declares."""
     value: float
+    """In the metric's unit. It may be infinite (identical images); NaN is a missing value and needs a `reason`."""
     frame: int | None = None
+    """Index of its frame in the sequence; None for a value of the whole sequence."""
     stage: str | None = None
+    """`encode` or `decode`, or a part of one, such as `encode/dct`; None if it belongs to no stage."""
     reason: str | None = None
+    """Why the value is missing."""
 
 
 @dataclass(frozen=True)
 class CodedFrame:
-    """A frame beside what became of it."""
+    """A frame, its bitstream and the decoded image."""
 
     original: Frame
     bitstream: bytes = field(repr=False)
@@ -54,43 +55,44 @@ class CodedFrame:
 
     @cached_property
     def size_bytes(self) -> int:
+        """Size of the bitstream in bytes."""
         return len(self.bitstream)
 
 
 @dataclass(frozen=True)
 class SentPacket:
-    """A packet of a coded sequence.
-
-    frame: index of its frame. starts: whether decoding can start at it. after: how many frames the encoder had been
-    given when it came out: a packet that came at once has `frame + 1`. recovery_frames: as of a `Packet`. session: of
-    the encoder's sessions, the one that it is of, where a sender that adapts begins others.
-    """
+    """A packet of a coded sequence, without its bytes."""
 
     frame: int
+    """Index of its frame in the sequence."""
     size_bytes: int
     starts: bool
+    """Whether it is a keyframe: decoding can start at it (random access)."""
     after: int
+    """How many frames the encoder had been given when the packet came out: `frame + 1` without delay."""
     recovery_frames: int | None = None
+    """As in `Packet`."""
     session: int = 0
+    """Number of its encoding session, from 0; a sender that adapts opens several."""
 
     def packet(self, data: bytes) -> Packet:
-        """With its bytes, as a decoder gets it."""
+        """Return the packet with its bytes, as a decoder gets it."""
         return Packet(data, self.frame, self.starts, self.recovery_frames)
 
 
 class FrameSender(Protocol):
-    """Codes frames of a sequence as they are chosen, in any number and in rising order."""
+    """Codes chosen frames of a sequence, in rising order."""
 
     def send(self, index: int) -> CodedFrame:
-        """The frame, coded after those that were sent before; one of these is given again, and not sent twice.
+        """Code the frame after those sent before; a frame that was sent already is returned, not sent twice.
 
-        Raises Unsupported for a codec with memory that holds the frame back, or has sent a later one.
+        Raises Unsupported if an inter-frame codec holds the frame back, or has sent a later one.
         """
         ...
 
 
 class CodedSequence(Protocol):
-    """All frames of a sequence under one codec setting; frames are read and decoded as they are asked for."""
+    """All frames of a sequence under one codec setting; frames are read and decoded on demand."""
 
     @property
     def sequence(self) -> FrameSequence: ...
@@ -100,7 +102,7 @@ class CodedSequence(Protocol):
 
     @property
     def packets(self) -> tuple[SentPacket, ...]:
-        """What was sent, in that order."""
+        """The packets in sending order."""
         ...
 
     def __len__(self) -> int: ...
@@ -108,28 +110,28 @@ class CodedSequence(Protocol):
     def __iter__(self) -> Iterator[CodedFrame]: ...
 
     def frame(self, index: int) -> CodedFrame:
-        """Raises Unsupported for a codec of features, as iterating does: there is no picture."""
+        """Return one coded frame. Raises Unsupported for a feature codec, as iterating does."""
         ...
 
     def features(self, index: int) -> Features:
-        """What a codec of features has of a frame when it was decoded; raises Unsupported for a codec of pictures."""
+        """Return a frame's decoded features. Raises Unsupported for any codec but a feature codec."""
         ...
 
     def size_bytes(self, index: int) -> int:
-        """Size of one frame's bitstream, without decoding it."""
+        """Return the size of one frame's bitstream in bytes, without decoding it."""
         ...
 
     def sender(self) -> FrameSender:
-        """A sender of chosen frames alone: with a codec that has memory, they make a stream of their own.
+        """Return a sender of chosen frames only; with an inter-frame codec they make a stream of their own.
 
-        Raises Unsupported for a codec of features.
+        Raises Unsupported for a feature codec.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PluginUse:
-    """Another plugin that an evaluator runs, so that its version enters the identity of the cell."""
+    """Another plugin that an evaluator runs; its version becomes part of the cell's identity."""
 
     kind: Kind
     name: str
@@ -137,74 +139,78 @@ class PluginUse:
 
 
 class PluginSource(Protocol):
-    """Where an evaluator gets the plugins that it declared in `uses`."""
+    """Creates the plugins that an evaluator declared in `uses`."""
 
-    def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any: ...
+    def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
+        """Create a plugin of this kind and name with these parameters."""
 
 
 @former_names(awaited="inputs")
 @dataclass(frozen=True)
 class Context:
-    """What a cell may use besides what it measures.
-
-    rng: seeded from the cell's identity. repeat: 0-based. artifacts: an existing folder; files written there
-    are kept beside the record. plugins: creates plugins that the evaluator declared in `uses`. inputs: for each
-    parameter that it declared in `requires`, the median of what was measured.
-    """
+    """What a cell may use besides what it measures."""
 
     rng: np.random.Generator
+    """Random numbers, seeded from the cell's identity."""
     repeat: int
+    """Number of the repeat, from 0."""
     artifacts: Path
+    """An existing folder; files written there are stored beside the record."""
     plugins: PluginSource
+    """Creates the plugins that the evaluator declared in `uses`."""
     inputs: Mapping[str, float] = field(default_factory=dict)
+    """For each parameter declared in `requires`, the median of the measured values."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished cell as another may look at it: its repeat, its measurements, and its artifacts' folder."""
+    """A finished cell, as another one sees it."""
 
     repeat: int
+    """Number of the repeat, from 0."""
     measurements: tuple[Measurement, ...]
     artifacts: Path
+    """Folder of the files that it wrote."""
 
     def value(self, metric: str) -> float:
-        """The value of a metric measured once; NaN where it is missing."""
+        """Return the value of a metric that is measured once; NaN if it is missing."""
         return next((m.value for m in self.measurements if m.metric == metric), float("nan"))
 
 
 class Evaluator(Configured[P]):
-    """Base of the three kinds of evaluator; subclass one of those.
-
-    metrics: everything that `evaluate` and `compare` may yield. views: what it offers to draw of them, beyond
-    what their roles say. needs: what the sequence must have. exclusive: nothing else may run on the machine meanwhile.
-    kernels: the packages and modules whose listed kernels it calls, which a run compiles ahead.
-    typical_ms_per_frame: of a cell on a 640x480 colour frame, decoding included, for estimates before anything is
-    measured; None for evaluators that look at a few frames, whatever the length of the sequence.
-    """
+    """Base of the three kinds of evaluator; subclass one of those."""
 
     metrics: ClassVar[tuple[Metric, ...]]
+    """All metrics that `evaluate` and `compare` may yield."""
     views: ClassVar[tuple[View, ...]] = ()
+    """Charts that it offers beyond those that the metrics' roles imply."""
     needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
+    """What the sequence must have."""
     exclusive: ClassVar[bool] = False
+    """Nothing else may run on the machine meanwhile."""
     kernels: ClassVar[tuple[str, ...]] = ()
+    """Packages and modules whose kernels a run compiles ahead."""
     typical_ms_per_frame: ClassVar[float | None] = None
+    """Time of a cell for each 640x480 RGB frame, decoding included, for estimates before anything is measured.
+
+    None for evaluators that look at a few frames, however long the sequence."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Raise PluginError where metrics and views name metrics that are not declared, or one twice."""
+        """Raise PluginError if metrics or views name an undeclared metric, or a metric is declared twice."""
         super().__init_subclass__(**options)
         names = [metric.name for metric in getattr(cls, "metrics", ())]
-        meant = [(f"metric {metric.name!r}", other) for metric in getattr(cls, "metrics", ())
-                 for other in (metric.confirmed_by, metric.in_units_of) if other]  # fmt: skip
-        meant += [(f"view {view.title!r}", name) for view in cls.views for name in view.metrics]
-        for where, name in meant:
+        references = [(f"metric {metric.name!r}", other) for metric in getattr(cls, "metrics", ())
+                      for other in (metric.confirmed_by, metric.in_units_of) if other]  # fmt: skip
+        references += [(f"view {view.title!r}", name) for view in cls.views for name in view.metrics]
+        for where, name in references:
             if name not in names:
                 raise PluginError(f"{cls.__name__}: {where} names {name!r}; declared are {', '.join(names)}")
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise PluginError(f"{cls.__name__}: metrics declares {', '.join(twice)} twice")
+        if duplicates := sorted({name for name in names if names.count(name) > 1}):
+            raise PluginError(f"{cls.__name__}: metrics declares {', '.join(duplicates)} twice")
 
     @property
     def repeats(self) -> int:
-        """How many cells this evaluator makes of each sequence and setting; each gets its `repeat`."""
+        """Number of cells for each sequence and setting; each gets its `repeat`."""
         return 1
 
     @property
@@ -214,62 +220,61 @@ class Evaluator(Configured[P]):
 
     @property
     def requires(self) -> dict[str, Quantity]:
-        """Parameters for which stands what another evaluator of the matrix measures, with the `quantity` of its metric.
+        """Parameters whose values another evaluator of the experiment measures, each with its metric's `quantity`.
 
-        It is measured of the same codec setting on the same sequence. The cells are computed after those, their
-        identity depends on the values, and these are kept with the record. `awaits` is its former name.
+        The values are measured on the same codec setting and sequence. These cells are computed after those, their
+        identity depends on the values, and the record stores them. `awaits` is the deprecated name.
         """
         return getattr(self, "awaits", {})
 
     @property
     def counts_operations(self) -> bool:
-        """Whether it runs the counting builds of the codec's kernels, so that these are compiled ahead too."""
+        """Whether it runs the counting builds of the codec's kernels, so that a run compiles these ahead too."""
         return False
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
-        """The parameters that determine one repeat; the engine leaves out those at their default.
+        """Return the parameters that determine one repeat; the engine leaves out those at their default.
 
-        Override where a parameter lists the repeats, so that a longer list recomputes nothing.
+        Override it if a parameter lists the repeats, so that a longer list recomputes nothing.
         """
         return self.params.identity()
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        """Measurements that need the baseline codec's outcomes on the same sequence; made when tables are built.
+        """Yield measurements that need the baseline codec's outcomes on the same sequence, when tables are built.
 
-        They replace what `evaluate` measured of the same metric and stage.
-
-        `baseline` is empty where the matrix has no baseline codec: yield NaN with that reason, or nothing.
+        They replace those that `evaluate` yielded of the same metric and stage. `baseline` is empty if the experiment
+        has no baseline codec: yield NaN with that reason, or nothing.
         """
         return iter(())
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
-        """What a finished cell left, for a view of kind `map`; None where there is nothing to draw."""
+        """Return the drawing of a finished cell, for a view of kind `map`; None if there is none."""
         return None
 
     def marks(self, coded: CodedFrame) -> KeypointOverlay | None:
-        """What to mark on a frame that is shown, by the definition that it measures; None where there is nothing."""
+        """Return the keypoints to mark on a displayed frame, defined as in the measurement; None if there are none."""
         return None
 
 
 class FrameEvaluator(Evaluator[P]):
-    """Looks at one frame at a time."""
+    """Measures one frame at a time."""
 
     @abstractmethod
     def evaluate(self, coded: CodedFrame) -> Iterator[Measurement]:
-        """Measurements of one frame; the engine fills in which frame it was."""
+        """Yield measurements of one frame; the engine sets their `frame`."""
 
 
 class SequenceEvaluator(Evaluator[P]):
-    """Looks at a whole coded sequence in order."""
+    """Measures a whole coded sequence in order."""
 
     @abstractmethod
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        """Measurements of the sequence, or of its frames with `frame` set."""
+        """Yield measurements of the sequence, or of single frames with `frame` set."""
 
 
 class CodecEvaluator(Evaluator[P]):
-    """Runs the codec itself; never sees cached bitstreams."""
+    """Runs the codec itself; never gets cached bitstreams."""
 
     @abstractmethod
     def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
-        """Measurements of the codec at work on the sequence; `codec` is a Codec, a StreamCodec or a FeatureCodec."""
+        """Yield measurements of the codec at work; `codec` is a Codec, a StreamCodec or a FeatureCodec."""

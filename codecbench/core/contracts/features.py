@@ -1,7 +1,7 @@
-"""Features of images, and the sessions that code them: the device finds them, and the server never sees a picture.
+"""Features of images, and the sessions that code them: the device extracts them, and the server never sees an image.
 
-What the device finds of one image is a set, `Features`. Sessions code the sets of one sequence in order, one packet for
-each, alone or after those before; `Packet` and LOST are those of `stream`.
+The features of one image are a set, `Features`. A session codes the sets of one sequence in order, one packet each,
+with or without prediction from earlier sets; `Packet` and LOST are those of `stream`.
 """
 
 from __future__ import annotations
@@ -17,26 +17,29 @@ from codecbench.core.contracts.stream import Loss, Packet
 
 DESCRIPTOR_BYTES = 32
 ANGLE_TOLERANCE_RAD = 1e-8
-"""A thousand times less than what separates two thirtieths of a turn in practice."""
+"""Angle error in radians allowed to lossless codecs: far below what moves an angle to another of 30 histogram bins."""
 
 
 @dataclass(frozen=True)
 class Features:
     """The binary features of one image; N may be 0.
 
-    size: width and height of the image in pixels. pixels: (N, 2) float64, x and y in it before anything is known of the
-    lens; (0, 0) is the middle of the first pixel. octaves: (N,) int32, the level of the pyramid, 0 the image itself.
-    angles: (N,) float64, radians. responses: (N,) float64, how strong each is; NaN where that is not told. descriptors:
-    (N, 32) uint8, 256 bits. Raises ValueError for arrays of another shape or type, and for positions outside of the
-    image, angles that are not finite, or levels below 0.
+    Raises ValueError for arrays of another shape or type, positions outside the image, angles that are not finite, or
+    levels below 0.
     """
 
     size: tuple[int, int]
+    """Width and height of the image in pixels."""
     pixels: NDArray[np.float64] = field(repr=False)
+    """(N, 2) x and y in pixels, with lens distortion; (0, 0) is the center of the first pixel."""
     octaves: NDArray[np.int32] = field(repr=False)
+    """(N,) levels of the pyramid; 0 is the image itself."""
     angles: NDArray[np.float64] = field(repr=False)
+    """(N,) radians."""
     responses: NDArray[np.float64] = field(repr=False)
+    """(N,) detector responses; NaN if unknown."""
     descriptors: NDArray[np.uint8] = field(repr=False)
+    """(N, 32) bytes: 256 bits each."""
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -63,7 +66,7 @@ class Features:
 
     @classmethod
     def none(cls, size: tuple[int, int]) -> Self:
-        """What there is in an image without a corner."""
+        """Return the empty set, of an image without features."""
         nothing = np.zeros(0)
         return cls(
             size, np.zeros((0, 2)), np.zeros(0, np.int32), nothing, nothing, np.zeros((0, DESCRIPTOR_BYTES), np.uint8)
@@ -72,39 +75,43 @@ class Features:
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """What a decoder has of one frame of the session; `features` is None where they are missing."""
+    """The features that a decoder returns for one frame."""
 
     frame: int
+    """Number of the frame in the session."""
     features: Features | None = field(repr=False)
+    """None if they are missing."""
 
 
 @dataclass(frozen=True)
 class FeatureFrame:
-    """A frame of which the features are all that is there; `index` and `timestamp_s` as a Frame has them."""
+    """A frame of a sequence of which only the features are available."""
 
     index: int
+    """Index in the sequence as opened."""
     timestamp_s: float
+    """Capture time in seconds."""
     features: Features = field(repr=False)
 
 
 class FeatureEncoder(ABC):
-    """The sets of one sequence being encoded."""
+    """An encoding session for the feature sets of one sequence."""
 
     @abstractmethod
     def push(self, features: Features) -> Packet:
-        """The packet of a set, which is left untouched; sets are counted from 0 in the order in which they are pushed.
+        """Encode the next set into one packet, without writing to it; sets are numbered from 0.
 
-        Raises ValueError for a set that cannot be coded, such as one of too many features.
+        Raises ValueError if the set cannot be coded, for example if it has too many features.
         """
 
 
 class FeatureDecoder(ABC):
-    """One stream being decoded, from a packet that `starts` on; sets before it are missing."""
+    """A decoding session for one stream. It starts at a keyframe; sets before it are missing."""
 
     @abstractmethod
     def push(self, packet: Packet | Loss) -> FeatureSet:
-        """The set of a packet, or what is known when the next packet is LOST: that its set is missing.
+        """Decode the next packet, or LOST in its place; the set of a lost packet is missing.
 
-        A set that depends on one that is missing is missing too: nothing is made up. Raises BitstreamError for damaged
-        and foreign bytes; the session goes on with the next packet that `starts`.
+        A set that depends on a missing one is missing too: nothing is concealed. Raises BitstreamError for damaged or
+        foreign bytes; the session resumes at the next packet that `starts`.
         """

@@ -1,4 +1,4 @@
-"""Names of the contracts that have changed: the former ones go on working for one version, with a warning."""
+"""Deprecated names in the contracts, which still work for one version, with a warning."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ T = TypeVar("T")
 
 
 def former_names(**current: str) -> Callable[[type[T]], type[T]]:
-    """Let a dataclass be built and read by the former names of its fields, each given with the current one.
+    """Let a dataclass be created and read by deprecated names of its fields, given as `former="current"`.
 
-    `__former_names__` keeps them, for what was stored under them.
+    `__former_names__` lists them, for reading stored records.
     """
 
     def decorate(cls: type[T]) -> type[T]:

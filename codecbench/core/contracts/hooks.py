@@ -1,8 +1,8 @@
-"""The door through which plugins come in.
+"""Hooks by which distributions register plugins.
 
-A distribution names a module under the entry point group `codecbench`; the module implements one or more
-of the hooks below; each returns PluginSpecs, which are references. Nothing heavy is imported until a cell
-needs it, so `codecbench list` stays fast and one broken plugin harms no other.
+A distribution names a module under the entry point group `codecbench`. The module implements one or more of the hooks
+below. Each returns PluginSpecs, which are references: nothing heavy is imported until a cell needs it, so
+`codecbench list` stays fast and a broken plugin harms no other.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import pluggy
 
 GROUP = "codecbench"
+"""Entry point group of plugins."""
 
 Kind = Literal["codec", "evaluator", "dataset", "slam_backend", "executor", "link"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -23,46 +24,45 @@ hookimpl = pluggy.HookimplMarker(GROUP)
 
 @dataclass(frozen=True)
 class PluginSpec:
-    """A plugin that a distribution offers.
-
-    name: as used in a matrix, `[a-z][a-z0-9_]*`. target: `package.module:Class`. summary: one line.
-    requires: modules that must be importable, beyond codecbench's own. extra: what to install for them,
-    as given to pip (`codecbench[codecs]`).
-    """
+    """A reference to a plugin that a distribution offers."""
 
     name: str
+    """As in matrix files: `[a-z][a-z0-9_]*`."""
     target: str
+    """`package.module:Class`."""
     summary: str
+    """One line for lists of plugins."""
     requires: tuple[str, ...] = ()
+    """Modules that must be importable, beyond codecbench's own dependencies."""
     extra: str = ""
+    """What to install for them, as given to pip (`codecbench[codecs]`)."""
 
 
 @hookspec
 def codecbench_codecs() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Codecs: subclasses of `codecbench.Codec`, of `codecbench.StreamCodec` for those with memory, or of
-    `codecbench.FeatureCodec` for those of features."""
+    """Return codecs: subclasses of `codecbench.Codec`, `codecbench.StreamCodec` or `codecbench.FeatureCodec`."""
 
 
 @hookspec
 def codecbench_evaluators() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Evaluators: subclasses of FrameEvaluator, SequenceEvaluator or CodecEvaluator."""
+    """Return evaluators: subclasses of FrameEvaluator, SequenceEvaluator or CodecEvaluator."""
 
 
 @hookspec
 def codecbench_datasets() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Datasets: subclasses of `codecbench.Dataset`."""
+    """Return datasets: subclasses of `codecbench.Dataset`."""
 
 
 @hookspec
 def codecbench_slam_backends() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """SLAM backends: subclasses of `codecbench.SlamBackend`."""
+    """Return SLAM backends: subclasses of `codecbench.SlamBackend`."""
 
 
 @hookspec
 def codecbench_executors() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Executors: subclasses of `codecbench.Executor`."""
+    """Return executors: subclasses of `codecbench.Executor`."""
 
 
 @hookspec
 def codecbench_links() -> list[PluginSpec]:  # type: ignore[empty-body]
-    """Links: subclasses of `codecbench.Link`."""
+    """Return links: subclasses of `codecbench.Link`."""

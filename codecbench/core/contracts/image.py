@@ -1,4 +1,4 @@
-"""Images: what they are, how they are checked, and the one way in which colour becomes gray."""
+"""Images: their layout, how they are checked, and the one conversion of color to gray."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Image: TypeAlias = NDArray[np.uint8]
 """(H, W) gray or (H, W, 3) RGB, uint8, row-major, H and W at least 1. Never BGR."""
 
 MAX_PIXELS = 1 << 26
-"""67 Mpixel: what a decoder allocates for at the most, whatever a header says."""
+"""Largest image that a decoder allocates, whatever a header says: 67 Mpixel."""
 
 
 def check_image(image: Image, channels: tuple[int, ...] = (1, 3)) -> Image:
-    """Return `image` as a C-contiguous array that can be written to, after checking it: kernels are compiled for those.
+    """Check `image` and return it as a C-contiguous writable array, the only kind that kernels are compiled for.
 
-    `channels` names the layouts that the caller takes: 1 for (H, W), 3 for (H, W, 3).
-    Raises ImageError for anything that is not a uint8 array of an allowed layout with at least one pixel.
+    `channels` lists the allowed layouts: 1 for (H, W), 3 for (H, W, 3). Raises ImageError for anything but a uint8
+    array of an allowed layout with at least one pixel.
     """
     if not isinstance(image, np.ndarray):
         raise ImageError(f"an image is a numpy array, got {type(image).__name__}")
@@ -36,7 +36,7 @@ def check_image(image: Image, channels: tuple[int, ...] = (1, 3)) -> Image:
 
 
 def channel_count(image: Image) -> int:
-    """1 for a (H, W) image, 3 for a (H, W, 3) image; ImageError for any other shape."""
+    """Return 1 for an (H, W) image and 3 for an (H, W, 3) image. Raises ImageError for any other shape."""
     if image.ndim == 2:
         return 1
     if image.ndim == 3 and image.shape[2] == 3:
@@ -45,10 +45,10 @@ def channel_count(image: Image) -> int:
 
 
 def gray_from_image(image: Image) -> Image:
-    """The (H, W) gray form of an image: itself, or BT.601 luma of RGB as OpenCV computes it.
+    """Return the (H, W) gray form of an image: itself, or BT.601 luma of RGB as OpenCV computes it.
 
-    Every score and every tracker in codecbench uses this function, because file readers' own gray modes
-    differ from it on half the pixels and Rec. 709 weights on nearly all.
+    Every metric and every tracker in codecbench uses this function: file readers' own gray modes differ from it on half
+    the pixels, and Rec. 709 weights on nearly all.
     """
     if channel_count(image) == 1:
         return image
@@ -56,7 +56,7 @@ def gray_from_image(image: Image) -> Image:
 
 
 def png_bytes(image: Image) -> bytes:
-    """The image as a PNG file (OpenCV's encoder at its default effort), the yardstick of `cr_percent`."""
+    """Return the image as a PNG file of OpenCV's encoder at its default effort, the reference of `cr_percent`."""
     stored = image if channel_count(image) == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, buffer = cv2.imencode(".png", stored)
     if not done:

@@ -1,4 +1,4 @@
-"""The link contract: what becomes of packets between a sender and a receiver, in simulated time."""
+"""The link contract: when packets arrive at the receiver, or that they are lost, in simulated time."""
 
 from __future__ import annotations
 
@@ -14,26 +14,22 @@ Discipline = Literal["drop_tail", "codel"]
 
 
 class Passage(NamedTuple):
-    """What becomes of a packet whose turn it is.
-
-    sent_s: when its last byte has left, so that the next packet may go. arrives_s: when it is at the other end; None
-    where it is lost on the way.
-    """
+    """Transmission of one packet over the link."""
 
     sent_s: float
+    """Time in seconds at which its last byte has left, so that the next packet may go."""
     arrives_s: float | None
+    """Time in seconds at which it arrives; None if it is lost."""
 
 
 @dataclass(frozen=True)
 class Queue:
-    """Where packets wait for their turn; the simulation keeps it, a link says what it is like.
-
-    packets: how many may wait, besides the one that is being sent; None for any number. discipline: `drop_tail` drops
-    what finds no room; `codel` drops, besides, from the head what has waited for too long (RFC 8289).
-    """
+    """Properties of the queue before the link, which the simulation runs."""
 
     packets: int | None = None
+    """How many packets may wait, besides the one being sent; None for any number."""
     discipline: Discipline = "drop_tail"
+    """`drop_tail` drops arrivals if the queue is full; `codel` also drops overdue packets from its head (RFC 8289)."""
 
     def __post_init__(self) -> None:
         if self.packets is not None and self.packets < 1:
@@ -41,23 +37,23 @@ class Queue:
 
 
 class Channel(ABC):
-    """A link at work, from time 0 on."""
+    """The state of a link in operation, from time 0 on."""
 
     @abstractmethod
     def carry(self, size_bytes: int, start_s: float) -> Passage:
-        """What becomes of a packet whose turn it is at `start_s`.
+        """Transmit a packet that starts at `start_s`; return when it has left and when it arrives.
 
-        Packets come one after the other: `start_s` is never before the last one's `sent_s`. Neither is the answer's
-        `sent_s` before `start_s`, nor `arrives_s` before `sent_s` and the link's delay.
+        Packets come one after another: `start_s` is never before the last one's `sent_s`. Return a `sent_s` of at least
+        `start_s`, and an `arrives_s` of at least `sent_s` plus the link's delay.
         """
 
 
 class Link(Configured[P]):
-    """A way for packets from a sender to a receiver; an instance is one setting of it."""
+    """A link from a sender to a receiver; an instance is one setting of it."""
 
     @property
     def delay_s(self) -> float:
-        """The least time from leaving to arriving; what the receiver answers takes as long."""
+        """Least propagation delay in seconds; the receiver's feedback takes as long."""
         return 0.0
 
     @property
@@ -67,13 +63,13 @@ class Link(Configured[P]):
 
     @property
     def queue(self) -> Queue:
-        """Where packets wait for this link."""
+        """The queue in which packets wait for this link."""
         return Queue()
 
     @abstractmethod
     def open(self, rng: np.random.Generator) -> Channel:
-        """The link at work. All chance is drawn from `rng`, so that an equal one gives equal answers.
+        """Put the link into operation. Draw all randomness from `rng`, so that equal generators give equal results.
 
-        Draw what happens in time (a fade, say) apart from what happens to single packets, by `rng.spawn`: codecs that
-        send other packets then meet the same fades.
+        Draw events in time, such as fades, apart from the loss of single packets, by `rng.spawn`: codecs that send
+        other packets then meet the same fades.
         """

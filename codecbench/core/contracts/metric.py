@@ -1,4 +1,4 @@
-"""What a metric is: a quantity with a unit, a direction, and what it means to those who rank and draw."""
+"""Metrics: quantities with a unit, a direction, and a role in rankings and charts."""
 
 from __future__ import annotations
 
@@ -19,63 +19,67 @@ Aggregate = Literal[
 ]  # fmt: skip
 
 AGGREGATES: Final[tuple[Aggregate, ...]] = get_args(Aggregate)
-"""How many values may become one; docs/results.md defines each."""
+"""Ways to summarize many values by one; docs/results.md defines each."""
 
 FRESH_S: Final = 0.5
-"""How old a pose may be, in seconds, that a robot can still act by."""
+"""Greatest age in seconds of a pose that a robot can still act on."""
 
 
 @former_names(need="quantity", brief="column_header")
 @dataclass(frozen=True)
 class Metric:
-    """A quantity that an evaluator measures.
-
-    name: ends in its unit where it has one (`psnr_gray_db`). unit: `dB`, `bytes`, `1` for pure numbers.
-    better: which direction a codec author wants, `neither` where there is none.
-    aggregates: how the wide table summarises it over frames and repeats, the first for short tables and figures.
-    repeatable: equal code on equal input gives equal values; False for times, which are compared statistically.
-
-    role: what it means to a ranking. `rate` is what a codec spends; `quality` what is left of the images; `task`
-    how well something that reads them does; `time` and `operations` what coding takes; `success` is 1 where a run
-    succeeds and 0 where not; `behaviour` describes and ranks nothing.
-    headline: shown first, and by its role in Pareto fronts, rankings and curves.
-    label: for people ("PSNR"), by default made from the name. column_header: a narrow column head, which
-    may have several lines, by default the label.
-    scale: of its axis. display_unit, display_factor: what people are shown in place of `unit`, where that is unwieldy.
-
-    confirmed_by: another metric of the evaluator that must move the same way before a change is claimed.
-    in_units_of: another metric, timed beside this one, by which two runs are compared whatever the machine's pace.
-    enough: a setting passes if its mean is on the right side of this value at 95 %. Without one the bound is 0.8 times
-    the raw frames' value, or twice it if lower is better. A task that has one is asked for beside a success.
-    caveat: what a reader must know beside every number of it; it stands below the tables that show the metric.
-    quantity: what others look for in it, whichever evaluator measures it. `codecbench choose` judges by a frame's
-    `delay`, missing if it never came; by the `error` of what reads the frames, beside that of one that gets none
-    (`idle`); by the share of the moments at which that knows a pose of the last FRESH_S (`fresh`); and by the `cause`
-    for which a share of the frames did not come in time. The times, in milliseconds, of `encoding`, `decoding` and
-    `reading` a frame are for evaluators that require them (`Evaluator.requires`). By a frame's bits `per_pixel`, and by
-    how many percent it is `below_png`, tables recognize an implausible lossless row, one of which every quality in dB
-    is infinite.
-    """
+    """A quantity that an evaluator measures."""
 
     name: str
+    """As in tables and files; ends in its unit if it has one (`psnr_gray_db`)."""
     unit: str
+    """Unit of the values: `dB`, `bytes`, or `1` for pure numbers."""
     better: Better
+    """Direction that a codec author wants; `neither` if there is none."""
     summary: str
+    """What it measures, in one sentence."""
     aggregates: tuple[str, ...] = ("mean",)
+    """How the wide table summarizes it over frames and repeats; short tables and figures use the first."""
     repeatable: bool = True
+    """Equal code on equal input gives equal values; False for times, which are compared statistically."""
     _: KW_ONLY
     role: Role = "behaviour"
+    """What it means in a ranking.
+
+    `rate`: what a codec spends. `quality`: how close decoded frames are to the originals. `task`: how well a task that
+    reads them performs. `time`, `operations`: the cost of coding. `success`: 1 if a run succeeds, else 0. `behaviour`:
+    descriptive only; it ranks nothing."""
     headline: bool = False
+    """Whether it is a primary metric: shown first and used, by its role, in Pareto fronts, rankings and curves."""
     label: str = ""
+    """Name for readers (`PSNR`); by default made from `name`."""
     column_header: str = ""
+    """Narrow column header, which may have several lines; by default the label."""
     scale: Scale = "linear"
+    """Scale of its axis."""
     display_unit: str = ""
+    """Unit that readers see; by default `unit`."""
     display_factor: float = 1.0
+    """Factor from `unit` to `display_unit`."""
     confirmed_by: str = ""
+    """Another metric of the evaluator that must move the same way before a change is claimed."""
     in_units_of: str = ""
+    """Another metric, timed beside this one; their ratio compares two runs whatever the machine's speed."""
     caveat: str = ""
+    """What readers must know beside every value; printed below the tables that show the metric."""
     quantity: Quantity = ""
+    """What the metric is for tools that look it up, whichever evaluator measures it.
+
+    `codecbench choose` judges by a frame's `delay` (missing if it never arrived); the `error` of the task, and that of
+    a task that gets no frames (`idle`); the share of moments with a pose of the last FRESH_S (`fresh`); and each
+    `cause` of missed deadlines with its share of frames. Evaluators may require the times in milliseconds of
+    `encoding`, `decoding` and `reading` a frame (`Evaluator.requires`). Tables recognize an implausible lossless row,
+    one whose every quality in dB is infinite, by its bits `per_pixel` and by how many percent it is `below_png`."""
     enough: float | None = None
+    """A setting passes if its mean is on the right side of this bound at 95 %.
+
+    Without one the bound is 0.8 times the raw frames' value, or twice that value if lower is better. A task metric that
+    has one must pass beside the success metric."""
 
     def __post_init__(self) -> None:
         where = f"metric {self.name!r}"
@@ -93,11 +97,11 @@ class Metric:
 
     @property
     def heading(self) -> str:
-        """The label with the unit that people are shown: `PSNR [dB]`."""
+        """The label with the displayed unit: `PSNR [dB]`."""
         return f"{self.label} [{self.display_unit}]" if self.display_unit not in ("", "1") else self.label
 
     def _plain_name(self) -> str:
-        """The name in words, without the unit at its end."""
+        """Return the name in words, without the unit at its end."""
         words = self.name.split("_")
         if len(words) > 1 and words[-1].lower() == self.unit.lower():
             words = words[:-1]

@@ -1,4 +1,4 @@
-"""Parameters of plugins: one pydantic model a plugin, which is its schema, its validation and its identity."""
+"""Parameters of plugins: one pydantic model for each plugin is its schema, its validation and its identity."""
 
 from __future__ import annotations
 
@@ -13,45 +13,43 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 class Params(BaseModel):
     """Base of every plugin's parameters: immutable, no unknown names, no silent conversions between kinds.
 
-    What of an instance is not at its default is part of the identity of every cell that uses it, so two spellings
-    of the same setting must validate to equal instances, and a parameter added with a default changes no identity.
+    Values other than the defaults are part of the identity of every cell that uses them. Two spellings of one setting
+    must therefore validate to equal instances, and a new parameter with a default changes no identity.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
     def identity(self) -> dict[str, Any]:
-        """What distinguishes this setting, as JSON types. Override to leave out what cannot change a result.
+        """Return what distinguishes this setting, as JSON types. Override it to leave out what changes no result.
 
-        Parameters at their default may stay: the engine leaves them out of the identities that it makes.
+        Parameters at their default may stay: the engine leaves them out of identities.
         """
         return self.model_dump(mode="json")
 
 
 class NoParams(Params):
-    """For plugins that have nothing to set."""
+    """Parameters of a plugin that has none."""
 
 
 P = TypeVar("P", bound=Params)
 
 
 class Configured(ABC, Generic[P]):
-    """What plugins of every kind have in common; an instance is one setting.
-
-    Class attributes: `name` as used in a matrix; `version`, raised whenever results change, so that stored cells are
-    recomputed; `params_type`.
-    """
+    """Base of plugins of every kind; an instance is one setting."""
 
     name: ClassVar[str]
+    """As in matrix files."""
     version: ClassVar[str]
+    """Raise it whenever results change, so that stored cells are recomputed."""
     params_type: ClassVar[type[Params]]
 
     def __init__(self, params: P) -> None:
-        """Keep the setting. Override to prepare tables; raise Unsupported where a library is missing."""
+        """Store the parameters. Override it to prepare tables; raise Unsupported if a library is missing."""
         self.params = params
 
     @classmethod
     def create(cls, **values: Any) -> Self:
-        """An instance from keyword parameters: `Jpeg.create(quality=10)`."""
+        """Create an instance from keyword parameters: `Jpeg.create(quality=10)`."""
         return cls(cls.params_type(**values))  # type: ignore[arg-type]
 
 
@@ -71,5 +69,6 @@ def _anchor(path: Path, info: ValidationInfo) -> Path:
 
 
 PathParam = Annotated[Path, BeforeValidator(_expand), AfterValidator(_anchor)]
-"""A path in a matrix: `~` and `${VAR}` expand; a relative path starts at the folder of the matrix file,
-which validation receives as `context={"relative_to": ...}`."""
+"""A path in a matrix: `~` and `${VAR}` expand; relative paths start at the matrix file's folder.
+
+Validation receives that folder as `context={"relative_to": ...}`."""

@@ -1,4 +1,4 @@
-"""What one pastes into a robot for a setting of a codec: text of the stack that runs there, and what differs there."""
+"""Recipes: code to paste into a robot's software stack for a setting of a codec, and how its output differs."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ _RATE_DENOMINATOR = 1001
 
 @dataclass(frozen=True)
 class Scene:
-    """The frames that a recipe is for. height, width: in pixels. channels: 1 gray, 3 RGB."""
+    """The frames that a recipe is for."""
 
     height: int
+    """In pixels."""
     width: int
+    """In pixels."""
     channels: int
+    """1 gray, 3 RGB."""
     frame_rate_hz: float
 
     @property
     def rate(self) -> Fraction:
-        """The frame rate as stacks have it."""
+        """The frame rate as a fraction, such as 30000/1001, as video stacks express it."""
         return Fraction(self.frame_rate_hz).limit_denominator(_RATE_DENOMINATOR)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What one pastes to get the bytes that were measured.
-
-    stack: what it is for, with the version by which keys are named. text: empty if that stack cannot code so. A Python
-    text defines `encode(frame)`, which returns the bytes of a frame (uint8) in the layout that its argument names:
-    `rgb`, `bgr` or `gray`. Given None at the end of a stream, it returns what was held back. note: what differs there
-    from what was measured, or why there is no text; empty for nothing.
-    """
+    """Code to paste into one software stack to get the bytes that were measured."""
 
     stack: str
+    """The stack, with the version whose option names the text uses."""
     language: Literal["yaml", "sh", "python"]
     text: str
+    """The code; empty if the stack has no such codec or option.
+
+    Python code defines `encode(frame)`, which returns the bytes of a uint8 frame in the layout that its argument names:
+    `rgb`, `bgr` or `gray`. Given None at the end of a stream, it returns what the encoder held back."""
     note: str = ""
+    """How the output differs from what was measured, or why there is no text; empty for neither."""

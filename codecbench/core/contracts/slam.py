@@ -1,4 +1,4 @@
-"""The SLAM contract: frames and a camera in, a SlamRun out. A backend never sees ground truth or codecs."""
+"""The SLAM contract: frames and a camera go in, a SlamRun comes out. A backend never sees ground truth or codecs."""
 
 from __future__ import annotations
 
@@ -17,62 +17,70 @@ from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 
 FrameState = Literal["not_initialized", "tracked", "lost", "refused"]
-"""`refused`: the backend could not look at the frame at all (another size, say); the reason says why."""
+"""`refused`: the backend could not process the frame at all, for example because of its size; see its reason."""
 
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """What happened to one frame. inliers: map points that support its pose. map_id: which map it is in."""
+    """Tracking of one frame."""
 
     index: int
+    """Index of the frame in the sequence."""
     timestamp_s: float
     state: FrameState
     inliers: int = 0
+    """Number of map points that support its pose."""
     keyframe: bool = False
+    """Whether it became a keyframe of the map."""
     map_id: int = 0
+    """The map that it is in."""
     reason: str = ""
+    """Why it was not tracked."""
     elapsed_ms: float = float("nan")
+    """Processing time in milliseconds."""
 
 
 @dataclass(frozen=True)
 class LoopEvent:
-    """A loop that was closed: at which frame, onto which earlier keyframe's frame, with how many matches; or, with
-    `merged_maps`, two maps that became one there."""
+    """A loop closure, or a merge of two maps."""
 
     frame: int
+    """Index of the frame at which it happened."""
     matched_frame: int
+    """Index of the earlier keyframe's frame that was matched."""
     inliers: int
+    """Number of matches that support it."""
     merged_maps: bool = False
+    """Whether two maps were merged."""
 
 
 @dataclass(frozen=True)
 class SlamRun:
-    """What a backend made of a sequence. Positions are in the map's own unit: monocular scale is free.
-
-    frames: one entry a frame given. trajectory: every tracked frame of the largest map, after all
-    corrections (the paper's "optimised"). trajectory_before_loops: the same frames as tracked, before loop
-    closing moved them (the paper's "estimated"). keyframe_indices: (K,) frame indices. points_world: (M, 3).
-    loops: closed loops and merged maps. maps: number of maps that were started and are left.
-    """
+    """Result of a backend on a sequence. Positions are in the map's own unit: monocular scale is free."""
 
     frames: tuple[TrackedFrame, ...]
+    """One entry for each input frame."""
     trajectory: Trajectory
+    """Every tracked frame of the largest map, after all corrections (the paper's "optimised")."""
     trajectory_before_loops: Trajectory
+    """The same frames as tracked, before loop closure moved them (the paper's "estimated")."""
     keyframe_indices: NDArray[np.int64]
+    """(K,) frame indices."""
     points_world: NDArray[np.float64]
+    """(M, 3) map points."""
     loops: tuple[LoopEvent, ...]
+    """Loop closures and map merges."""
     maps: int
+    """Number of maps that were started and remain."""
 
 
 class SlamBackend(Configured[P]):
-    """A monocular SLAM system.
-
-    architectures: what it can be given: `cta`, a frame's one image; `atc`, another image of keyframes; `features`, no
-    image. kernels: the packages and modules whose listed kernels it calls, compiled ahead.
-    """
+    """A monocular SLAM system."""
 
     architectures: ClassVar[frozenset[Literal["cta", "atc", "features"]]]
+    """Inputs that it supports: `cta`, one image a frame; `atc`, a second image of keyframes; `features`, no image."""
     kernels: ClassVar[tuple[str, ...]] = ()
+    """Packages and modules whose kernels a run compiles ahead."""
 
     @abstractmethod
     def run(
@@ -83,16 +91,16 @@ class SlamBackend(Configured[P]):
         seed: int,
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
-        """Track all frames in order. `seed` is where all randomness comes from that can be seeded.
+        """Track all frames in order. Draw all randomness that can be seeded from `seed`.
 
-        `keyframe_image` makes it analyze-then-compress: given a frame index it returns the decoded image
-        that mapping and loop closing see when that frame becomes a keyframe. Losing track is a state with a
-        reason, not an exception; SlamError is for input that no frame of can be used.
+        `keyframe_image` selects analyze-then-compress: given a frame index, it returns the decoded image that mapping
+        and loop closing see when that frame becomes a keyframe. Tracking loss is a state with a reason, not an
+        exception. Raises SlamError if no frame of the input can be used.
         """
 
     def run_features(self, frames: Iterable[FeatureFrame], camera: Camera, *, seed: int) -> SlamRun:
-        """`run` on what was found in the frames elsewhere; for backends whose `architectures` have `features`.
+        """Run on features extracted elsewhere; for backends whose `architectures` include `features`.
 
-        Raises Unsupported for features that are not those of its own pyramid.
+        Raises Unsupported for features of another pyramid than its own.
         """
         raise Unsupported(f"slam backend {self.name} takes images, not features")

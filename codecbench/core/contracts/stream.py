@@ -1,9 +1,7 @@
-"""Packets, and the sessions that give and take them.
+"""Packets, and the sessions that encode and decode them.
 
-An encoder remembers what it sent, and a decoder what it got.
-
-One session codes one sequence, in order, and all state is in it. Packets leave in the order in which they are decoded;
-pictures are counted from 0 in the order in which they were pushed, which is the order in which they are shown.
+One session codes one sequence, in order, and holds all state. Packets leave in decoding order; frames are numbered from
+0 in the order in which they were pushed, which is display order.
 """
 
 from __future__ import annotations
@@ -17,11 +15,11 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 PictureState = Literal["whole", "concealed", "missing"]
-"""`whole`: what the encoder meant. `concealed`: made up in part from others. `missing`: there is no picture."""
+"""`whole`: as the encoder intended. `concealed`: partly reconstructed from other frames. `missing`: no frame."""
 
 
 class Loss(Enum):
-    """The one value that stands for a packet which never came."""
+    """Stands in for a packet that never arrived."""
 
     LOST = "lost"
 
@@ -31,70 +29,74 @@ LOST: Final = Loss.LOST
 
 @dataclass(frozen=True)
 class Packet:
-    """What is sent of one picture.
-
-    data: every byte that the decoder needs of it, headers included. frame: which picture of the session it is; a link
-    carries it as it carries time stamps, so it is not counted. starts: whether decoding can start here, with nothing
-    from before. recovery_frames: of a recovery point, at which decoding can begin too, how many frames after this one
-    pictures are whole again, whatever was lost before: to the bit those of the whole stream; None for other packets.
-    """
+    """The coded data of one frame."""
 
     data: bytes = field(repr=False)
+    """Every byte that the decoder needs of the frame, headers included."""
     frame: int
+    """Number of the frame in the session; a link carries it like a timestamp, so its bytes are not counted."""
     starts: bool
+    """Whether it is a keyframe (IDR): decoding can start here (random access) without anything before it."""
     recovery_frames: int | None = None
+    """Of a recovery point, how many frames after this one decoding is exact again, whatever was lost before.
+
+    From there on frames equal those of the complete stream to the bit, and decoding can start here too. None for other
+    packets."""
 
     @property
     def whole_from(self) -> int | None:
-        """The frame from which pictures are whole for who begins here; None where nobody can."""
+        """First frame that is whole if decoding starts here; None if it cannot start here."""
         if self.starts:
             return self.frame
         return None if self.recovery_frames is None else self.frame + self.recovery_frames
 
 
 MOST_RECOVERY_FRAMES: Final = 1 << 16
+"""Largest `recovery_frames` of a packet."""
 
 
 def is_recovery(value: object) -> bool:
-    """Whether this can be the `recovery_frames` of a packet."""
+    """Return whether this can be the `recovery_frames` of a packet."""
     return value is None or (type(value) is int and 0 <= value <= MOST_RECOVERY_FRAMES)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What a decoder makes of one picture of the session; `image` is None where it is `missing`."""
+    """A frame that a decoder returns."""
 
     frame: int
+    """Number of the frame in the session."""
     state: PictureState
     image: Image | None = field(repr=False)
+    """None if the frame is `missing`."""
 
 
 class StreamEncoder(ABC):
-    """One sequence being encoded."""
+    """An encoding session for one sequence."""
 
     @abstractmethod
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
-        """The packets that are ready after this picture, which is left untouched; none while pictures are held back.
+        """Encode the next frame, without writing to it; return the packets that are ready, if any.
 
         Raises ImageError for an image outside the codec's capabilities, or of another shape than the first.
         """
 
     @abstractmethod
     def flush(self) -> list[Packet]:
-        """The packets of pictures still held back; the session is over then."""
+        """Return the packets of frames that the encoder still held back, and end the session."""
 
 
 class StreamDecoder(ABC):
-    """One stream being decoded, from a packet that `starts` on, or a recovery point; pictures before it are missing."""
+    """A decoding session for one stream. It starts at a keyframe or a recovery point; frames before it are missing."""
 
     @abstractmethod
     def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
-        """The pictures that are ready after this packet, or after knowing that the next one is LOST.
+        """Decode the next packet, or LOST in its place; return the frames that are ready, if any.
 
-        Never claims `whole` for a picture that depends on what was lost. Raises BitstreamError for damaged or foreign
-        bytes that it can tell; the session goes on with the next packet that `starts` or is a recovery point.
+        A frame that depends on a lost one is never `whole`. Raises BitstreamError if it detects damaged or foreign
+        bytes; the session resumes at the next keyframe or recovery point.
         """
 
     @abstractmethod
     def flush(self) -> list[Picture]:
-        """The pictures still held back; the session is over then."""
+        """Return the frames that the decoder still held back, and end the session."""

@@ -1,4 +1,4 @@
-"""What an evaluator offers to draw. All of it is plain data: results draw it without knowing the evaluator."""
+"""Charts that evaluators offer, as plain data: results are drawn without loading the evaluator."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Stroke = Literal["truth", "before", "after"]
 Tone = Literal["good", "fair", "bad"]
 
 _METRICS: Final[dict[ViewKind, tuple[int, int]]] = {"curve": (1, 2), "bars": (1, 100), "map": (0, 0)}
-"""How many metrics a view of each kind names, at the least and at the most."""
+"""Least and greatest number of metrics that a view of each kind names."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Something that an evaluator offers to draw.
+    """A chart that an evaluator offers.
 
-    kind: `curve`, the last of `metrics` over the first, or a single one over the rate; `bars`, each metric stacked by
-    stage (`encode/dct`); `map`, the drawings that the evaluator reads from what its cells left. metrics: names of the
-    evaluator's own. title: over the drawing. note: a sentence on how to read it.
-
-    Headlines of role `quality` and `task` are drawn over the rate without a view.
+    Primary metrics of role `quality` and `task` are drawn over the rate without a view.
     """
 
     kind: ViewKind
+    """`curve`: the last of `metrics` over the first, or a single one over the rate. `bars`: each metric, stacked by
+    stage (`encode/dct`). `map`: the evaluator's `drawing` of each cell."""
     title: str
     metrics: tuple[str, ...] = ()
+    """Names of metrics that the evaluator declares."""
     note: str = ""
+    """A sentence on how to read the chart."""
 
     def __post_init__(self) -> None:
         require_choice(f"view {self.title!r}: kind", self.kind, ViewKind)
@@ -45,14 +45,14 @@ class View:
 
 @dataclass(frozen=True)
 class KeypointOverlay:
-    """Places of an original frame that matter to an evaluator, and which of them the decoded frame still has.
-
-    places: (N, 2) x and y in pixels. kept: (N,). note: what the places are and what kept means, for people.
-    """
+    """Keypoints of an original frame, and which of them the decoded frame preserves."""
 
     places: NDArray[np.float64] = field(repr=False)
+    """(N, 2) x and y in pixels."""
     kept: NDArray[np.bool_] = field(repr=False)
+    """(N,) True for keypoints that the decoded frame preserves."""
     note: str
+    """Explains to readers what the keypoints are and when one counts as preserved."""
 
     def __post_init__(self) -> None:
         if self.places.ndim != 2 or self.places.shape[1] != 2 or self.kept.shape != self.places.shape[:1]:
@@ -64,11 +64,14 @@ class KeypointOverlay:
 
 @dataclass(frozen=True)
 class TimelineRow:
-    """Frames of a timeline that share an outcome: its name, how good that is, and of which frames it holds (N,)."""
+    """The frames of a timeline that share a delivery outcome."""
 
     name: str
+    """Name of the outcome."""
     tone: Tone
+    """How good the outcome is."""
     holds: NDArray[np.bool_] = field(repr=False)
+    """(N,) True for frames with this outcome."""
 
     def __post_init__(self) -> None:
         require_choice(f"row {self.name!r}: tone", self.tone, Tone)
@@ -81,19 +84,20 @@ class TimelineRow:
 @former_names(lanes="rows")
 @dataclass(frozen=True)
 class FrameTimeline:
-    """What became of each frame, in order.
-
-    frames: (N,) indices in the sequence. positions: (N, 2) in the plane of the drawing, NaN where there is none; None
-    where the drawing is no map. errors: (N,) how far off each is, NaN where that is not known. unit: of errors, and of
-    positions. rows: what became of frames, in the order in which it is shown. quantity: what errors are, for people.
-    """
+    """Position, error and outcome of each frame, in order."""
 
     frames: NDArray[np.int64] = field(repr=False)
+    """(N,) indices in the sequence."""
     positions: NDArray[np.float64] | None = field(repr=False)
+    """(N, 2) in the plane of the drawing, NaN if unknown; None if the drawing is no map."""
     errors: NDArray[np.float64] = field(repr=False)
+    """(N,) NaN if unknown."""
     unit: str
+    """Unit of errors and positions."""
     rows: tuple[TimelineRow, ...] = ()
+    """Outcomes, in display order."""
     quantity: str = "error"
+    """What `errors` are, for readers."""
 
     def __post_init__(self) -> None:
         count = len(self.frames)
@@ -111,11 +115,13 @@ class FrameTimeline:
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a drawing: its name, what it stands for, and its points (N, 2) in the plane of the drawing."""
+    """A line of a drawing."""
 
     name: str
     stroke: Stroke
+    """What it shows: the ground truth, or the result before or after corrections."""
     points: NDArray[np.float64] = field(repr=False)
+    """(N, 2) in the plane of the drawing."""
 
     def __post_init__(self) -> None:
         require_choice(f"line {self.name!r}: stroke", self.stroke, Stroke)
@@ -126,17 +132,16 @@ class Line:
 @former_names(course="timeline")
 @dataclass(frozen=True)
 class Drawing:
-    """What a cell left, as lines on a map. holds: whether its task succeeded, or None where that is not known.
-
-    axes: what the two axes show, where they have scales of their own; empty for a plane, whose axes have one.
-    timeline: what became of each frame.
-    """
+    """Result of a cell, as lines on a map."""
 
     lines: tuple[Line, ...]
     caption: str
     holds: bool | None = None
+    """Whether the cell's task succeeded; None if unknown."""
     axes: tuple[str, ...] = ()
+    """Labels of the two axes if each has its own scale; empty for a plane, whose axes share one."""
     timeline: FrameTimeline | None = None
+    """Position, error and outcome of each frame."""
 
     def __post_init__(self) -> None:
         if isinstance(self.axes, str) or len(self.axes) not in (0, 2):
@@ -144,6 +149,6 @@ class Drawing:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What stands at the two axes."""
+        """Labels of the two axes."""
         unit = f" [{self.timeline.unit}]" if self.timeline and self.timeline.positions is not None else ""
         return self.axes or (f"x{unit}", f"y{unit}")
