@@ -28,7 +28,7 @@ class Params(BaseModel):
 
 
 class NoParams(Params):
-    """Parameters of a plugin that has none."""
+    """For plugins that have nothing to set."""
 
 
 P = TypeVar("P", bound=Params)

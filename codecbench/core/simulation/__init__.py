@@ -1,1 +1,1 @@
-"""Sender, link and receiver in simulated time: what arrives of a coded sequence, and when."""
+"""Simulation of sender, link and receiver: which frames of a coded sequence arrive, and when."""

@@ -1,4 +1,4 @@
-"""Pictures and streams that are coded as coarsely as the link asks."""
+"""Rate adaptation: the sender encodes frames as coarsely as the link's throughput requires."""
 
 from __future__ import annotations
 
@@ -17,63 +17,61 @@ from codecbench.core.contracts.stream import StreamEncoder
 from codecbench.core.simulation.settings import Adaptation
 
 WINDOW_S: Final = 1.0
-"""So far back the sender looks at what the link gave."""
+"""Window in seconds over which the sender measures throughput."""
 FILL: Final = 0.9
-"""Share of that which a picture may take: the rest is for headers, and for what the next second may not give."""
+"""Share of the throughput that frames may use; the rest covers headers and a drop within the next second."""
 _STEPS: Final = 64
-"""Values of a range whose ends are not whole numbers."""
+"""Number of values in a range whose ends are not integers."""
 SESSION_S: Final = 1.0
-"""So long at least a stream keeps its setting: another one takes a new session, which begins with a start."""
+"""Least time in seconds between changes of a stream's setting: each opens a session, which begins with a keyframe."""
 _ROUNDING_S: Final = 1e-6
 
 C = TypeVar("C", bound=AnyCodec[Any])
 
 
 class Throughput:
-    """What a link gives: bytes over the time in which it was sending."""
+    """Throughput of a link: bytes over the time that it spent sending."""
 
     def __init__(self) -> None:
-        self._sent: deque[tuple[float, int, float]] = deque()
+        self._packets: deque[tuple[float, int, float]] = deque()
         self._last_s = 0.0
-        self._known: float | None = None
+        self._rate: float | None = None
 
     def add(self, size_bytes: int, turn_s: float, sent_s: float) -> None:
-        """A packet whose turn was at `turn_s` or when the last one had left, and which has left at `sent_s`."""
-        self._sent.append((sent_s, size_bytes, sent_s - max(turn_s, self._last_s)))
+        """Record a packet that left at `sent_s`; it started at `turn_s`, or once the last one had left if later."""
+        self._packets.append((sent_s, size_bytes, sent_s - max(turn_s, self._last_s)))
         self._last_s = sent_s
 
-    def at(self, now_s: float) -> float | None:
-        """Bytes a second of what has left in the last second, or before where nothing has; None before anything has."""
-        while self._sent and self._sent[0][0] <= now_s - WINDOW_S:
-            self._sent.popleft()
-        seen = [(size_bytes, busy_s) for sent_s, size_bytes, busy_s in self._sent if sent_s <= now_s]
-        if seen:
-            busy_s = sum(busy_s for _, busy_s in seen)
-            self._known = sum(size_bytes for size_bytes, _ in seen) / busy_s if busy_s > 0.0 else math.inf
-        return self._known
+    def bytes_per_s(self, now_s: float) -> float | None:
+        """Return the rate of the last second, or the last known one if nothing left since; None before any packet."""
+        while self._packets and self._packets[0][0] <= now_s - WINDOW_S:
+            self._packets.popleft()
+        recent = [(size_bytes, busy_s) for sent_s, size_bytes, busy_s in self._packets if sent_s <= now_s]
+        if recent:
+            busy_s = sum(busy_s for _, busy_s in recent)
+            self._rate = sum(size_bytes for size_bytes, _ in recent) / busy_s if busy_s > 0.0 else math.inf
+        return self._rate
 
 
 class AdaptiveEncoder(Protocol):
-    """Codes frames as they are chosen, in rising order, as finely as fits.
-
-    bitstreams: of the frames that were coded.
-    """
+    """Encodes chosen frames, in rising order, as finely as fits."""
 
     bitstreams: dict[int, bytes]
+    """By frame, those that were encoded."""
 
     def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
-        """What becomes of a frame.
+        """Encode a frame.
 
-        budget_bytes: of a picture, at what the link gives; None where nothing is known of it yet. waiting_bytes: of all
-        that was coded before and has not left yet.
+        budget_bytes: for one frame at the link's throughput; None if that is unknown yet. waiting_bytes: of all that is
+        coded and not sent yet.
         """
         ...
 
 
 def adaptive_encoder(coded: CodedSequence, adaptation: Adaptation) -> AdaptiveEncoder:
-    """For the codec of a coded sequence, of which only the pictures are taken.
+    """Create the adaptive encoder for the codec of a coded sequence, of which only the original frames are used.
 
-    Raises Unsupported for a codec that holds pictures back, and for a parameter or a range that it does not take.
+    Raises Unsupported if the codec holds frames back, or does not accept the parameter or its range.
     """
     codec = coded.codec
     if codec.carries != "pictures":
@@ -82,7 +80,7 @@ def adaptive_encoder(coded: CodedSequence, adaptation: Adaptation) -> AdaptiveEn
 
 
 class AdaptivePictures:
-    """Codes each picture as finely as fits, between the ends of a range."""
+    """Encodes each frame on its own as finely as fits, within a range."""
 
     def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
         self._sequence = coded.sequence
@@ -90,26 +88,26 @@ class AdaptivePictures:
         self.bitstreams: dict[int, bytes] = {}
 
     def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
-        """Of the finest that fits the budget, else of the coarsest."""
+        """Encode at the finest level that fits the budget, else at the coarsest."""
         image = self._sequence.read(frame).image
-        tried: dict[int, bytes] = {}
+        by_level: dict[int, bytes] = {}
 
         def size_bytes(level: int) -> int:
-            tried[level] = self._codecs[level].encode(image)
-            return len(tried[level])
+            by_level[level] = self._codecs[level].encode(image)
+            return len(by_level[level])
 
         level = _finest_within(budget_bytes, len(self._codecs), size_bytes)
-        if level not in tried:
+        if level not in by_level:
             size_bytes(level)
-        self.bitstreams[frame] = tried[level]
-        return SentPacket(frame, len(tried[level]), True, frame + 1)
+        self.bitstreams[frame] = by_level[level]
+        return SentPacket(frame, len(by_level[level]), True, frame + 1)
 
 
 class AdaptiveStream:
-    """Codes a stream in sessions, each at one setting, and begins another when another setting fits.
+    """Encodes a stream in sessions, each at one setting, and opens another when another setting fits.
 
-    That is the finest at which the pictures of the last second would have fitted into what the link gives, beside what
-    waits: coded as a session of their own, with the start that it costs. It is looked for once a second.
+    Once a second it looks for the finest setting at which the last second's frames would have fitted the link beside
+    what waits. They are encoded as a session of their own, so the cost of its keyframe counts.
     """
 
     def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
@@ -125,7 +123,7 @@ class AdaptiveStream:
         self.bitstreams: dict[int, bytes] = {}
 
     def encode(self, frame: int, budget_bytes: float | None, waiting_bytes: int) -> SentPacket:
-        """The first session is at the coarsest setting."""
+        """Encode a frame; the first session is at the coarsest setting."""
         image, now_s = self._sequence.read(frame).image, float(self._sequence.timestamps_s[frame])
         while self._recent and self._recent[0][0] <= now_s - WINDOW_S + _ROUNDING_S:
             self._recent.popleft()
@@ -134,30 +132,32 @@ class AdaptiveStream:
             self._decided_s = now_s
         elif budget_bytes is not None and now_s - self._decided_s >= SESSION_S - _ROUNDING_S:
             self._decided_s = now_s
-            pictures = [picture for _, picture in self._recent]
-            room_bytes = budget_bytes * len(pictures) - waiting_bytes
-            level = _finest_within(room_bytes, len(self._codecs), lambda level: self._size_bytes(level, pictures))
+            images = [recent_image for _, recent_image in self._recent]
+            free_bytes = budget_bytes * len(images) - waiting_bytes
+            level = _finest_within(free_bytes, len(self._codecs), lambda level: self._size_bytes(level, images))
         if self._encoder is None or level != self._level:
             self._encoder = self._codecs[level].open_encoder(self._sequence.frame_rate_hz)
             self._level, self._session, self._pushed = level, self._session + 1, 0
         self._recent.append((now_s, image))
         packets = self._encoder.push(image)
         if len(packets) != 1 or packets[0].frame != self._pushed:
-            told = f"gave {len(packets)} packets for picture {self._pushed} of a session"
-            raise PluginError(f"{self._codecs[level].name} says that it is of low delay, and {told}; it gives its own")
+            fault = f"gave {len(packets)} packets for picture {self._pushed} of a session"
+            raise PluginError(
+                f"{self._codecs[level].name} says that it is of low delay, and {fault}; it gives its own"
+            )
         (packet,) = packets
         self._pushed += 1
         self.bitstreams[frame] = packet.data
         return SentPacket(frame, len(packet.data), packet.starts, frame + 1, packet.recovery_frames, self._session)
 
-    def _size_bytes(self, level: int, pictures: Iterable[Image]) -> int:
-        """Of these as a session of their own."""
+    def _size_bytes(self, level: int, images: Iterable[Image]) -> int:
+        """Return the size of these frames, encoded as a session of their own."""
         encoder = self._codecs[level].open_encoder(self._sequence.frame_rate_hz)
-        return sum(len(packet.data) for picture in pictures for packet in encoder.push(picture))
+        return sum(len(packet.data) for image in images for packet in encoder.push(image))
 
 
 def _finest_within(budget_bytes: float | None, levels: int, size_bytes: Callable[[int], int]) -> int:
-    """The finest of levels from 0 on that fits, else 0; by bisection, as if finer were never smaller."""
+    """Return the finest level that fits, else 0; by bisection, assuming that sizes do not decrease with the level."""
     low, high = 0, levels - 1
     while budget_bytes is not None and low < high:
         middle = (low + high + 1) // 2
@@ -186,5 +186,5 @@ def _variant(codec: C, parameter: str, value: float) -> C:
     try:
         return codec.with_params(**{parameter: value})
     except (ValidationError, PluginError) as error:
-        said = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise Unsupported(f"adapt: {codec.name} does not take {parameter}={value}: {said}") from error
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise Unsupported(f"adapt: {codec.name} does not take {parameter}={value}: {reason}") from error

@@ -1,4 +1,4 @@
-"""A coded sequence over a link: what arrives, when, and what becomes of the rest."""
+"""Delivery of a coded sequence over a link: which frames arrive, when, and why the others do not."""
 
 from __future__ import annotations
 
@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.codec import decoder_of
 from codecbench.core.contracts.evaluator import CodedSequence, Context, SentPacket
+from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.link import Link
+from codecbench.core.contracts.stream import LOST, Picture, StreamDecoder
 from codecbench.core.simulation.adaptation import AdaptiveEncoder, adaptive_encoder
 from codecbench.core.simulation.link_queue import EventSimulator
-from codecbench.core.simulation.partial import Part, PartialDecode, PartialDecoder, received_ranges
-from codecbench.core.simulation.receiver import FrameOutcome, frame_outcomes
+from codecbench.core.simulation.receiver import (
+    FrameOutcome,
+    Part,
+    PartialDecode,
+    PartialDecoder,
+    frame_outcomes,
+    received_ranges,
+)
 from codecbench.core.simulation.sender import PacketCounts, Sender
 from codecbench.core.simulation.settings import LinkSettings
 
@@ -24,48 +33,50 @@ Times = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Delivery:
-    """What became of N frames. Times are in seconds from the first picture on.
-
-    captured_s: (N,). handed_s: (N,) when each was there, decoded, for whoever reads it; infinite where it never was or
-    was too old. outcomes: of each. sizes_bytes: (N,) as coded. sent_bytes: (N,) with headers, redundancy and what went
-    again. came: (N,) whether all of a frame came, however late. packets: counts of those sent. waiting: (N,) packets
-    in the link's queue when each frame came to the encoder. units: what was coded, in that order. bitstreams: of the
-    frames that were coded anew, as the link asked. parts: of the frames of which a decoder makes something although
-    packets are missing.
-    """
+    """Delivery outcomes of N frames. Times are in seconds since the first frame's capture."""
 
     captured_s: Times
+    """(N,) capture times."""
     handed_s: Times
+    """(N,) when the receiver output each decoded frame; infinite if it never did."""
     outcomes: tuple[FrameOutcome, ...]
+    """(N,) delivery outcomes."""
     sizes_bytes: NDArray[np.int64]
+    """(N,) coded sizes."""
     sent_bytes: NDArray[np.int64]
+    """(N,) bytes sent, with headers, redundancy and retransmissions."""
     came: NDArray[np.bool_]
+    """(N,) whether all of a frame arrived, however late."""
     packets: PacketCounts
     waiting: NDArray[np.int64]
+    """(N,) packets in the link's queue when each frame reached the encoder."""
     units: tuple[SentPacket, ...] = ()
+    """What was coded, in coding order."""
     bitstreams: Mapping[int, bytes] = field(default_factory=dict)
+    """By frame, bitstreams of those that were re-encoded to fit the link."""
     parts: Mapping[int, Part] = field(default_factory=dict)
+    """By frame, those decoded in part although packets are missing."""
 
     @property
-    def handed(self) -> list[int]:
-        """The frames that were handed on, in order."""
+    def output_frames(self) -> list[int]:
+        """The frames that the receiver output, in order."""
         return np.flatnonzero(np.isfinite(self.handed_s)).tolist()
 
     @property
-    def handed_bytes(self) -> int:
-        """Of the bitstreams of those, as far as they came."""
+    def output_bytes(self) -> int:
+        """Size of their bitstreams, as far as these arrived."""
         parts = self.parts
         return sum(
             parts[frame].received.size_bytes if frame in parts else int(self.sizes_bytes[frame])
-            for frame in self.handed
+            for frame in self.output_frames
         )
 
     def read_at(self, pace_s: float) -> dict[int, float]:
-        """By frame, when a reader has done with it that takes `pace_s` for each, and then takes the newest there is."""
+        """Return by frame when a reader is done with it that takes `pace_s` for each, always of the newest frame."""
         if pace_s == 0.0:
-            return {frame: float(self.handed_s[frame]) for frame in self.handed}
+            return {frame: float(self.handed_s[frame]) for frame in self.output_frames}
         done_s: dict[int, float] = {}
-        frames, place, free_s = self.handed, 0, 0.0
+        frames, place, free_s = self.output_frames, 0, 0.0
         while place < len(frames):
             begun_s = max(free_s, float(self.handed_s[frames[place]]))
             while place + 1 < len(frames) and self.handed_s[frames[place + 1]] <= begun_s:
@@ -75,23 +86,23 @@ class Delivery:
         return done_s
 
     def ages_s(self) -> Times:
-        """(N,) how old the newest picture was at the moment of each; before there is one, since the first was taken."""
-        frames = np.array(self.handed, dtype=np.int64)
+        """Return (N,) the age of the newest output frame at each capture; before the first, the time since time 0."""
+        frames = np.array(self.output_frames, dtype=np.int64)
         known = np.searchsorted(self.handed_s[frames], self.captured_s, side="right") - 1
         newest_s = np.where(known >= 0, self.captured_s[frames[known]] if len(frames) else 0.0, self.captured_s[0])
         return np.asarray(self.captured_s - newest_s)
 
     def gaps_s(self) -> Times:
-        """Times without a new picture, from the first frame to the last, or to the last picture where that is later."""
-        handed_s = self.handed_s[self.handed]
-        return np.diff(np.concatenate([[0.0], handed_s, [max(self.captured_s[-1], *handed_s, 0.0)]]))
+        """Return the times between output frames, from the first capture to the last, or the last output if later."""
+        output_s = self.handed_s[self.output_frames]
+        return np.diff(np.concatenate([[0.0], output_s, [max(self.captured_s[-1], *output_s, 0.0)]]))
 
 
 def delivery_of(coded: CodedSequence, settings: LinkSettings, context: Context) -> Delivery:
-    """What comes of a coded sequence over the link of an evaluator's settings, with the luck of the cell's repeat."""
-    settings = settings.timed(context.inputs)
+    """Simulate a coded sequence over the link of an evaluator's settings; the cell's repeat seeds the randomness."""
+    settings = settings.with_measured_times(context.inputs)
     if settings.concealed and coded.codec.carries == "features":
-        # What depends on a lost set is missing: nothing is made up.
+        # A set that depends on a lost one is missing: features are never concealed.
         settings = settings.model_copy(update={"concealed": False})
     link, rng = settings.create_link(context.plugins), settings.link_rng(context.repeat)
     encoder = None if settings.adapt is None else adaptive_encoder(coded, settings.adapt)
@@ -110,24 +121,24 @@ def deliver(
     encoder: AdaptiveEncoder | None = None,
     partial_decode: PartialDecode | None = None,
 ) -> Delivery:
-    """Send what an encoder gave over a link.
+    """Simulate sending an encoder's output over a link. Equal arguments give equal results.
 
-    units: in the order in which they came out. timestamps_s: (N,) of the frames. encoder: codes them anew, as the link
-    asks. partial_decode: what a decoder makes of frames that are not whole. Equal arguments give an equal answer.
+    units: in coding order. timestamps_s: (N,) of the frames. encoder: re-encodes frames to fit the link.
+    partial_decode: decodes incomplete frames.
     """
     if settings.queue_policy == "auto":
         stands_alone = all(unit.starts for unit in units)
         settings = settings.model_copy(update={"queue_policy": "latest_only" if stands_alone else "fifo"})
     captured_s = np.asarray(timestamps_s, dtype=np.float64) - timestamps_s[0]
-    of_frames = captured_s.tolist()
+    frame_times = captured_s.tolist()
     simulator = EventSimulator()
-    sender = Sender(simulator, units, [of_frames[unit.frame] for unit in units], link, settings, rng, encoder)
+    sender = Sender(simulator, units, [frame_times[unit.frame] for unit in units], link, settings, rng, encoder)
     for number, unit in enumerate(units):
-        ready_s = of_frames[min(unit.after, len(of_frames)) - 1]
-        simulator.at(ready_s, lambda number=number: sender.give(number))  # type: ignore[misc]
+        ready_s = frame_times[min(unit.after, len(frame_times)) - 1]
+        simulator.at(ready_s, lambda number=number: sender.enqueue(number))  # type: ignore[misc]
     simulator.run()
     complete_s = {number: shipment.complete_s for number, shipment in sender.shipments.items()}
-    parts = {} if partial_decode is None else _parts(sender, units, of_frames, settings, partial_decode)
+    parts = {} if partial_decode is None else _parts(sender, units, frame_times, settings, partial_decode)
     partial_s = {number: parts[unit.frame].received.known_s for number, unit in enumerate(units) if unit.frame in parts}
     outcomes, handed_s = frame_outcomes(sender.units, captured_s, complete_s, settings, partial_s)
     sizes, sent, waiting = np.zeros((3, len(captured_s)), dtype=np.int64)
@@ -150,7 +161,7 @@ def _parts(
     settings: LinkSettings,
     partial_decode: PartialDecode,
 ) -> dict[int, Part]:
-    """By frame, those that are of use although they are not whole, and not too old by then."""
+    """Return by frame the incomplete ones that can be decoded in part before the deadline."""
     parts = {}
     sizes_bytes = {number: unit.size_bytes for number, unit in sender.units.items()}
     for number, received in received_ranges(sender.shipments, sizes_bytes, settings).items():
@@ -161,3 +172,61 @@ def _parts(
         if whole_share is not None:
             parts[frame] = Part(received, whole_share)
     return parts
+
+
+class DeliveredFrames:
+    """Decoded images of the frames that a receiver outputs; ask for them in rising order.
+
+    If something was concealed, or an inter-frame codec re-encoded, a session decodes all that arrived and is told of
+    each loss: from the first loss on, only the codec can say what its frames look like.
+    """
+
+    def __init__(self, coded: CodedSequence, delivery: Delivery) -> None:
+        self._coded, self._came, self._bitstreams = coded, delivery.came, delivery.bitstreams
+        self._parts, self._partial = delivery.parts, PartialDecoder(coded, delivery.bitstreams)
+        is_recoded = bool(delivery.bitstreams) and not coded.codec.stateless
+        self._decoder = decoder_of(coded.codec) if is_recoded or "concealed" in delivery.outcomes else None
+        self._is_over = False
+        self._units = iter(delivery.units)
+        self._session = 0
+        self._frames: list[int] | None = [] if is_recoded else None
+        self._decoded: dict[int, Image | None] = {}
+
+    def image(self, frame: int) -> Image | None:
+        """Return the image of a frame that was output; None if the decoder makes none."""
+        if frame in self._parts:
+            partial = self._partial.decode(frame, self._parts[frame].received.ranges)
+            return None if partial is None else partial.image
+        if frame in self._bitstreams and self._coded.codec.stateless:
+            return self._coded.codec.decode(self._bitstreams[frame])
+        if self._decoder is None:
+            return self._coded.frame(frame).decoded
+        while frame not in self._decoded and not self._is_over:
+            self._decoded |= {index: image for index, image in self._next(self._decoder) if index >= frame}
+        return self._decoded.pop(frame, None)
+
+    def _next(self, decoder: StreamDecoder) -> list[tuple[int, Image | None]]:
+        """Decode the next packet, or flush at the end of its session; return images with their frames."""
+        unit = next(self._units, None)
+        self._is_over = unit is None
+        if unit is None:
+            return self._in_sequence(decoder.flush())
+        flushed = []
+        if unit.session != self._session:
+            flushed = self._in_sequence(decoder.flush())
+            decoder = self._decoder = decoder_of(self._coded.codec)
+            self._session, self._frames = unit.session, []
+        number = unit.frame
+        if self._frames is not None:
+            number = len(self._frames)
+            self._frames.append(unit.frame)
+        if not self._came[unit.frame]:
+            return flushed + self._in_sequence(decoder.push(LOST))
+        data = self._bitstreams.get(unit.frame) or self._coded.frame(unit.frame).bitstream
+        return flushed + self._in_sequence(decoder.push(replace(unit, frame=number).packet(data)))
+
+    def _in_sequence(self, pictures: list[Picture]) -> list[tuple[int, Image | None]]:
+        """Return images with their frame in the sequence; a re-encoded session numbers them as they were pushed."""
+        if self._frames is None:
+            return [(picture.frame, picture.image) for picture in pictures]
+        return [(self._frames[picture.frame], picture.image) for picture in pictures]

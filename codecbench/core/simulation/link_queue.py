@@ -1,4 +1,4 @@
-"""Simulated time, and packets in a queue before a link: they wait, go in turn, and the discipline drops some."""
+"""Discrete-event simulation of the packet queue before a link, with the disciplines drop-tail and CoDel."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from codecbench.core.contracts.link import Channel, Passage, Queue
 
 TARGET_S: Final = 0.005
 INTERVAL_S: Final = 0.1
-"""RFC 8289, section 4.2 and 4.3."""
-_DROPPING_AGAIN: Final = 16
-"""Intervals within which a return to dropping goes on at the rate of the last time; RFC 8289, section 5.5."""
+"""CoDel's target and interval: RFC 8289, sections 4.2 and 4.3."""
+_RESUME_INTERVALS: Final = 16
+"""Intervals within which a return to dropping resumes the last drop rate; RFC 8289, section 5.5."""
 
 
 class EventSimulator:
-    """Where things happen at times, one after the other; those of one time in the order in which they were planned."""
+    """Runs actions in order of their times; those of equal times in the order in which they were scheduled."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -30,13 +30,13 @@ class EventSimulator:
         self._numbers = count()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
-        """Plan something. Raises ValueError for what is past: an effect before its cause."""
+        """Schedule an action. Raises ValueError if the time is past: an effect before its cause."""
         if not time_s >= self.now_s:
             raise ValueError(f"planned for {time_s} s at {self.now_s} s; nothing happens in the past")
         heapq.heappush(self._events, (time_s, next(self._numbers), action))
 
     def run(self) -> None:
-        """Let happen whatever is planned, and what is planned meanwhile."""
+        """Run all scheduled actions, and those scheduled meanwhile."""
         while self._events:
             self.now_s, _, action = heapq.heappop(self._events)
             action()
@@ -44,20 +44,24 @@ class EventSimulator:
 
 @dataclass(slots=True, eq=False)
 class Packet:
-    """A packet of a unit: which of its packets, and how often it has been sent."""
+    """A packet of a unit."""
 
     unit: int
+    """Number of its unit."""
     size_bytes: int
+    """Size with headers."""
     number: int = 0
+    """Number among the unit's packets."""
     tries: int = 0
+    """How often it has been sent."""
 
 
 OnOutcome = Callable[[Packet, Passage | None], None]
-"""Told once of each packet that was pushed: its passage, or None where it was dropped."""
+"""Called once for each pushed packet, with its passage, or None if it was dropped."""
 
 
 class LinkQueue(ABC):
-    """The way into a link. most: how many may wait. on_idle is called whenever the last packet has left."""
+    """The packet queue before a link."""
 
     def __init__(
         self,
@@ -67,26 +71,27 @@ class LinkQueue(ABC):
         on_outcome: OnOutcome,
         on_idle: Callable[[], None],
     ) -> None:
+        """most: how many packets may wait; None for any number. on_idle: called whenever the last packet has left."""
         self._simulator, self._channel, self._on_outcome, self._on_idle = simulator, channel, on_outcome, on_idle
         self._most = math.inf if most is None else most
         self._free_s = 0.0
 
     @abstractmethod
     def push(self, packet: Packet) -> None:
-        """A packet comes to the link now."""
+        """Add a packet now."""
 
     @abstractmethod
     def waiting(self) -> int:
-        """How many packets wait for their turn now."""
+        """Return how many packets wait now."""
 
     @abstractmethod
     def waiting_bytes(self) -> int:
-        """Of all these."""
+        """Return the total size of the packets that wait now."""
 
     @property
     @abstractmethod
     def is_idle(self) -> bool:
-        """Whether nothing is being sent or waits."""
+        """Whether no packet is being sent or waits."""
 
     def _carry(self, packet: Packet, start_s: float) -> Passage:
         passage = self._channel.carry(packet.size_bytes, start_s)
@@ -99,13 +104,15 @@ class LinkQueue(ABC):
 
 
 class DropTailQueue(LinkQueue):
-    """What comes is dropped where as many wait as may. What later packets do changes nothing for those that wait, so
-    that all about a packet is known when it comes."""
+    """Drops packets that arrive when the queue is full.
 
-    def __init__(self, *asked: Any) -> None:
-        super().__init__(*asked)
+    Later packets do not affect those that wait, so a packet's outcome is known when it arrives.
+    """
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._starts: deque[tuple[float, int]] = deque()
-        self._idle_is_planned = False
+        self._idle_is_scheduled = False
 
     def push(self, packet: Packet) -> None:
         now_s = self._simulator.now_s
@@ -118,8 +125,8 @@ class DropTailQueue(LinkQueue):
         else:
             start_s = now_s
         passage = self._carry(packet, start_s)
-        if not self._idle_is_planned:
-            self._idle_is_planned = True
+        if not self._idle_is_scheduled:
+            self._idle_is_scheduled = True
             self._simulator.at(self._free_s, self._idle)
         self._on_outcome(packet, passage)
 
@@ -130,7 +137,7 @@ class DropTailQueue(LinkQueue):
         return len(starts)
 
     def waiting_bytes(self) -> int:
-        self.waiting()  # leaves only those that do
+        self.waiting()  # removes those that have left
         return sum(size_bytes for _, size_bytes in self._starts)
 
     @property
@@ -141,15 +148,15 @@ class DropTailQueue(LinkQueue):
         if self._free_s > self._simulator.now_s:
             self._simulator.at(self._free_s, self._idle)
         else:
-            self._idle_is_planned = False
+            self._idle_is_scheduled = False
             self._on_idle()
 
 
 class CoDelQueue(LinkQueue):
-    """Drops from the head, ever more often, while packets wait for longer than a target: RFC 8289, section 5."""
+    """Drops packets from the head, ever more often, while they wait longer than a target: RFC 8289, section 5."""
 
-    def __init__(self, *asked: Any) -> None:
-        super().__init__(*asked)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._packets: deque[tuple[Packet, float]] = deque()
         self._bytes = self._largest = 0
         self._is_sending = self._is_dropping = False
@@ -178,7 +185,7 @@ class CoDelQueue(LinkQueue):
         return not self._is_sending
 
     def _serve(self) -> None:
-        """Send the next packet that is not dropped, and come back when it has left."""
+        """Send the next packet that is not dropped, and schedule the next call for when it has left."""
         packet = self._next()
         self._is_sending = packet is not None
         if packet is None:
@@ -205,13 +212,13 @@ class CoDelQueue(LinkQueue):
             packet, _ = self._head()
             self._is_dropping = True
             more = self._drops - self._drops_before
-            again = more > 1 and now_s - self._next_drop_s < _DROPPING_AGAIN * INTERVAL_S
-            self._drops = self._drops_before = more if again else 1
+            resumes = more > 1 and now_s - self._next_drop_s < _RESUME_INTERVALS * INTERVAL_S
+            self._drops = self._drops_before = more if resumes else 1
             self._next_drop_s = self._control_law(now_s)
         return packet
 
     def _head(self) -> tuple[Packet | None, bool]:
-        """The packet at the head, taken out, and whether packets have waited for too long for an interval."""
+        """Remove the packet at the head; return it, and whether delay has been above target for an interval."""
         if not self._packets:
             self._above_until_s = None
             return None, False
@@ -236,6 +243,6 @@ class CoDelQueue(LinkQueue):
 def link_queue(
     simulator: EventSimulator, channel: Channel, queue: Queue, on_outcome: OnOutcome, on_idle: Callable[[], None]
 ) -> LinkQueue:
-    """The queue that a link says it has."""
+    """Create the queue that a link declares."""
     kind = CoDelQueue if queue.discipline == "codel" else DropTailQueue
     return kind(simulator, channel, queue.packets, on_outcome, on_idle)

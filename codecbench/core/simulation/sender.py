@@ -1,4 +1,4 @@
-"""The sender: pictures wait for the encoder, encoded ones for the link, and lost packets go again."""
+"""The sender: frames queue for the encoder, coded frames queue for the link, and lost packets are retransmitted."""
 
 from __future__ import annotations
 
@@ -17,45 +17,46 @@ from codecbench.core.simulation.link_queue import EventSimulator, Packet, link_q
 from codecbench.core.simulation.settings import LinkSettings, QueuePolicy
 
 MOST_TRIES: Final = 1000
-"""A packet that was lost so often is given up, whatever the transport promises."""
+"""Number of transmissions after which a packet is given up, whatever the transport promises."""
 
 
 @dataclass
 class PacketCounts:
-    """What became of packets, by number: each that was sent has arrived, was lost on the way, or was dropped by the
-    link's queue. Of those that arrived some were late."""
+    """Numbers of packets: each one sent arrives, is lost on the link, or is dropped by the link's queue."""
 
     sent: int = 0
     arrived: int = 0
     late: int = 0
+    """Those that arrived after the deadline."""
     lost: int = 0
     dropped: int = 0
 
 
 @dataclass
 class Shipment:
-    """A unit on its way. needed: how many of its packets make it whole; count: how many there are, of which the first
-    `needed` are its data. sent_bytes: with headers, redundancy and what went again. arrivals: of the packets that
-    came, when and which."""
+    """The transmission of a unit."""
 
     needed: int
+    """How many of its packets suffice to decode it."""
     count: int
+    """How many packets there are; the first `needed` are its data, the others redundancy."""
     sent_bytes: int = 0
+    """Bytes sent, with headers, redundancy and retransmissions."""
     arrivals: list[tuple[float, int]] = field(default_factory=list)
+    """Arrival time in seconds and number of each packet that arrived."""
 
     @property
     def complete_s(self) -> float:
-        """When it can be decoded; infinite where it never can."""
+        """Time in seconds at which it can be decoded; infinite if it never can."""
         if len(self.arrivals) < self.needed:
             return math.inf
         return sorted(self.arrivals)[self.needed - 1][0]
 
 
 def packets_of(unit: int, size_bytes: int, settings: LinkSettings) -> tuple[list[Packet], int]:
-    """The packets of a unit and how many of them make it whole.
+    """Return the packets of a unit and how many of them suffice to decode it.
 
-    Redundancy is that of an ideal erasure code, of which any as many packets do as there are of data; Reed-Solomon
-    codes are of this kind.
+    Redundancy is that of an ideal erasure code such as Reed-Solomon: any subset as large as the data suffices.
     """
     payload = settings.payload_bytes
     count = max(1, -(-size_bytes // payload))
@@ -66,10 +67,10 @@ def packets_of(unit: int, size_bytes: int, settings: LinkSettings) -> tuple[list
 
 
 class FrameQueue:
-    """Units, by number, that wait; which of them are given up is the policy's to say.
+    """A queue of units, by number; its policy says which are dropped.
 
-    latest_only: a new one takes the place of whatever waits. drop_late: those older than `deadline_s` when their turn
-    comes are passed over. fifo: none.
+    latest_only: a new one replaces all that wait. drop_late: those past the deadline when their turn comes are skipped.
+    fifo: none.
     """
 
     def __init__(self, policy: QueuePolicy, captured_s: Sequence[float], deadline_s: float) -> None:
@@ -80,13 +81,13 @@ class FrameQueue:
         return iter(self._waiting)
 
     def put(self, unit: int) -> None:
-        """One more waits."""
+        """Append a unit."""
         if self._policy == "latest_only":
             self._waiting.clear()
         self._waiting.append(unit)
 
     def take(self, now_s: float) -> int | None:
-        """The one whose turn it is; None where nothing waits that is worth it."""
+        """Remove and return the next unit worth sending; None if there is none."""
         while self._waiting:
             unit = self._waiting.popleft()
             if self._policy != "drop_late" or now_s - self._captured_s[unit] <= self._deadline_s:
@@ -95,11 +96,15 @@ class FrameQueue:
 
 
 class Sender:
-    """A device with a camera. Units are what the encoder gives, by number, in its order.
+    """A device with a camera. Units are the encoder's outputs, numbered in coding order."""
 
-    units: those that were coded, as they became. shipments: of those that were sent. waiting: packets in the link's
-    queue whenever a picture was taken.
-    """
+    units: dict[int, SentPacket]
+    """Units that were coded, by number."""
+    shipments: dict[int, Shipment]
+    """Units that were sent, by number."""
+    waiting: list[int]
+    """Packets in the link's queue at each capture."""
+    counts: PacketCounts
 
     def __init__(
         self,
@@ -111,12 +116,12 @@ class Sender:
         rng: np.random.Generator,
         encoder: AdaptiveEncoder | None = None,
     ) -> None:
-        """captured_s: of each unit's picture. encoder: codes the pictures anew, as the link asks."""
+        """captured_s: capture time of each unit's frame. encoder: re-encodes frames to fit the link."""
         self.units = dict(enumerate(units)) if encoder is None else {}
         self._encoder, self._throughput = encoder, Throughput()
         self._interval_s = float(np.median(np.diff(captured_s))) if len(captured_s) > 1 else 1.0
-        self.shipments: dict[int, Shipment] = {}
-        self.waiting: list[int] = []
+        self.shipments = {}
+        self.waiting = []
         self.counts = PacketCounts()
         self._simulator, self._captured_s, self._settings = simulator, captured_s, settings
         self._frames = [unit.frame for unit in units]
@@ -131,8 +136,8 @@ class Sender:
         self._most = link.queue.packets
         self._queue = link_queue(simulator, link.open(rng), link.queue, self._on_outcome, self._send)
 
-    def give(self, unit: int) -> None:
-        """The encoder can begin with a unit now."""
+    def enqueue(self, unit: int) -> None:
+        """Queue a unit for the encoder, which can begin with it now."""
         self.waiting.append(self._queue.waiting())
         self._unencoded.put(unit)
         self._encode()
@@ -142,13 +147,13 @@ class Sender:
             return
         self._is_encoding = True
         if self._encoder is not None:
-            rate = self._throughput.at(self._simulator.now_s)
+            rate = self._throughput.bytes_per_s(self._simulator.now_s)
             budget_bytes = None if rate is None else FILL * rate * self._interval_s
             self.units[unit] = self._encoder.encode(self._frames[unit], budget_bytes, self._waiting_bytes())
         self._simulator.at(self._simulator.now_s + self._encode_s, lambda: self._end_encoding(unit))
 
     def _waiting_bytes(self) -> int:
-        """Of all that was coded and has not left yet."""
+        """Return the size of all that is coded and not sent yet."""
         coded = sum(self.units[unit].size_bytes for unit in self._encoded)
         return coded + sum(packet.size_bytes for packet in self._backlog) + self._queue.waiting_bytes()
 
@@ -159,7 +164,7 @@ class Sender:
         self._encode()
 
     def _send(self) -> None:
-        """Hand over what the link is to have now."""
+        """Move packets to the link's queue as far as the policy allows now."""
         while True:
             self._hand_over()
             at_once = self._settings.queue_policy == "fifo"
@@ -200,9 +205,9 @@ class Sender:
             self._simulator.at(left_s + self._round_trip_s, lambda: self._send_again(packet))
 
     def _send_again(self, packet: Packet) -> None:
-        """The sender hears that a packet is missing. `arq` gives it up when its picture is too old to be of use."""
+        """Retransmit a packet that the sender learns is lost; `arq` gives up once its frame is past the deadline."""
         age_s = self._simulator.now_s - self._captured_s[packet.unit]
-        is_in_vain = self._settings.transport == "arq" and age_s > self._deadline_s
-        if packet.tries < MOST_TRIES and not is_in_vain:
+        is_useless = self._settings.transport == "arq" and age_s > self._deadline_s
+        if packet.tries < MOST_TRIES and not is_useless:
             self._backlog.appendleft(packet)
             self._send()

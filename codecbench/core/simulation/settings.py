@@ -1,4 +1,4 @@
-"""The parameters that evaluators over a link share."""
+"""Parameters that evaluators over a link share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Time = Annotated[float, Field(ge=0.0)]
 
 
 def _time_or_word(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
-    """One sentence for what is neither."""
+    """Raise one error, in one sentence, for what is neither."""
     try:
         return handler(value)
     except ValidationError:
@@ -28,7 +28,7 @@ def _time_or_word(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
 
 
 MeasuredTime = Annotated[Time | Literal["measured"], WrapValidator(_time_or_word)]
-"""Milliseconds, or `measured`: those that another evaluator of the matrix has measured of the same setting."""
+"""Milliseconds, or `measured`: as another evaluator of the experiment measures them of the same setting."""
 
 
 class Adaptation(Params):
@@ -39,45 +39,49 @@ class Adaptation(Params):
 
 
 class LinkSettings(Params):
-    """How pictures get from the camera to whoever reads them. docs/link.md explains each.
-
-    link, link_params: the way; none where pictures are there at once. transport: what is done about lost packets.
-    fec_share: redundant packets for each of data. mtu: bytes of a packet at most, of which header_bytes are headers.
-    queue_policy: which pictures a sender keeps that has to wait; `auto`: all where they depend on each other, else the
-    latest. deadline_ms: the age at which a picture is of no use.
-    adapt: the parameter that the sender sets so that pictures fit what the link gives. concealed: whether pictures of a
-    stream are handed on that depend on a lost one, as the decoder makes them up. partial: whether pictures that stand
-    alone are handed on without their lost packets, by codecs that can decode the rest. encode_ms, decode_ms: what each
-    picture takes; device_factor, receiver_factor: how many times slower the two machines are. link_seed: of all chance
-    on the way.
-    """
+    """How frames get from the camera to the reader. docs/link.md explains each parameter."""
 
     times: ClassVar[Mapping[str, Quantity]] = {"encode_ms": "encoding", "decode_ms": "decoding"}
-    """Parameters that may be `measured`, and what is measured then."""
+    """Parameters that may be `measured`, with the quantity that is measured then."""
 
     link: str | None = None
+    """Name of a link plugin; None for no link: frames arrive at once."""
     link_params: dict[str, Any] = Field(default_factory=dict)
     transport: Transport = "datagrams"
+    """How lost packets are handled."""
     fec_share: Annotated[float, Field(gt=0.0, le=10.0)] = 0.2
+    """Redundant packets for each data packet."""
     mtu: Annotated[int, Field(ge=32, le=65535)] = 1500
+    """Largest packet in bytes, headers included."""
     header_bytes: Annotated[int, Field(ge=0)] = 40
+    """Header bytes of each packet."""
     queue_policy: QueuePolicy = "latest_only"
+    """Which waiting frames a sender drops; `auto`: none of an inter-frame codec, else all but the latest."""
     deadline_ms: Annotated[float, Field(gt=0.0)] | None = None
+    """Age in milliseconds beyond which a frame is useless; None for no deadline."""
     adapt: Adaptation | None = None
+    """The codec parameter that the sender sets so that frames fit the link's throughput."""
     concealed: bool = False
+    """Whether frames that depend on a lost one are output as the decoder conceals them."""
     partial: bool = False
+    """Whether intra-coded frames are output without their lost packets, by codecs that decode the rest."""
     encode_ms: MeasuredTime = 0.0
+    """Encoding time of a frame."""
     decode_ms: MeasuredTime = 0.0
+    """Decoding time of a frame."""
     device_factor: Annotated[float, Field(gt=0.0)] = 1.0
+    """How many times slower the encoding device is than the one timed."""
     receiver_factor: Annotated[float, Field(gt=0.0)] = 1.0
+    """How many times slower the receiver is than the machine timed."""
     link_seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of all randomness on the link."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check_consistency(self) -> Self:
         defaults = LinkSettings.model_construct()
-        given = [name for name in LinkSettings.model_fields if getattr(self, name) != getattr(defaults, name)]
-        if self.link is None and (given or type(self).model_fields["link"].default is not None):
-            raise ValueError(f"{(given or ['this'])[0]} is about a link; name one, such as link: ideal")
+        changed = [name for name in LinkSettings.model_fields if getattr(self, name) != getattr(defaults, name)]
+        if self.link is None and (changed or type(self).model_fields["link"].default is not None):
+            raise ValueError(f"{(changed or ['this'])[0]} is about a link; name one, such as link: ideal")
         if self.header_bytes >= self.mtu:
             raise ValueError(f"header_bytes {self.header_bytes} leaves nothing of mtu {self.mtu}")
         if self.partial and self.is_repaired:
@@ -88,75 +92,76 @@ class LinkSettings(Params):
 
     @property
     def link_uses(self) -> tuple[PluginUse, ...]:
-        """The link, as an evaluator declares it."""
+        """The link, for an evaluator's `uses`."""
         return () if self.link is None else (PluginUse("link", self.link, self.link_params),)
 
     def create_link(self, plugins: PluginSource) -> Link[Any]:
-        """The link that `link_uses` declared."""
+        """Create the link that `link_uses` declares."""
         assert self.link is not None
         link: Link[Any] = plugins.create("link", self.link, self.link_params)
         return link
 
     def link_rng(self, repeat: int) -> np.random.Generator:
-        """All chance on the way in a repeat: the same for every codec."""
+        """Return the random generator of a repeat's link, equal for every codec."""
         return np.random.default_rng([self.link_seed, repeat])
 
     @property
     def payload_bytes(self) -> int:
-        """Of a packet that is full."""
+        """Payload of a full packet."""
         return self.mtu - self.header_bytes
 
     @property
     def deadline_s(self) -> float:
-        """Infinite where there is none."""
+        """Deadline in seconds; infinite if there is none."""
         return float("inf") if self.deadline_ms is None else 1e-3 * self.deadline_ms
 
     @property
     def requires(self) -> dict[str, Quantity]:
-        """The parameters that are `measured`, as an evaluator declares them."""
+        """The parameters that are `measured`, for an evaluator's `requires`."""
         return {name: quantity for name, quantity in self.times.items() if getattr(self, name) == "measured"}
 
-    def timed(self, inputs: Mapping[str, float]) -> Self:
-        """The settings with what was measured."""
+    def with_measured_times(self, inputs: Mapping[str, float]) -> Self:
+        """Return the settings with the measured times in place of `measured`."""
         return self.model_copy(update={name: inputs[name] for name in self.requires})
 
     @property
     def encode_s(self) -> float:
-        """On the device."""
+        """Encoding time of a frame on the device, in seconds."""
         return _seconds(self.encode_ms) * self.device_factor
 
     @property
     def decode_s(self) -> float:
-        """At the receiver."""
+        """Decoding time of a frame at the receiver, in seconds."""
         return _seconds(self.decode_ms) * self.receiver_factor
 
     @property
     def is_repaired(self) -> bool:
-        """Whether the sender hears of lost packets and sends them again."""
+        """Whether lost packets are retransmitted."""
         return self.transport in ("arq", "reliable")
 
     @property
     def is_paced(self) -> bool:
-        """Whether the sender hands over only what the link's queue has room for."""
+        """Whether the sender passes on only as many packets as fit into the link's queue."""
         return self.is_repaired or self.queue_policy != "fifo"
 
 
 class ReaderSettings(LinkSettings):
-    """How pictures get to a reader that takes `slam_ms` for each, and passes over those that come meanwhile."""
+    """How frames get to a reader that takes `slam_ms` for each, and skips those that arrive meanwhile."""
 
     times: ClassVar[Mapping[str, Quantity]] = {**LinkSettings.times, "slam_ms": "reading"}
 
     slam_ms: MeasuredTime = 0.0
+    """Processing time of a frame by the reader."""
 
     @model_validator(mode="after")
-    def _reads_over_a_link(self) -> Self:
+    def _check_slam_ms(self) -> Self:
         if self.link is None and self.slam_ms:
             raise ValueError("slam_ms is about a link; name one, such as link: ideal")
         return self
 
     @property
     def read_s(self) -> float:
-        """At the receiver."""
+        """Processing time of a frame at the receiver, in seconds."""
         return _seconds(self.slam_ms) * self.receiver_factor
 
 

@@ -147,7 +147,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         for outcome in _UNTIMELY:
             yield Measurement(f"{outcome}_share", found.outcomes.count(outcome) / len(found.outcomes))
         yield Measurement("delivered_share", float(found.came.mean()))
-        handed = found.handed
+        handed = found.output_frames
         concealed = found.outcomes.count("concealed")
         yield (
             Measurement("concealed_share", concealed / len(handed))
@@ -214,19 +214,19 @@ def _of_frames(found: Delivery) -> Iterator[Measurement]:
 
 
 def _of_parts(found: Delivery) -> Iterator[Measurement]:
-    whole = [found.parts[frame].whole_share for frame in found.handed if frame in found.parts]
-    if not found.handed:
+    whole = [found.parts[frame].whole_share for frame in found.output_frames if frame in found.parts]
+    if not found.output_frames:
         yield Measurement("partial_share", math.nan, reason="no picture was on time")
     else:
-        yield Measurement("partial_share", len(whole) / len(found.handed))
+        yield Measurement("partial_share", len(whole) / len(found.output_frames))
     reason = None if whole else "no picture came in part"
     yield Measurement("partial_whole_share", float(np.mean(whole)) if whole else math.nan, reason=reason)
 
 
 def _rates(found: Delivery, duration_s: float) -> Iterator[Measurement]:
-    handed = found.handed
+    handed = found.output_frames
     sent_bytes = int(found.sent_bytes.sum())
-    yield Measurement("goodput_kbps", 8e-3 * found.handed_bytes / duration_s)
+    yield Measurement("goodput_kbps", 8e-3 * found.output_bytes / duration_s)
     yield Measurement("sent_kbps", 8e-3 * sent_bytes / duration_s)
     if sent_bytes:
         yield Measurement("wasted_share", 1.0 - float(found.sent_bytes[handed].sum()) / sent_bytes)

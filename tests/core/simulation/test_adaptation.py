@@ -16,8 +16,7 @@ from codecbench import NULL_TRACE, Codec, Image, Params, Trace, Unsupported
 from codecbench.core.contracts.codec import Capabilities
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.adaptation import Throughput, adaptive_encoder
-from codecbench.core.simulation.delivery import Delivery, delivery_of
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, Delivery, delivery_of
 from codecbench.core.simulation.settings import Adaptation, LinkSettings
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.trace import Trace as TraceLink
@@ -88,9 +87,9 @@ def test_a_link_that_slows_down_gets_coarser_pictures(tmp_path: Path) -> None:
 
 def test_the_reader_gets_the_pictures_that_were_sent(tmp_path: Path) -> None:
     found = delivered(tmp_path, Constant.create(rate_kbps=800))
-    pictures = DeliveredPictures(coded(), found)
-    assert pictures.picture(0).max() == 1  # type: ignore[union-attr]
-    assert pictures.picture(1).max() == 9  # type: ignore[union-attr]
+    pictures = DeliveredFrames(coded(), found)
+    assert pictures.image(0).max() == 1  # type: ignore[union-attr]
+    assert pictures.image(1).max() == 9  # type: ignore[union-attr]
 
 
 def test_a_range_may_fall_and_may_be_of_fractions() -> None:
@@ -121,12 +120,12 @@ def test_what_holds_pictures_back_cannot_adapt() -> None:
 
 def test_throughput_is_of_the_time_in_which_something_was_sent() -> None:
     given = Throughput()
-    assert given.at(0.0) is None
+    assert given.bytes_per_s(0.0) is None
     given.add(1000, 0.0, 0.1)
     given.add(1000, 0.05, 0.2)  # waited for the first
     given.add(3000, 0.9, 1.0)
-    assert given.at(0.1) == pytest.approx(10_000)
-    assert given.at(0.95) == pytest.approx(10_000)  # the third has not left yet
-    assert given.at(1.0) == pytest.approx(5000 / 0.3)
-    assert given.at(1.15) == pytest.approx(4000 / 0.2)
-    assert given.at(5.0) == pytest.approx(4000 / 0.2)  # nothing since: what was known last
+    assert given.bytes_per_s(0.1) == pytest.approx(10_000)
+    assert given.bytes_per_s(0.95) == pytest.approx(10_000)  # the third has not left yet
+    assert given.bytes_per_s(1.0) == pytest.approx(5000 / 0.3)
+    assert given.bytes_per_s(1.15) == pytest.approx(4000 / 0.2)
+    assert given.bytes_per_s(5.0) == pytest.approx(4000 / 0.2)  # nothing since: what was known last

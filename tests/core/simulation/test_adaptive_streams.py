@@ -22,8 +22,7 @@ from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Channel, Link
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.stream import StreamDecoder, StreamEncoder
-from codecbench.core.simulation.delivery import Delivery, deliver, delivery_of
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, Delivery, deliver, delivery_of
 from codecbench.core.simulation.settings import Adaptation, LinkSettings
 from codecbench.plugins.codecs.multilevel.stream import MultilevelStream
 from codecbench.plugins.links.constant import Constant
@@ -130,8 +129,8 @@ def test_a_stream_takes_what_the_link_gives_from_the_second_second_on(tmp_path: 
 def test_the_reader_gets_what_the_sessions_sent(tmp_path: Path) -> None:
     stream = blank(30)
     found = delivered(tmp_path, stream, Constant.create(rate_kbps=800))
-    pictures = DeliveredPictures(stream, found)
-    assert [pictures.picture(frame).max() for frame in found.handed] == [1] * 10 + [7] * 20  # type: ignore[union-attr]
+    pictures = DeliveredFrames(stream, found)
+    assert [pictures.image(frame).max() for frame in found.output_frames] == [1] * 10 + [7] * 20  # type: ignore[union-attr]
 
 
 def test_where_the_rate_halves_pictures_stay_on_time_with_adaptation_and_not_without(tmp_path: Path) -> None:
@@ -155,15 +154,15 @@ def test_a_session_whose_start_is_lost_is_broken_until_the_next(tmp_path: Path) 
     for concealed in (False, True):
         found = delivered(tmp_path, stream, Losing(10), mtu=60_000, header_bytes=40, concealed=concealed)
         assert list(found.outcomes) == ["on time"] * 10 + ["lost"] + ["broken"] * 29
-        assert DeliveredPictures(stream, found).picture(9) is not None
+        assert DeliveredFrames(stream, found).image(9) is not None
 
 
 def test_a_loss_in_a_session_is_concealed_by_its_own_decoder(tmp_path: Path) -> None:
     stream = blank(30)
     found = delivered(tmp_path, stream, Losing(5), mtu=60_000, header_bytes=40, concealed=True)
     assert list(found.outcomes) == ["on time"] * 5 + ["lost"] + ["concealed"] * 4 + ["on time"] * 20
-    pictures = DeliveredPictures(stream, found)
-    shown = [pictures.picture(frame).max() for frame in found.handed]  # type: ignore[union-attr]
+    pictures = DeliveredFrames(stream, found)
+    shown = [pictures.image(frame).max() for frame in found.output_frames]  # type: ignore[union-attr]
     assert shown == [1] * 5 + [255] * 4 + [50] * 20
 
 
@@ -174,8 +173,8 @@ def test_a_picture_that_never_comes_to_the_encoder_breaks_nothing(tmp_path: Path
     found = delivered(tmp_path, stream, link, queue_policy="latest_only", encode_ms=150)
     assert set(found.outcomes) == {"on time", "skipped"}
     assert 0.25 < found.outcomes.count("skipped") / 40 < 0.4
-    pictures = DeliveredPictures(stream, found)
-    assert all(pictures.picture(frame) is not None for frame in found.handed)
+    pictures = DeliveredFrames(stream, found)
+    assert all(pictures.image(frame) is not None for frame in found.output_frames)
 
 
 def test_a_codec_that_wrongly_says_that_it_holds_nothing_back_is_named(tmp_path: Path) -> None:
@@ -223,9 +222,9 @@ def test_whatever_is_sent_has_one_fate_and_a_picture_where_it_is_handed_on(
     assert frames == sorted(found.bitstreams)
     begun = [unit.frame for unit in found.units if unit.starts]
     assert all(later - before >= RATE_HZ for before, later in pairwise(begun))
-    pictures = DeliveredPictures(stream, found)
-    for frame in found.handed:
-        picture = pictures.picture(frame)
+    pictures = DeliveredFrames(stream, found)
+    for frame in found.output_frames:
+        picture = pictures.image(frame)
         assert picture is not None
         assert (picture.max() == 255) == (found.outcomes[frame] == "concealed")
         assert picture.max() in (255, found.bitstreams[frame][0])
@@ -250,8 +249,8 @@ def require_adapts(folder: Path, codec: Any, parameter: str, ends: tuple[float, 
     assert found.outcomes.count("on time") >= 58
     sessions = {unit.session for unit in found.units}
     assert 2 <= len(sessions) <= 6
-    pictures = DeliveredPictures(stream, found)
-    errors = [np.abs(pictures.picture(frame).astype(int) - images[frame]).mean() for frame in found.handed]  # type: ignore[union-attr]
+    pictures = DeliveredFrames(stream, found)
+    errors = [np.abs(pictures.image(frame).astype(int) - images[frame]).mean() for frame in found.output_frames]  # type: ignore[union-attr]
     assert max(errors) < 40
     finest = type(codec)(codec.params_type.model_validate({**codec.params.model_dump(), parameter: ends[1]}))
     fixed = deliver(

@@ -18,7 +18,7 @@ from scipy.stats import binom
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
-from codecbench.core.simulation.partial import Ranges
+from codecbench.core.simulation.receiver import Ranges
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.links.constant import Constant
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
@@ -42,7 +42,7 @@ def sent(
 
 
 def latencies_s(found: Delivery) -> np.ndarray:
-    return (found.handed_s - found.captured_s)[found.handed]
+    return (found.handed_s - found.captured_s)[found.output_frames]
 
 
 def test_over_an_ideal_link_every_picture_is_there_at_once() -> None:
@@ -69,7 +69,7 @@ def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
         link="given", encode_ms="measured", decode_ms="measured", slam_ms="measured", device_factor=4, receiver_factor=3
     )
     assert given.requires == {"encode_ms": "encoding", "decode_ms": "decoding", "slam_ms": "reading"}
-    timed = given.timed({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
+    timed = given.with_measured_times({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
     assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
     assert timed.requires == {}
     with pytest.raises(TypeError, match="'measured' is no time yet"):
@@ -156,7 +156,7 @@ def test_only_the_newest_picture_waits() -> None:
     """Each takes 275 ms on the way, and one comes every 100 ms."""
     found = sent(Constant.create(rate_kbps=32), [1100] * 8, mtu=1100)
     assert [frame for frame, outcome in enumerate(found.outcomes) if outcome == "on time"] == [0, 2, 5, 7]
-    assert found.handed_s[found.handed] == pytest.approx([0.275, 0.55, 0.825, 1.1])
+    assert found.handed_s[found.output_frames] == pytest.approx([0.275, 0.55, 0.825, 1.1])
     assert found.ages_s() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.4, 0.5])
     assert found.gaps_s() == pytest.approx([0.275, 0.275, 0.275, 0.275, 0.0])
 
@@ -207,7 +207,7 @@ def test_what_a_decoder_makes_up_is_handed_on_where_that_is_asked() -> None:
     settings = LinkSettings(link="given", concealed=True, **HEADERS)
     found = deliver(units, np.arange(6) / 10, Losing(2), settings, np.random.default_rng(0))
     assert found.outcomes == ("broken", "on time", "lost", "concealed", "concealed", "on time")
-    assert found.handed == [1, 3, 4, 5]
+    assert found.output_frames == [1, 3, 4, 5]
     assert found.came.tolist() == [True, True, False, True, True, True]
 
 
@@ -301,7 +301,7 @@ def test_what_came_of_a_picture_is_handed_on_where_that_is_asked() -> None:
     assert found.outcomes == ("partial", "partial", "on time", "lost")
     assert found.handed_s[:3] == pytest.approx([0.0, 0.2, 0.2])
     assert asked == {0: ((0, 1000), (2000, 2500)), 1: ((0, 2000),)}
-    assert found.handed_bytes == 1500 + 2000 + 2500
+    assert found.output_bytes == 1500 + 2000 + 2500
 
 
 def test_what_a_decoder_makes_nothing_of_is_lost() -> None:
@@ -404,13 +404,13 @@ def test_everything_has_one_fate(
     assert min(found.waiting) >= 0
     assert most is None or max(found.waiting) <= most
     assert len(found.outcomes) == len(units) == len(found.waiting)
-    taken_s = (found.handed_s - found.captured_s)[found.handed]
+    taken_s = (found.handed_s - found.captured_s)[found.output_frames]
     assert (taken_s >= link.delay_s + 1e-3 * (encode_ms + decode_ms) - 1e-9).all()
     assert (taken_s <= given.deadline_s).all()
-    assert (np.diff(found.handed_s[found.handed]) >= 0).all()
+    assert (np.diff(found.handed_s[found.output_frames]) >= 0).all()
     assert [
         frame for frame, outcome in enumerate(found.outcomes) if outcome in ("on time", "concealed", "partial")
-    ] == found.handed
+    ] == found.output_frames
     assert set(found.parts) >= {frame for frame, outcome in enumerate(found.outcomes) if outcome == "partial"}
     assert not any(found.came[frame] for frame in found.parts)
     assert concealed or "concealed" not in found.outcomes

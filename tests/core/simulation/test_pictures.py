@@ -12,9 +12,8 @@ from codecbench_delta.codec import Delta
 from losing_link import Losing
 
 from codecbench.core.contracts.evaluator import SentPacket
-from codecbench.core.simulation.delivery import deliver
-from codecbench.core.simulation.partial import PartialDecoder
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, deliver
+from codecbench.core.simulation.receiver import PartialDecoder
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.png import Png
@@ -43,8 +42,8 @@ def received(stream: Any, lost: tuple[int, ...], concealed: bool) -> dict[int, n
     link = Losing(*lost)
     settings = LinkSettings(link="given", queue_policy="fifo", concealed=concealed)
     delivery = deliver(stream.packets, np.arange(COUNT) / 10, link, settings, np.random.default_rng(0))
-    pictures = DeliveredPictures(stream, delivery)
-    return {frame: pictures.picture(frame) for frame in delivery.handed}
+    pictures = DeliveredFrames(stream, delivery)
+    return {frame: pictures.image(frame) for frame in delivery.output_frames}
 
 
 @pytest.mark.parametrize("concealed", [False, True])
@@ -92,12 +91,12 @@ def test_a_picture_that_came_in_part_is_what_the_codec_makes_of_it() -> None:
         units, np.arange(3) / 10, link, settings, np.random.default_rng(0), partial_decode=partial_decode
     )
     assert delivery.outcomes == ("partial", "on time", "on time")
-    pictures = DeliveredPictures(stream, delivery)
-    first = pictures.picture(0)
+    pictures = DeliveredFrames(stream, delivery)
+    first = pictures.image(0)
     assert first is not None
     assert first.shape == images[0].shape
     assert 0.3 < (first == frames[0].decoded).mean() < 1.0
-    assert np.array_equal(pictures.picture(1), frames[1].decoded)
+    assert np.array_equal(pictures.image(1), frames[1].decoded)
 
 
 def test_a_codec_that_cannot_decode_parts_loses_its_pictures() -> None:

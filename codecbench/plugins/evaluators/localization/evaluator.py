@@ -19,8 +19,7 @@ from codecbench.core.contracts.evaluator import (
 )
 from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.sequence import Frame
-from codecbench.core.simulation.delivery import delivery_of
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, delivery_of
 from codecbench.core.simulation.settings import ReaderSettings, Time
 from codecbench.plugins.evaluators.localization.metrics import METRICS
 from codecbench.plugins.evaluators.localization.reference_map import (
@@ -95,13 +94,13 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         for index, reason in reference_map.reasons.items():
             yield from (Measurement(metric.name, math.nan, frame=index, reason=reason) for metric in METRICS)
         delivery = None if self.params.link is None else delivery_of(coded, self.params, context)
-        pictures = None if delivery is None else DeliveredPictures(coded, delivery)
+        pictures = None if delivery is None else DeliveredFrames(coded, delivery)
         read_at = {} if delivery is None else delivery.read_at(self.params.read_s)
 
         def received(index: int) -> Features | None:
             if sends_features:
                 return reference_map.localizer.features_of(backend.keypoints(coded.features(index)))
-            decoded = coded.frame(index).decoded if pictures is None else pictures.picture(index)
+            decoded = coded.frame(index).decoded if pictures is None else pictures.image(index)
             return None if decoded is None else reference_map.localizer.extract(decoded)
 
         for index in reference_map.predictions:

@@ -88,7 +88,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
                 f"slam backend {self.params.backend} cannot run architecture {architecture}; "
                 f"it runs {', '.join(sorted(backend.architectures))}"
             )
-        params = self.params.timed(context.inputs)
+        params = self.params.with_measured_times(context.inputs)
         delivery = None if params.link is None else delivery_of(coded, params, context)
         feed = Feed(coded, architecture, offset, delivery, params.read_s)
         camera = coded.sequence.camera

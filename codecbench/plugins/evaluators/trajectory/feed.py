@@ -15,8 +15,7 @@ from codecbench.core.contracts.features import FeatureFrame
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame
 from codecbench.core.contracts.slam import SlamBackend, SlamRun
-from codecbench.core.simulation.delivery import Delivery
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, Delivery
 
 Architecture = Literal["cta", "atc", "features"]
 
@@ -59,7 +58,7 @@ class Feed:
         self._indices = [index for index in self._all if delivery is None or index in self.read_at]
         self.stamps_s: NDArray[np.float64] = np.asarray(coded.sequence.timestamps_s[start_offset:], dtype=np.float64)
         self.seen = 0
-        self._pictures = None if delivery is None else DeliveredPictures(coded, delivery)
+        self._pictures = None if delivery is None else DeliveredFrames(coded, delivery)
         self._sender = coded.sender() if architecture == "atc" else None
         self._is_of_features = architecture == "features"
         self._sizes_bytes: dict[int, int] = {}
@@ -89,7 +88,7 @@ class Feed:
 
     def _frame(self, index: int) -> Frame | None:
         if self._pictures is not None:
-            picture = self._pictures.picture(index)
+            picture = self._pictures.image(index)
             stamp_s = float(self._coded.sequence.timestamps_s[index])
             return None if picture is None else Frame(index, stamp_s, picture)
         if self._sender is not None:

@@ -17,8 +17,7 @@ pytest.importorskip("av", reason="the extra `video` is not installed")
 from codecbench import LOST, BitstreamError, Packet
 from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.core.contracts.evaluator import SentPacket
-from codecbench.core.simulation.delivery import deliver
-from codecbench.core.simulation.pictures import DeliveredPictures
+from codecbench.core.simulation.delivery import DeliveredFrames, deliver
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 
@@ -139,9 +138,9 @@ def test_over_a_link_a_refreshed_stream_is_whole_when_its_decoder_shows_what_was
         assert [outcome == "concealed" for outcome in found.outcomes] == [
             states.get(i) == "concealed" for i in range(count)
         ]
-        shown = DeliveredPictures(coded, found)
-        for frame in found.handed:
-            equal = np.array_equal(shown.picture(frame), sent[frame])
+        shown = DeliveredFrames(coded, found)
+        for frame in found.output_frames:
+            equal = np.array_equal(shown.image(frame), sent[frame])
             assert equal or found.outcomes[frame] == "concealed"
         assert found.outcomes[-1] == "on time"
 
