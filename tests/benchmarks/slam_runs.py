@@ -24,7 +24,7 @@ import numpy as np
 from codecbench import slam
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
-from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.folders import cache_folder
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.datasets.calibration import miscalibrate
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic

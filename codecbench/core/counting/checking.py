@@ -1,4 +1,4 @@
-"""What only types can tell: that arithmetic in a counting build is on numbers and that subscripts are elements."""
+"""Type checks of counting builds: arithmetic must be on numbers, and subscripts must be elements."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numba.core.types
 from numba.core import compiler, compiler_machinery, ir, typed_passes
 from numba.extending import intrinsic
 
-from codecbench.core.counting.costs import ALLOCATIONS, FILLED_ALLOCATIONS
 from codecbench.core.counting.expressions import UncountableError
+from codecbench.core.counting.operations import ALLOCATIONS, FILLED_ALLOCATIONS
 
 types: Any = numba.core.types  # numba is typed in part, and differently in each version
 _machinery: Any = compiler_machinery
@@ -17,8 +17,8 @@ _compiler: Any = compiler
 
 
 @intrinsic
-def counted(typing_context: Any, counters: Any, times: Any, value: Any) -> Any:
-    """`value`, with one addition of `times` to `counters`, element by element, whenever it is evaluated."""
+def count_and_return(typing_context: Any, counters: Any, times: Any, value: Any) -> Any:
+    """Return `value`, and add `times` to `counters`, element by element, at each evaluation."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -46,7 +46,7 @@ def _parts(index: Any) -> tuple[Any, ...]:
 
 
 class _Checker:
-    """Checks the statements of one function after its types are known."""
+    """Checks the statements of one function after type inference."""
 
     def __init__(self, state: Any) -> None:
         self._ir, self._types = state.func_ir, state.typemap
@@ -85,23 +85,24 @@ class _Checker:
                 self._fail(statement, "indexes what is no array", "unpack a tuple into names, pass tables as arrays")
             return
         index = expression.index if expression.op == "getitem" else expression.index_var
-        viewed = index is not None and any(isinstance(part, _VIEWS) for part in _parts(self._type(index)))
-        if not viewed and not _is_number(result):
+        is_view = index is not None and any(isinstance(part, _VIEWS) for part in _parts(self._type(index)))
+        if not is_view and not _is_number(result):
             self._fail(statement, "takes a row with one index too few", "write a[i, :] or a[i, j]")
 
     def _check_store(self, statement: Any) -> None:
         owner, value = self._type(statement.target), self._type(statement.value)
         index = statement.index_var if isinstance(statement, ir.StaticSetItem) else statement.index
         parts = _parts(self._type(index))
-        viewed = any(isinstance(part, _VIEWS) for part in parts)
-        if not _is_number(value) or not (viewed or len(parts) == getattr(owner, "ndim", -1)):
+        is_view = any(isinstance(part, _VIEWS) for part in parts)
+        if not _is_number(value) or not (is_view or len(parts) == getattr(owner, "ndim", -1)):
             self._fail(statement, "stores a whole array or row at once", "write a loop over the elements")
 
     def _check_call(self, statement: Any, expression: Any) -> None:
-        called = self._type(expression.func)
+        callee_type = self._type(expression.func)
         definition = self._ir.get_definition(expression.func)
         callee = getattr(definition, "value", None)
-        if isinstance(called, types.Dispatcher | types.RecursiveCall) or callee is counted or callee is len:
+        is_kernel = isinstance(callee_type, types.Dispatcher | types.RecursiveCall)
+        if is_kernel or callee is count_and_return or callee is len:
             return
         if getattr(definition, "attr", getattr(callee, "__name__", "")) in _ALLOCATIONS:
             return
@@ -125,7 +126,7 @@ class _CheckTypes(_machinery.AnalysisPass):  # type: ignore[misc]
 
 
 class CountingCompiler(_compiler.CompilerBase):  # type: ignore[misc]
-    """numba's compiler, refusing what the counters would miss."""
+    """numba's compiler, which refuses what the counters would miss."""
 
     def define_pipelines(self) -> list[Any]:
         manager = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)

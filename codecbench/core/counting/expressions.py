@@ -1,4 +1,4 @@
-"""Expressions of a counting build: rewritten to count what is evaluated only on some paths."""
+"""Rewriting of expressions for a counting build, to count what is evaluated only on some paths."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections import Counter
 from types import FunctionType
 from typing import Any, TypeAlias, TypeGuard
 
-from codecbench.core.counting.costs import (
+from codecbench.core.counting.operations import (
     ALLOCATIONS,
+    COUNTERS,
     FILLED_ALLOCATIONS,
     FUNCTIONS,
     OPERATORS,
@@ -16,55 +17,54 @@ from codecbench.core.counting.costs import (
     is_conversion,
     is_literal,
 )
-from codecbench.core.counting.operations import COUNTERS
 from codecbench.core.kernels.source import resolve
 
 PREFIX = "counting__"
-"""What every name that the rewriting adds starts with."""
+"""Prefix of all names that the rewriting adds."""
 
 COUNTED = PREFIX + "counted"
 ARRAY = PREFIX + "counters"
 _UNINDEXED = ("reads", "writes", "index_ops")
 
 Tally: TypeAlias = Counter[str]
-"""How often each counter grows when something is evaluated once."""
+"""Increment of each counter for one evaluation."""
 
 
 class UncountableError(TypeError):
-    """A kernel does something that cannot be counted exactly; the message names the line and what to write."""
+    """A kernel does something that cannot be counted exactly; the message names the line and what to write instead."""
 
 
 def load(name: str) -> ast.Name:
-    """The value of a name."""
+    """Create the node that loads a name."""
     return ast.Name(name, ast.Load())
 
 
 def takes_view(node: ast.Subscript) -> bool:
-    """Whether a subscript gives part of an array, with a slice, rather than an element."""
+    """Return whether a subscript selects part of an array, by a slice, rather than an element."""
     parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     return any(isinstance(part, ast.Slice) or (isinstance(part, ast.Constant) and part.value is ...) for part in parts)
 
 
-def counted(node: ast.expr, tally: Tally) -> ast.expr:
-    """`node`, adding `tally` to the counters whenever it is evaluated."""
+def add_count(node: ast.expr, tally: Tally) -> ast.expr:
+    """Return `node`, changed to add `tally` to the counters at each evaluation."""
     if not tally:
         return node
     if (part := _certain_part(node)) is not None:
         owner, field, position = part
-        place = getattr(owner, field)
+        child = getattr(owner, field)
         if position is None:
-            setattr(owner, field, counted(place, tally))
+            setattr(owner, field, add_count(child, tally))
         else:
-            place[position] = counted(place[position], tally)
+            child[position] = add_count(child[position], tally)
         return node
     times: list[ast.expr] = [ast.Constant(tally[name]) for name in COUNTERS]
     return ast.Call(load(COUNTED), [load(ARRAY), ast.Tuple(times, ast.Load()), node], [])
 
 
 def _certain_part(node: ast.expr) -> tuple[ast.expr, str, int | None] | None:
-    """Where a part of `node` stands that is always evaluated, if `node` branches and so cannot be an argument.
+    """Return the place of a part of `node` that is always evaluated; None if `node` does not branch.
 
-    numba loses a function whose arguments branch, so that `counted` must hold a part without branches.
+    numba loses a function whose arguments branch, so the counting call must wrap a part without branches.
     """
     if not any(_branches(part) for part in ast.walk(node)):
         return None
@@ -91,17 +91,18 @@ def _branches(node: ast.AST) -> bool:
 
 
 class Expressions:
-    """Rewrites expressions and tallies what evaluating them once is bound to cost.
+    """Rewrites expressions and tallies the certain cost of evaluating them once.
 
-    `index` is true inside brackets and bounds of ranges, where arithmetic goes to `index_ops`.
+    `index` is true inside brackets and bounds of ranges, where arithmetic counts as `index_ops`.
     """
 
     def __init__(self, function: FunctionType) -> None:
         self.function = function
-        self.used: set[str] = set()
+        self.used_counters: set[str] = set()
         self.kernels: dict[str, Any] = {}
 
     def error(self, node: ast.AST, what: str, instead: str) -> UncountableError:
+        """Return the error for a node: what it does, and what to write instead."""
         code = self.function.__code__
         line = getattr(node, "lineno", code.co_firstlineno)
         return UncountableError(
@@ -109,13 +110,15 @@ class Expressions:
         )
 
     def add(self, tally: Tally, counters: tuple[str, ...], index: bool = False, times: int = 1) -> None:
+        """Add operations to a tally."""
         if index:
             counters = tuple(n if n in _UNINDEXED else "index_ops" for n in counters if n != "divisions")
         for name in counters:
             tally[name] += times
-            self.used.add(name)
+            self.used_counters.add(name)
 
     def expression(self, node: ast.expr, tally: Tally, index: bool = False) -> ast.expr:
+        """Rewrite an expression, and tally its certain cost. Raises UncountableError if it cannot be counted."""
         if is_literal(node):
             return node
         rewrite = getattr(self, f"_{type(node).__name__.lower()}", None)
@@ -125,12 +128,12 @@ class Expressions:
         return ast.copy_location(rewritten, node)
 
     def sometimes(self, node: ast.expr, index: bool = False, test: bool = False) -> ast.expr:
-        """`node` where it is evaluated only on some paths, counting itself."""
+        """Rewrite an expression that is evaluated only on some paths, so that it counts itself."""
         tally: Tally = Counter()
-        return counted((self.truth if test else self.expression)(node, tally, index), tally)
+        return add_count((self.truth if test else self.expression)(node, tally, index), tally)
 
     def truth(self, node: ast.expr, tally: Tally, index: bool = False) -> ast.expr:
-        """`node` as a condition: a value that is no comparison is compared with zero."""
+        """Rewrite a condition; a value that is no comparison is compared with zero."""
         if isinstance(node, ast.BoolOp):
             values = [self.truth(node.values[0], tally, index)]
             values += [self.sometimes(value, index, test=True) for value in node.values[1:]]
@@ -175,7 +178,7 @@ class Expressions:
         for operator, comparator in zip(node.ops[1:], node.comparators[1:], strict=True):
             later: Tally = Counter()
             self.add(later, self._cost(node, operator), index)
-            comparators.append(counted(self.expression(comparator, later, index), later))
+            comparators.append(add_count(self.expression(comparator, later, index), later))
         return ast.Compare(left, node.ops, comparators)
 
     def _boolop(self, node: ast.BoolOp, tally: Tally, index: bool) -> ast.expr:
@@ -204,22 +207,22 @@ class Expressions:
         return self.element(node, tally)
 
     def element(self, node: ast.Subscript, tally: Tally) -> ast.Subscript:
-        """A subscript as the source or the target of something, with the cost of finding it."""
+        """Rewrite a subscript as a source or target, and tally the cost of its index."""
         if not isinstance(node.value, ast.Name | ast.Attribute):
             raise self.error(node, f"indexes {ast.unparse(node.value)!r}", "index an array by name, with a[i, j]")
         owner = self.expression(node.value, tally)
         return ast.copy_location(ast.Subscript(owner, self.expression(node.slice, tally, True), node.ctx), node)
 
     def _call(self, node: ast.Call, tally: Tally, index: bool) -> ast.expr:
-        called = ast.unparse(node.func)
+        name = ast.unparse(node.func)
         try:
             callee = resolve(node.func, self.function)
         except (KeyError, AttributeError):
-            raise self.error(node, f"calls {called!r}", "call kernels and functions by global names") from None
+            raise self.error(node, f"calls {name!r}", "call kernels and functions by global names") from None
         if hasattr(type(callee), "counting_build"):
             return self._kernel_call(node, callee, tally, index)
         if callee in FILLED_ALLOCATIONS:
-            raise self.error(node, f"uses {called!r} inside a statement", "give the new array a name first")
+            raise self.error(node, f"uses {name!r} inside a statement", "give the new array a name first")
         if callee in ALLOCATIONS:
             return self.arguments(node, tally, True)
         if callee in SELECTIONS and len(node.args) > 1:
@@ -227,17 +230,18 @@ class Expressions:
         elif callee in FUNCTIONS:
             self.add(tally, FUNCTIONS[callee], index)
         elif not is_conversion(callee):
-            raise self.error(node, f"calls {called!r}", "call a @kernel, or a function listed in the documentation")
+            raise self.error(node, f"calls {name!r}", "call a @kernel, or a function listed in the documentation")
         return self.arguments(node, tally, index)
 
     def is_filled_allocation(self, node: ast.expr) -> TypeGuard[ast.Call]:
-        """Whether `node` makes an array and writes all its elements."""
+        """Return whether `node` creates an array and writes all its elements."""
         try:
             return isinstance(node, ast.Call) and resolve(node.func, self.function) in FILLED_ALLOCATIONS
         except (KeyError, AttributeError):
             return False
 
     def arguments(self, node: ast.Call, tally: Tally, index: bool) -> ast.Call:
+        """Rewrite the arguments of a call."""
         if any(isinstance(argument, ast.Starred) for argument in node.args) or any(not k.arg for k in node.keywords):
             raise self.error(node, "passes * or ** arguments", "name each argument")
         arguments = [self.expression(argument, tally, index) for argument in node.args]

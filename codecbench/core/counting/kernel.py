@@ -1,13 +1,13 @@
-"""Kernels: plain Python functions on arrays with a fast build and a counting build of one source.
+"""Kernels: plain Python functions on arrays, with a fast build and a counting build of one source.
 
     @kernel
     def quantise(coefficients, steps, levels):
         for i in range(coefficients.size):
             levels[i] = int(coefficients[i] / steps[i])
 
-The fast build is what numba makes of the function. The counting build is what it makes of the same tree with
-counters in it (see `counting`). Kernels call kernels, and counts pass through; numba functions may call them
-too. The language is numbers, array elements, `range` loops and the functions in `costs`.
+The fast build is the function compiled by numba. The counting build is the same syntax tree with counters added (see
+`rewriting`). Kernels may call kernels, whose operations count too; numba functions may call kernels. The language is
+numbers, array elements, `range` loops and the functions in `operations`.
 """
 
 from __future__ import annotations
@@ -24,29 +24,26 @@ from typing import Any, Literal, overload
 import numba
 from numba.core import types
 
-from codecbench.core.counting import checking, costs, expressions, operations
-from codecbench.core.counting import rewriting as counting
-from codecbench.core.counting.checking import CountingCompiler, counted
+from codecbench.core.counting import checking, expressions, operations, rewriting
+from codecbench.core.counting.checking import CountingCompiler, count_and_return
 from codecbench.core.counting.expressions import COUNTED, UncountableError
 from codecbench.core.counting.operations import new_counters
 from codecbench.core.counting.rewriting import counting_tree
-from codecbench.core.kernels.compiled import UNCALLED, compiled, kept
+from codecbench.core.kernels.compiled import UNCALLED, compiled, use_disk_cache
 from codecbench.core.kernels.source import function_tree
 
 
 class Kernel:
-    """A kernel: calling it runs the fast build.
-
-    python: the function as written. fast: its numba dispatcher, compiled at the first call and kept on disk.
-    counting_build: the dispatcher of the counting build, which takes int64 counters before the arguments.
-    """
+    """A kernel: calling it runs the fast build."""
 
     def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
         if not isinstance(function, FunctionType):
             raise TypeError(f"@kernel takes a plain function, got {function!r}")
         functools.update_wrapper(self, function)
         self.python = self.py_func = function
+        """The function as written; numba dispatchers call it `py_func`."""
         self.options = options
+        """numba's options for both builds."""
 
     def __call__(self, *arguments: Any) -> Any:
         return self.fast(*arguments)
@@ -59,32 +56,34 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes this object for inside other compiled functions: the fast build."""
+        """The type that numba sees inside other compiled functions: that of the fast build."""
         return types.Dispatcher(self.fast)
 
     @cached_property
     def fast(self) -> Any:
+        """The numba dispatcher of the fast build, compiled at its first call and cached on disk."""
         return compiled(**self.options)(self.python)
 
     def dispatcher(self, build: Literal["fast", "counting"]) -> Any:
-        """The numba dispatcher of a build."""
+        """Return the numba dispatcher of a build."""
         return self.fast if build == "fast" else self.counting_build
 
     @cached_property
     def counting_build(self) -> Any:
-        """Returns what the kernel returns, and adds its operations to the counters.
+        """The numba dispatcher of the counting build, which takes int64 counters before the arguments.
 
-        Raises UncountableError where the source goes beyond the language of kernels.
+        It returns what the kernel returns, and adds its operations to the counters. Raises UncountableError if the
+        source goes beyond the language of kernels.
         """
         function, callees = self._counting_function()
         dispatcher = numba.njit(pipeline_class=CountingCompiler, **UNCALLED, **self.options)(function)
         for name, callee in callees.items():
             function.__globals__[name] = dispatcher if callee is self else callee.counting_build
-        return kept(dispatcher, self.python, self.options, "counting", _rewriting_digest())
+        return use_disk_cache(dispatcher, self.python, self.options, "counting", _rewriting_digest())
 
     def _counting_function(self) -> tuple[FunctionType, dict[str, Any]]:
         tree, callees = counting_tree(function_tree(self.python), self.python)
-        namespace = {**self.python.__globals__, COUNTED: counted}
+        namespace = {**self.python.__globals__, COUNTED: count_and_return}
         exec(compile(ast.Module([tree], []), self.python.__code__.co_filename, "exec", dont_inherit=True), namespace)
         function = namespace[tree.name]
         function.__defaults__ = self.python.__defaults__
@@ -94,8 +93,8 @@ class Kernel:
 
 @functools.cache
 def _rewriting_digest() -> str:
-    """Digest of what turns a tree into its counting build, so that a change of the rules is never ignored."""
-    sources = [inspect.getsource(module) for module in (costs, counting, expressions, operations, checking)]
+    """Return a digest of the code that turns a tree into its counting build, so that every change of it counts."""
+    sources = [inspect.getsource(module) for module in (rewriting, expressions, operations, checking)]
     return hashlib.sha256("".join(sources).encode()).hexdigest()
 
 

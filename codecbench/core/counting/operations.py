@@ -1,10 +1,12 @@
-"""Operation counts in the seven classes of the paper, and what each class means."""
+"""Operation classes of the paper, their counts, and what each operator and function of a kernel costs."""
 
 from __future__ import annotations
 
+import ast
+import math
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,32 +14,33 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class OperationCounts:
-    """How many operations of each class were carried out.
+    """Numbers of operations of each class.
 
-    The seven classes of the paper's Tables 4-6, which `total` adds up:
-    mults: multiplications; divisions, remainders, square roots and elementary functions count as one each.
-    adds: additions, subtractions, negations, absolute values and roundings.
-    bit_ops: and, or, exclusive or, inversion of integers.
-    comparisons: of two values, of a value with zero or false in a condition, and in min and max.
-    shifts: left and right. reads, writes: loads and stores of one array element.
-
-    Beside them, never in `total`: divisions, those of `mults` that are not multiplications; index_ops,
-    arithmetic written inside brackets, bounds of ranges, and two for each turn of a `for` loop.
+    The first seven are the classes of the paper's Tables 4-6, which `total` sums.
     """
 
     mults: int = 0
+    """Multiplications, and one for each division, remainder, square root or elementary function."""
     adds: int = 0
+    """Additions, subtractions, negations, absolute values and roundings."""
     bit_ops: int = 0
+    """And, or, exclusive or, and inversion of integers."""
     comparisons: int = 0
+    """Comparisons of two values, of a value with zero or false in a condition, and in min and max."""
     shifts: int = 0
+    """Left and right shifts."""
     reads: int = 0
+    """Loads of one array element."""
     writes: int = 0
+    """Stores of one array element."""
     divisions: int = 0
+    """Those of `mults` that are not multiplications; not in `total`."""
     index_ops: int = 0
+    """Arithmetic inside brackets and bounds of ranges, and two for each turn of a `for` loop; not in `total`."""
 
     @property
     def total(self) -> int:
-        """Operations of the seven classes together."""
+        """Sum of the seven classes."""
         return sum(astuple(self)[: len(CLASSES)])
 
     def __add__(self, other: OperationCounts) -> OperationCounts:
@@ -45,22 +48,86 @@ class OperationCounts:
 
     @classmethod
     def sum(cls, counts: Iterable[OperationCounts]) -> OperationCounts:
-        """All counts added up, class by class."""
+        """Add up counts, class by class."""
         return sum(counts, OperationCounts())
 
     @classmethod
     def from_counters(cls, counters: NDArray[np.int64]) -> Self:
-        """The counts that a counting build left in its counters."""
+        """Create the counts from the counters of a counting build."""
         return cls(*(int(value) for value in counters))
 
 
 COUNTERS: tuple[str, ...] = tuple(field.name for field in fields(OperationCounts))
-"""The names of the counters in the order in which a counting build keeps them."""
+"""Names of the counters, in the order of a counting build's array."""
 
 CLASSES: tuple[str, ...] = COUNTERS[:7]
 """The seven classes of the paper, in its order."""
 
 
 def new_counters() -> NDArray[np.int64]:
-    """Counters at zero, to be passed to a counting build."""
+    """Create zeroed counters for a counting build."""
     return np.zeros(len(COUNTERS), dtype=np.int64)
+
+
+OPERATORS: dict[type[ast.AST], tuple[str, ...]] = {
+    ast.Add: ("adds",),
+    ast.Sub: ("adds",),
+    ast.Mult: ("mults",),
+    ast.Div: ("mults", "divisions"),
+    ast.FloorDiv: ("mults", "divisions"),
+    ast.Mod: ("mults", "divisions"),
+    ast.LShift: ("shifts",),
+    ast.RShift: ("shifts",),
+    ast.BitAnd: ("bit_ops",),
+    ast.BitOr: ("bit_ops",),
+    ast.BitXor: ("bit_ops",),
+    ast.USub: ("adds",),
+    ast.Invert: ("bit_ops",),
+    ast.UAdd: (),
+    ast.Eq: ("comparisons",),
+    ast.NotEq: ("comparisons",),
+    ast.Lt: ("comparisons",),
+    ast.LtE: ("comparisons",),
+    ast.Gt: ("comparisons",),
+    ast.GtE: ("comparisons",),
+}
+"""Operators of the language, with the counters that each increments."""
+
+_ROUNDINGS = (round, math.floor, math.ceil, math.trunc, np.floor, np.ceil, np.trunc, np.rint)
+_ELEMENTARY = tuple(
+    getattr(module, name)
+    for module in (math, np)
+    for name in ("sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan")
+)
+
+FUNCTIONS: dict[Any, tuple[str, ...]] = {
+    abs: ("adds",),
+    math.fabs: ("adds",),
+    **dict.fromkeys(_ROUNDINGS, ("adds",)),
+    **dict.fromkeys(_ELEMENTARY, ("mults", "divisions")),
+    len: (),
+}
+"""Functions of scalars (and `len`), with the counters that a call increments; conversions cost nothing."""
+
+SELECTIONS = (min, max)
+"""Functions that cost k - 1 comparisons for k values."""
+
+ALLOCATIONS: tuple[Any, ...] = (np.empty, np.empty_like)
+"""Functions that allocate an array without writing to it."""
+
+FILLED_ALLOCATIONS: tuple[Any, ...] = (np.zeros, np.ones, np.full, np.zeros_like, np.ones_like, np.full_like)
+"""Functions that allocate an array and write each element once."""
+
+
+def is_conversion(callee: Any) -> bool:
+    """Return whether calling `callee` only changes the type of a number."""
+    return isinstance(callee, type) and (issubclass(callee, np.generic) or callee in (int, float, bool))
+
+
+def is_literal(node: ast.expr) -> bool:
+    """Return whether an expression consists of numbers only, so that every compiler folds it."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int | float)
+    if isinstance(node, ast.UnaryOp):
+        return is_literal(node.operand)
+    return isinstance(node, ast.BinOp) and is_literal(node.left) and is_literal(node.right)

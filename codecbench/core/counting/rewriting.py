@@ -1,9 +1,9 @@
-"""The counting build of a kernel: the same tree, with counters that follow every path that is taken.
+"""The counting build of a kernel: the same syntax tree, with counters that follow the path taken.
 
-Each statement is preceded by additions of what it is bound to do; what it does only sometimes (the rest of
-`and`, `or` and a chained comparison, the branches of `x if c else y`, the condition of `while`) counts
-itself where it stands, as `counted(counters, (1, 0, ...), expression)`. The counters of statements are local
-integers, which the compiler keeps in registers, and are added to the caller's array on the way out.
+Each statement is preceded by additions of its certain cost. Expressions that only some paths evaluate count themselves
+in place, as `counted(counters, (1, 0, ...), expression)`: the rest of `and`, `or` and chained comparisons, the branches
+of `x if c else y`, the condition of `while`. The counters of statements are local integers, which the compiler keeps in
+registers; before every return they are added to the caller's array.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from codecbench.core.counting.operations import COUNTERS
 
 
 def counting_tree(tree: ast.FunctionDef, function: FunctionType) -> tuple[ast.FunctionDef, dict[str, Any]]:
-    """The counting build of the definition `tree` of `function`, and the kernels that it calls.
+    """Return the counting build of the definition `tree` of `function`, and the kernels that it calls.
 
-    The definition takes the counters, an int64 array in the order of COUNTERS, before its own arguments. The
-    kernels come by the names under which the definition calls their counting builds.
-    Raises UncountableError for syntax and calls outside the language of kernels.
+    The definition takes the counters, an int64 array in the order of COUNTERS, before the function's arguments. The
+    kernels are keyed by the names under which the definition calls their counting builds. Raises UncountableError for
+    syntax and calls outside the language of kernels.
     """
     rewriter = _Statements(function)
     body = rewriter.block(tree.body)
-    used = [name for name in COUNTERS if name in rewriter.used]
-    start = [assignment(PREFIX + name, ast.Constant(0)) for name in used]
-    exits = _Exits(used)
+    counters = [name for name in COUNTERS if name in rewriter.used_counters]
+    start = [assignment(PREFIX + name, ast.Constant(0)) for name in counters]
+    exits = _Exits(counters)
     falls_through = not isinstance(body[-1], ast.Return)
     statements = [*start, *map(exits.visit, body), *(exits.flush() if falls_through else [])]
     flat = [part for item in statements for part in (item if isinstance(item, list) else [item])]
@@ -46,15 +46,15 @@ def counting_tree(tree: ast.FunctionDef, function: FunctionType) -> tuple[ast.Fu
 
 
 def assignment(name: str, value: ast.expr) -> ast.stmt:
-    """`name = value`."""
+    """Create the statement `name = value`."""
     return ast.Assign([ast.Name(name, ast.Store())], value)
 
 
 class _Exits(ast.NodeTransformer):
     """Adds the local counters to the array before every return."""
 
-    def __init__(self, used: list[str]) -> None:
-        self._used = used
+    def __init__(self, counters: list[str]) -> None:
+        self._counters = counters
         self._returns = 0
 
     def flush(self) -> list[ast.stmt]:
@@ -64,7 +64,7 @@ class _Exits(ast.NodeTransformer):
                 ast.Add(),
                 load(PREFIX + name),
             )
-            for name in self._used
+            for name in self._counters
         ]
 
     def visit_Return(self, node: ast.Return) -> list[ast.stmt]:
@@ -76,7 +76,7 @@ class _Exits(ast.NodeTransformer):
 
 
 class _Statements(Expressions):
-    """Rewrites statements; each gives the additions of what it is bound to cost, then itself."""
+    """Rewrites each statement into the additions of its certain cost, then the statement itself."""
 
     _views = 0
 
@@ -121,27 +121,28 @@ class _Statements(Expressions):
         if len(node.targets) == 1 and isinstance(target, ast.Subscript) and takes_view(target):
             return self._fill(target, self.expression(node.value, tally), tally)
         if len(node.targets) == 1 and isinstance(target, ast.Name) and self.is_filled_allocation(node.value):
-            made = ast.Assign([target], self.arguments(node.value, tally, True))
-            return [made, self._written(target.id)]
+            allocation = ast.Assign([target], self.arguments(node.value, tally, True))
+            return [allocation, self._count_writes(target.id)]
         value = self.expression(node.value, tally)
         return [ast.Assign([self._target(target, tally) for target in node.targets], value)]
 
     def _fill(self, target: ast.Subscript, value: ast.expr, tally: Tally) -> list[ast.stmt]:
-        """`a[i, :] = value`: one write for each element; the checker of types sees that the value is a number."""
+        """Rewrite `a[i, :] = value`: one write for each element; the type check ensures that the value is a number."""
         self._views += 1
-        filled, view = f"{PREFIX}filling{self._views}", f"{PREFIX}view{self._views}"
+        filling, view = f"{PREFIX}filling{self._views}", f"{PREFIX}view{self._views}"
         part = self.element(target, tally)
         part.ctx = ast.Load()
         everything = ast.Subscript(load(view), ast.Constant(...), ast.Store())
         return [
-            assignment(filled, value),
+            assignment(filling, value),
             assignment(view, part),
-            self._written(view),
-            ast.Assign([everything], load(filled)),
+            self._count_writes(view),
+            ast.Assign([everything], load(filling)),
         ]
 
-    def _written(self, array: str) -> ast.stmt:
-        self.used.add("writes")
+    def _count_writes(self, array: str) -> ast.stmt:
+        """Create the statement that counts one write for each element of an array."""
+        self.used_counters.add("writes")
         size = ast.Attribute(load(array), "size", ast.Load())
         return ast.AugAssign(ast.Name(PREFIX + "writes", ast.Store()), ast.Add(), size)
 
@@ -164,7 +165,7 @@ class _Statements(Expressions):
         return [ast.If(self.truth(node.test, tally), self.block(node.body), self.block(node.orelse))]
 
     def _while(self, node: ast.While, tally: Tally) -> list[ast.stmt]:
-        turn: Tally = Counter()  # what each evaluation costs: one before every turn, and the one that ends the loop
+        turn: Tally = Counter()  # cost of each evaluation: one before every turn, and the one that ends the loop
         test = self.truth(node.test, turn)
         body = [*self._additions(turn, node), *self.block(node.body)]
         return [ast.While(test, body, [*self._additions(turn, node), *self.block(node.orelse)])]

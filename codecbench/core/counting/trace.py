@@ -1,10 +1,10 @@
-"""Where a codec's operations are counted: a trace has stages, and a stage runs kernels.
+"""Traces count a codec's operations: a trace has stages, and a stage runs kernels.
 
     with trace.stage("dct") as run:
         run(forward_dct, plane, coefficients)
 
-Under NULL_TRACE `run` calls the kernel's fast build and nothing is counted. Under a CountingTrace it calls
-the counting build of the same source and adds what was counted to the stage. Both give the same arrays.
+Under NULL_TRACE `run` calls the kernel's fast build and counts nothing. Under a CountingTrace it calls the counting
+build of the same source and adds its counts to the stage. Both return the same arrays.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from codecbench.core.counting.operations import OperationCounts
 
 Run: TypeAlias = Callable[..., Any]
-"""`run(kernel, *arguments)` returns what the kernel returns."""
+"""`run(kernel, *arguments)` runs a kernel and returns its result."""
 
 
 class Trace(Protocol):
-    """Something that kernels are run under."""
+    """The interface under which codecs run kernels."""
 
     def stage(self, name: str) -> Any:
-        """A context manager that gives the `run` of one stage; stages may recur and then add up."""
+        """Return a context manager for the `run` of one stage; the counts of equal names add up."""
         ...
 
 
@@ -42,14 +42,14 @@ class _NullTrace:
 
 
 NULL_TRACE: Trace = _NullTrace()
-"""Counts nothing and costs nothing: what every codec runs under unless it is being counted."""
+"""The default trace, which counts nothing and costs nothing."""
 
 
 class CountingTrace:
-    """Counts the operations of every kernel that is run under it.
+    """Counts the operations of every kernel that runs under it.
 
-    A kernel counts where it is run: a stage inside another keeps its own counts, so that the sum over all
-    stages is the whole work, and a stage that comes again goes on counting.
+    A stage inside another has its own counts, so the sum over all stages is the whole work. A stage that is entered
+    again continues its counts.
     """
 
     def __init__(self) -> None:
@@ -57,8 +57,8 @@ class CountingTrace:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Run]:
-        """Give the `run` that counts into the stage `name`; it raises TypeError for what is no kernel."""
-        from codecbench.core.counting.operations import new_counters  # numpy, not needed to declare a codec
+        """Yield the `run` that counts into the stage `name`; it raises TypeError for anything but a kernel."""
+        from codecbench.core.counting.operations import new_counters  # loads numpy, not needed to declare a codec
 
         counters = self._counters.setdefault(name, new_counters())
 
@@ -71,7 +71,7 @@ class CountingTrace:
 
     @property
     def counts(self) -> dict[str, OperationCounts]:
-        """What was counted so far, by stage, in the order in which the stages were first entered."""
-        from codecbench.core.counting.operations import OperationCounts
+        """Counts so far by stage, in the order in which the stages were first entered."""
+        from codecbench.core.counting.operations import OperationCounts  # loads numpy, as above
 
         return {name: OperationCounts.from_counters(counters) for name, counters in self._counters.items()}

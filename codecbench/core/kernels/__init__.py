@@ -1,1 +1,1 @@
-"""Compiled kernels: numba functions found again on disk by everything that their machine code depends on."""
+"""Compiled kernels: numba functions in a disk cache whose keys cover all that their machine code depends on."""

@@ -1,10 +1,10 @@
-"""Types of kernels' arguments as text that people can read and write.
+"""Argument types of kernels as readable text.
 
     int64    float64[:, ::1]    readonly(uint8[::1])    (float64, float64)    omitted(7)    none
     named("package.module:Views", float64[:, ::1], int64[::1])
 
-Arrays are written as numba writes them: `::1` for the dimension along which elements are neighbours. `named` is a
-named tuple, by the class and the types of its fields.
+Arrays are written as in numba: `::1` marks the contiguous dimension. `named` is a named tuple, by its class and the
+types of its fields.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _DIMENSIONS = {"C": (":", "::1"), "F": ("::1", ":"), "A": (":", ":")}
 
 
 class ArgumentTypeError(ValueError):
-    """A type that has no text, or a text that names no type."""
+    """A type has no text, or a text names no type."""
 
 
 def text_from_types(arguments: tuple[Any, ...]) -> str:
-    """The types of a call's arguments, separated by commas. Raises ArgumentTypeError where one has no text."""
+    """Return the types of a call's arguments, separated by commas. Raises ArgumentTypeError if one has no text."""
     return ", ".join(map(_text, arguments))
 
 
 def types_from_text(text: str) -> tuple[Any, ...]:
-    """The numba types that `text_from_types` wrote down. Raises ArgumentTypeError for anything else."""
+    """Parse the text of `text_from_types` into numba types. Raises ArgumentTypeError for anything else."""
     try:
         tree = ast.parse(f"({text},)" if text else "()", mode="eval").body
         return tuple(_type(part) for part in tree.elts)  # type: ignore[attr-defined]
@@ -45,8 +45,8 @@ def _text(numba_type: Any) -> str:
     if isinstance(numba_type, types.Array) and numba_type.aligned and type(numba_type) is types.Array:
         return _array_text(numba_type)
     if isinstance(numba_type, types.BaseNamedTuple):
-        named = numba_type.instance_class
-        return f'named("{named.__module__}:{named.__qualname__}", {text_from_types(tuple(numba_type))})'
+        tuple_class = numba_type.instance_class
+        return f'named("{tuple_class.__module__}:{tuple_class.__qualname__}", {text_from_types(tuple(numba_type))})'
     if isinstance(numba_type, types.BaseTuple):
         parts = text_from_types(tuple(numba_type))
         return f"({parts},)" if len(numba_type) == 1 else f"({parts})"
@@ -75,14 +75,14 @@ def _type(node: ast.expr) -> Any:
     if isinstance(node, ast.Tuple):
         return types.BaseTuple.from_types([_type(part) for part in node.elts])
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        return _called(node.func.id, node.args)
+        return _call(node.func.id, node.args)
     raise ValueError(ast.unparse(node))
 
 
 def _array(node: ast.Subscript) -> Any:
     parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     steps = [ast.unparse(part) for part in parts]
-    contiguous = [place for place, step in enumerate(steps) if step == "::1"]
+    contiguous = [dimension for dimension, step in enumerate(steps) if step == "::1"]
     if any(step not in (":", "::1") for step in steps) or len(contiguous) > 1:
         raise ValueError(ast.unparse(node))
     layouts = {len(steps) - 1: "C", 0: "F"} if len(steps) > 1 else {0: "C"}
@@ -90,7 +90,8 @@ def _array(node: ast.Subscript) -> Any:
     return types.Array(_type(node.value), len(steps), layout)
 
 
-def _called(name: str, arguments: list[ast.expr]) -> Any:
+def _call(name: str, arguments: list[ast.expr]) -> Any:
+    """Return the type that is written as a call: `readonly`, `omitted` or `named`."""
     if name == "readonly":
         array = _type(arguments[0])
         return types.Array(array.dtype, array.ndim, array.layout, readonly=True)
@@ -99,7 +100,7 @@ def _called(name: str, arguments: list[ast.expr]) -> Any:
     if name != "named":
         raise ValueError(f"{name}(...)")
     module, _, qualname = str(ast.literal_eval(arguments[0])).partition(":")
-    named: Any = importlib.import_module(module)
+    tuple_class: Any = importlib.import_module(module)
     for part in qualname.split("."):
-        named = getattr(named, part)
-    return types.BaseTuple.from_types([_type(part) for part in arguments[1:]], named)
+        tuple_class = getattr(tuple_class, part)
+    return types.BaseTuple.from_types([_type(part) for part in arguments[1:]], tuple_class)

@@ -1,8 +1,7 @@
-"""Which signatures of kernels a package's users call: `kernels.json` beside it, so that they can be compiled ahead.
+"""Manifests: a package's `kernels.json` lists the kernel signatures that its users call, to be compiled ahead.
 
-A manifest is made by running whatever calls the kernels (`codecbench warm-up MATRIX --record PACKAGE`) and holds one
-line a signature. It decides nothing but what is compiled ahead: a signature that it lacks is compiled at its first
-call, one that nothing calls any more costs time once.
+`codecbench warm-up MATRIX --record PACKAGE` writes one by running whatever calls the kernels, one line a signature. It
+decides only what is compiled ahead: a missing signature is compiled at its first call, an unused one costs time once.
 """
 
 from __future__ import annotations
@@ -21,55 +20,55 @@ from typing import Any
 from numba.core import event
 
 from codecbench.core.kernels.argument_types import ArgumentTypeError, text_from_types, types_from_text
-from codecbench.core.kernels.cache import Build, KernelCache, write_whole
-from codecbench.core.kernels.trust import read_trusted
+from codecbench.core.kernels.cache import Build, KernelCache, write_atomically
+from codecbench.core.kernels.folders import read_trusted
 
 MANIFEST = "kernels.json"
 
 
 class ManifestError(Exception):
-    """A manifest that is not there, cannot be read, or names what there is not."""
+    """A manifest is missing, cannot be read, or names a kernel that does not exist."""
 
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """A signature of a kernel that is called from Python.
-
-    kernel: `module:function`. arguments: as in `argument_types`. seconds: what compiling it and whatever it calls took
-    when the manifest was made, which says what to start first. stage: 0 for what any work calls, above that for what
-    only longer work comes to, which can begin before it is compiled.
-    """
+    """A signature of a kernel that is called from Python."""
 
     kernel: str
+    """`module:function`."""
     build: Build
     arguments: str
+    """Types, as in `argument_types`."""
     seconds: float
+    """Time to compile it and what it calls, when the manifest was recorded; the slowest are started first."""
     stage: int = 0
+    """0 if any work calls it; more if only longer work does, which can begin before it is compiled."""
 
-    def is_kept(self) -> bool:
-        """Whether its machine code is on disk, or never is. Raises ManifestError where there is no such signature."""
-        places = self.places()
-        return not places or any(file.exists() for file in places)
+    def is_cached(self) -> bool:
+        """Return whether its machine code is on disk, or is never stored. Raises ManifestError if it does not exist."""
+        files = self.files()
+        return not files or any(file.exists() for file in files)
 
-    def places(self) -> list[Path]:
-        """Files in which its machine code may be, as `KernelCache.places` has them. Raises as `is_kept` does."""
-        dispatcher, arguments = self._resolved()
-        places: list[Path] = dispatcher._cache.places(arguments, dispatcher.targetctx.codegen())
-        return places
+    def files(self) -> list[Path]:
+        """Return the files that may hold its machine code, as `KernelCache.files`. Raises as `is_cached` does."""
+        dispatcher, arguments = self._resolve()
+        files: list[Path] = dispatcher._cache.files(arguments, dispatcher.targetctx.codegen())
+        return files
 
     def compile(self) -> None:
-        """Compile it and whatever it calls, unless that is in the cache. Raises ManifestError as `is_kept` does."""
-        dispatcher, arguments = self._resolved()
+        """Compile it and what it calls, unless that is in the cache. Raises ManifestError as `is_cached` does."""
+        dispatcher, arguments = self._resolve()
         dispatcher.compile(arguments)
 
     def copy_to(self, folder: Path) -> None:
-        """Copy its machine code into a folder. Raises ManifestError as `is_kept` does, and where there is no code."""
-        content = next((content for file in self.places() if (content := read_trusted(file))), None)
+        """Copy its machine code into a folder. Raises ManifestError as `is_cached` does, or if there is no code."""
+        content = next((content for file in self.files() if (content := read_trusted(file))), None)
         if content is None:
             raise ManifestError(f"kernel {self.kernel} ({self.build}) is not kept on disk, and cannot be copied")
-        write_whole(folder / self.places()[0].name, content)
+        write_atomically(folder / self.files()[0].name, content)
 
-    def _resolved(self) -> tuple[Any, tuple[Any, ...]]:
+    def _resolve(self) -> tuple[Any, tuple[Any, ...]]:
+        """Return its dispatcher and numba types. Raises ManifestError if there is no such signature."""
         module, _, name = self.kernel.partition(":")
         try:
             kernel = getattr(importlib.import_module(module), name)
@@ -81,14 +80,14 @@ class Entry:
             raise ManifestError(f"kernel {self.kernel} ({self.build}) cannot be compiled ahead: {error}") from error
 
 
-def listed(name: str) -> tuple[Entry, ...]:
-    """The entries of the package or module `name`: those of its kernels in the manifest beside it or above it.
+def entries_of(name: str) -> tuple[Entry, ...]:
+    """Return the entries of a package's or module's kernels, from the manifest beside it or above it.
 
-    Raises ManifestError where there is no manifest or it cannot be read.
+    Raises ManifestError if there is no manifest or it cannot be read.
     """
     package = name
     while package:
-        path = _beside(package)
+        path = _manifest_path(package)
         if path is not None and path.is_file():
             entries = _read(path)
             return tuple(entry for entry in entries if f"{entry.kernel}.".replace(":", ".").startswith(f"{name}."))
@@ -96,16 +95,16 @@ def listed(name: str) -> tuple[Entry, ...]:
     raise ManifestError(f"no {MANIFEST} beside {name} or above it; record it: codecbench warm-up --help")
 
 
-def recorded(package: str, entries: Iterable[Entry]) -> tuple[Path, bytes]:
-    """The file of the manifest of `package` and its content: those of the entries whose kernels are in it."""
-    path = _beside(package)
+def manifest_file(package: str, entries: Iterable[Entry]) -> tuple[Path, bytes]:
+    """Return the path of a package's manifest and its content: the entries whose kernels are in the package."""
+    path = _manifest_path(package)
     if path is None:
         raise ManifestError(f"{package} is not a package with a folder; name one that can be imported")
-    own = sorted(entry for entry in entries if entry.kernel.startswith((f"{package}.", f"{package}:")))
-    return path, ("[\n" + ",\n".join(json.dumps(asdict(entry)) for entry in own) + "\n]\n").encode()
+    package_entries = sorted(entry for entry in entries if entry.kernel.startswith((f"{package}.", f"{package}:")))
+    return path, ("[\n" + ",\n".join(json.dumps(asdict(entry)) for entry in package_entries) + "\n]\n").encode()
 
 
-def _beside(package: str) -> Path | None:
+def _manifest_path(package: str) -> Path | None:
     try:
         spec = importlib.util.find_spec(package)
     except ImportError:
@@ -122,13 +121,15 @@ def _read(path: Path) -> list[Entry]:
 
 
 class Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
-    """Notes what is compiled for calls from Python; what that calls in turn is compiled inside it.
+    """Records what is compiled for calls from Python; what those kernels call is compiled inside."""
 
-    entries: what was compiled so far. stage: of what is compiled from now on.
-    """
+    entries: list[Entry]
+    """What was compiled so far."""
+    stage: int
+    """Stage of what is compiled from now on."""
 
     def __init__(self) -> None:
-        self.entries: list[Entry] = []
+        self.entries = []
         self.stage = 0
         self._started: list[float] = []
 
@@ -146,8 +147,8 @@ class Recorder(event.Listener):  # type: ignore[misc,unused-ignore]
 
 
 @contextmanager
-def recording() -> Iterator[Recorder]:
-    """The signatures that are compiled meanwhile for calls from Python: all that are called, if the cache is empty."""
+def record_compilations() -> Iterator[Recorder]:
+    """Record the signatures compiled for calls from Python: with an empty cache, all that are called."""
     recorder = Recorder()
     with event.install_listener("numba:compile", recorder):
         yield recorder

@@ -1,4 +1,4 @@
-"""The source of a kernel as a tree, and a fingerprint of everything that its compiled code depends on."""
+"""Syntax trees of kernels, and fingerprints of all that their compiled code depends on."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class SourceError(TypeError):
 
 
 def function_tree(function: FunctionType) -> ast.FunctionDef:
-    """The definition of `function` without decorators, annotations and docstring.
+    """Return the definition of `function` without decorators, annotations and docstring.
 
-    Raises SourceError where there is no source, where the file was edited since it was imported, and for
-    functions that close over variables: what such a function does is not in its source.
+    Raises SourceError if there is no source, if the file was edited since it was imported, and for functions that close
+    over variables: their source does not determine what they do.
     """
     refuse_closure(function)
     try:
@@ -37,7 +37,7 @@ def function_tree(function: FunctionType) -> ast.FunctionDef:
         raise SourceError(f"kernel {function.__qualname__} is not a function definition")
     ast.increment_lineno(tree, first - 1)
     tree.decorator_list = []
-    if _content(_compiled(tree, function)) != _content(function.__code__):
+    if _behavior(_compile(tree, function)) != _behavior(function.__code__):
         raise SourceError(
             f"{function.__code__.co_filename}:{first}: kernel {function.__qualname__} is not what was imported; "
             f"the file was edited meanwhile: start again"
@@ -47,14 +47,14 @@ def function_tree(function: FunctionType) -> ast.FunctionDef:
 
 
 def refuse_closure(function: FunctionType) -> None:
-    """Raise SourceError for a function that closes over variables: what it does depends on who made it."""
+    """Raise SourceError if a function closes over variables: its behavior depends on where it was created."""
     if function.__closure__:
         names = ", ".join(function.__code__.co_freevars)
         raise SourceError(f"kernel {function.__qualname__} closes over {names}; pass them as arguments")
 
 
-def _content(code: CodeType) -> str:
-    """What code does, whatever its module imports: that decides how attributes are called, and so where jumps go."""
+def _behavior(code: CodeType) -> str:
+    """Return a text of what code does, independent of its module's imports, which change method calls and jumps."""
     jumps = {*dis.hasjrel, *dis.hasjabs}
     steps = [
         (step.opname.replace("LOAD_METHOD", "LOAD_ATTR"), None if step.opcode in jumps else _plain(step.argval))
@@ -65,7 +65,7 @@ def _content(code: CodeType) -> str:
 
 
 def _plain(value: object) -> object:
-    return _content(value) if isinstance(value, CodeType) else value
+    return _behavior(value) if isinstance(value, CodeType) else value
 
 
 def _strip(tree: ast.FunctionDef) -> None:
@@ -77,15 +77,15 @@ def _strip(tree: ast.FunctionDef) -> None:
         tree.body = tree.body[1:]
 
 
-def _compiled(tree: ast.FunctionDef, function: FunctionType) -> CodeType:
+def _compile(tree: ast.FunctionDef, function: FunctionType) -> CodeType:
     lazy = ast.ImportFrom("__future__", [ast.alias("annotations", lineno=1, col_offset=0)], 0, lineno=1, col_offset=0)
     outer = compile(ast.Module([lazy, tree], []), function.__code__.co_filename, "exec", dont_inherit=True)
-    named = (constant for constant in outer.co_consts if isinstance(constant, CodeType))
-    return next(code for code in named if code.co_name == tree.name)
+    codes = (constant for constant in outer.co_consts if isinstance(constant, CodeType))
+    return next(code for code in codes if code.co_name == tree.name)
 
 
 def resolve(node: ast.expr, function: FunctionType) -> Any:
-    """The value of a global name, or of an attribute of a global module, as `function` sees it.
+    """Return the value of a global name, or of an attribute of a global module, as `function` sees it.
 
     Raises KeyError for local names, unknown names and attributes of anything but a module.
     """
@@ -101,69 +101,69 @@ def resolve(node: ast.expr, function: FunctionType) -> Any:
 
 
 def fingerprint(function: FunctionType, options: dict[str, Any]) -> str:
-    """Hex digest of a kernel's code, of its options, of every constant that it reads and every kernel it calls.
+    """Return a hex digest of a kernel's code and options, every constant that it reads and every kernel that it calls.
 
-    It changes with anything that can change the compiled code, in whichever file that stands, and not with
-    comments or with where the function stands in its file. Functions that write machine code themselves (numba's
-    intrinsics) are covered by the whole file that they stand in. Raises SourceError for functions that close over
-    variables and for globals that are neither constants nor functions.
+    It changes with anything that can change the compiled code, in whatever file, but not with comments or the
+    function's place in its file. Functions that emit machine code themselves (numba's intrinsics) count with their
+    whole file. Raises SourceError for functions that close over variables, and for globals that are neither constants
+    nor functions.
     """
     digest = hashlib.sha256()
-    reached = {function: _spelled(options)}
-    for next_function in (waiting := [function]):
-        own, callees = _own_digest(next_function, reached[next_function])
-        digest.update(own)
-        for callee, spelled in callees:
-            if callee not in reached:
-                reached[callee] = spelled
-                waiting.append(callee)
+    options_of = {function: _options_text(options)}
+    for next_function in (queue := [function]):
+        function_digest, callees = _function_digest(next_function, options_of[next_function])
+        digest.update(function_digest)
+        for callee, callee_options in callees:
+            if callee not in options_of:
+                options_of[callee] = callee_options
+                queue.append(callee)
     return digest.hexdigest()
 
 
-def _spelled(options: dict[str, Any]) -> str:
+def _options_text(options: dict[str, Any]) -> str:
     return repr(sorted(options.items()))
 
 
 @functools.cache
-def _own_digest(function: FunctionType, options: str) -> tuple[bytes, tuple[tuple[FunctionType, str], ...]]:
-    """Digest of a function and the constants that it reads, and the compiled functions that it calls by name."""
+def _function_digest(function: FunctionType, options: str) -> tuple[bytes, tuple[tuple[FunctionType, str], ...]]:
+    """Return a digest of a function and the constants that it reads, and the compiled functions that it calls."""
     refuse_closure(function)
-    digest = hashlib.sha256(_spelled_code(function.__code__, function.__doc__).encode())
+    digest = hashlib.sha256(_code_text(function.__code__, function.__doc__).encode())
     digest.update(repr((options, function.__defaults__)).encode())
     callees = []
-    for name, value in _named(function):
+    for name, value in _referenced_globals(function):
         digest.update(f"{name}={_describe(value, name, function)};".encode())
         compiled = getattr(value, "py_func", None)  # a numba dispatcher, or a kernel, which offers the same name
         if isinstance(compiled, FunctionType):
             callee_options = getattr(value, "options", None) or getattr(value, "targetoptions", {})
-            callees.append((compiled, _spelled(dict(callee_options))))
+            callees.append((compiled, _options_text(dict(callee_options))))
     return digest.digest(), tuple(callees)
 
 
-def _spelled_code(code: CodeType, docstring: str | None = None) -> str:
-    """Everything of a code object but where it stands and its docstring."""
-    constants = [_spelled_constant(constant) for constant in code.co_consts if constant != docstring]
+def _code_text(code: CodeType, docstring: str | None = None) -> str:
+    """Return a text of everything in a code object but its place and docstring."""
+    constants = [_constant_text(constant) for constant in code.co_consts if constant != docstring]
     counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
     body = (code.co_code.hex(), code.co_exceptiontable, code.co_names, code.co_varnames)
     return repr((code.co_name, body, counts, constants))
 
 
-def _spelled_constant(constant: object) -> str:
+def _constant_text(constant: object) -> str:
     if isinstance(constant, CodeType):
-        return _spelled_code(constant)
+        return _code_text(constant)
     return repr(sorted(map(repr, constant)) if isinstance(constant, frozenset) else constant)
 
 
-def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """The globals that a function names, and what it takes from modules among them, by dotted names."""
+def _referenced_globals(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield the globals that a function refers to, and the attributes of modules among them, by dotted names."""
     names = _names(function.__code__)
-    waiting = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
-    while waiting:
-        name, value = waiting.pop()
+    stack = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
+    while stack:
+        name, value = stack.pop()
         yield name, value
         if isinstance(value, ModuleType):
             parts = (part for part in names if part not in name.split("."))
-            waiting += [(f"{name}.{part}", getattr(value, part)) for part in parts if hasattr(value, part)]
+            stack += [(f"{name}.{part}", getattr(value, part)) for part in parts if hasattr(value, part)]
 
 
 def _names(code: CodeType) -> list[str]:

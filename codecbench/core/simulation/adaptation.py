@@ -142,9 +142,7 @@ class AdaptiveStream:
         packets = self._encoder.push(image)
         if len(packets) != 1 or packets[0].frame != self._pushed:
             fault = f"gave {len(packets)} packets for picture {self._pushed} of a session"
-            raise PluginError(
-                f"{self._codecs[level].name} says that it is of low delay, and {fault}; it gives its own"
-            )
+            raise PluginError(f"{self._codecs[level].name} says that it is of low delay, and {fault}; it gives its own")
         (packet,) = packets
         self._pushed += 1
         self.bitstreams[frame] = packet.data

@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.folders import cache_folder
 from codecbench.plugins.datasets.download import Progress, ResumingDownloader, unpack
 
 _TUM_CITATION = (

@@ -22,7 +22,7 @@ from multiprocessing.context import BaseContext, ForkServerContext, ForkServerPr
 from typing import Any, Final
 
 _LOADED: Final = (
-    "cv2", "pyarrow.parquet", "scipy.optimize", "codecbench.core.kernels.loaded_compiler",
+    "cv2", "pyarrow.parquet", "scipy.optimize", "codecbench.core.kernels.preload",
     "codecbench.plugins.executors.isolation", "codecbench.plugins.executors.fork_server_exit",
 )  # fmt: skip
 """What nearly every worker imports. None of these starts a thread when it is imported, so that forking is safe."""

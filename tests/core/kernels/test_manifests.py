@@ -15,7 +15,7 @@ import pytest
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.warm_up import kernels_called
-from codecbench.core.kernels.manifest import ManifestError, listed
+from codecbench.core.kernels.manifest import ManifestError, entries_of
 from codecbench.plugins.codecs.multilevel import Multilevel
 
 RUN = """
@@ -68,18 +68,18 @@ def test_every_listed_kernel_is_there() -> None:
     }
     assert {"codecbench.slam", "codecbench.plugins.codecs.dct"} <= names
     for name in sorted(names):
-        entries = listed(name)
+        entries = entries_of(name)
         assert entries, name
         for entry in entries:
-            entry.is_kept()  # raises where there is no such kernel, build or type
+            entry.is_cached()  # raises where there is no such kernel, build or type
 
 
 def test_a_module_gets_its_own_entries_and_a_stranger_none() -> None:
-    assert {entry.kernel.partition(":")[0] for entry in listed("codecbench.slam.features.matching")} == {
+    assert {entry.kernel.partition(":")[0] for entry in entries_of("codecbench.slam.features.matching")} == {
         "codecbench.slam.features.matching"
     }
     with pytest.raises(ManifestError, match=r"no kernels.json beside json or above it"):
-        listed("json")
+        entries_of("json")
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_of_the_kernels_that_differ_a_setting_lists_its_own(setting: dict[str, s
         "rice:encode_ordered_tuples", "scan:_transpose", "search:greedy_search",
     }  # fmt: skip
     called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
-    listed_ahead = {entry.kernel.rpartition(".")[2] for name in called for entry in listed(name)}
+    listed_ahead = {entry.kernel.rpartition(".")[2] for name in called for entry in entries_of(name)}
     assert " ".join(sorted(listed_ahead & differ)) == kernels
 
 
@@ -135,8 +135,8 @@ def test_of_the_kernels_that_differ_a_setting_lists_its_own(setting: dict[str, s
 )
 def test_what_a_setting_leaves_out_is_not_compiled_ahead(setting: dict[str, str], foreign: str) -> None:
     called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
-    listed_ahead = {entry.kernel for name in called for entry in listed(name)}
-    everything = {entry.kernel for name in Multilevel.kernels for entry in listed(name)}
+    listed_ahead = {entry.kernel for name in called for entry in entries_of(name)}
+    everything = {entry.kernel for name in Multilevel.kernels for entry in entries_of(name)}
     assert not [kernel for kernel in listed_ahead if foreign in kernel]
     assert [kernel for kernel in everything if foreign in kernel]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from codecbench.core.kernels import trust
+from codecbench.core.kernels import folders
 from codecbench.core.kernels.compiled import compiled
-from codecbench.core.kernels.trust import given_folders, kernel_folder, objection, read_trusted
+from codecbench.core.kernels.folders import kernel_folder, objection, precompiled_folders, read_trusted
 
 
 @compiled
@@ -27,7 +27,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The kernels' folder in a cache of its own, and another for when it is refused."""
     monkeypatch.setenv("CODECBENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    monkeypatch.setattr(trust, "_told", set())
+    monkeypatch.setattr(folders, "_reported", set())
     made = tmp_path / "cache" / "kernels"
     made.mkdir(mode=0o755, parents=True)
     return made
@@ -39,7 +39,7 @@ def facts(user: int, mode: int) -> os.stat_result:
 
 @pytest.mark.parametrize("mode", [0o100644, 0o100600, 0o100444, 0o40755, 0o40700, 0o40555])
 def test_what_this_user_or_root_alone_may_write_is_trusted(mode: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust, "current_user", lambda: 1000)
+    monkeypatch.setattr(folders, "current_user", lambda: 1000)
     assert objection(facts(1000, mode)) is None
     assert objection(facts(0, mode)) is None
     assert objection(facts(54321, mode)) == "it belongs to user 54321"
@@ -53,7 +53,7 @@ def test_what_others_may_write_is_not(mode: int, spelt: str) -> None:
 
 
 def test_root_does_not_run_what_a_user_wrote(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust, "current_user", lambda: 0)
+    monkeypatch.setattr(folders, "current_user", lambda: 0)
     assert objection(facts(54321, 0o100644)) == "it belongs to user 54321"
 
 
@@ -96,7 +96,7 @@ def test_a_given_folder_is_read_after_the_cache_and_checked_like_it(
     assert tripled._cache.load_overload(arguments, tripled.targetctx) is None, "a flipped bit"
     moved.write_bytes(content)
     given.chmod(0o777)
-    assert given_folders() == []
+    assert precompiled_folders() == []
     assert tripled._cache.load_overload(arguments, tripled.targetctx) is None
 
 
@@ -123,9 +123,9 @@ def test_a_planted_kernel_is_not_run_but_compiled_again(
     file.chmod(0o646 if spoilt == "mode" else 0o644)
     if spoilt == "owner":
         os.utime(file, (1, 1))
-        told = trust.objection
+        told = folders.objection
         of_another = "it belongs to user 54321"
-        monkeypatch.setattr(trust, "objection", lambda facts: of_another if facts.st_mtime == 1 else told(facts))
+        monkeypatch.setattr(folders, "objection", lambda facts: of_another if facts.st_mtime == 1 else told(facts))
     assert read_trusted(file) is None
     assert tripled._cache.load_overload(arguments, tripled.targetctx) is None
     tripled.compile(arguments)

@@ -90,9 +90,9 @@ def _texts(value: Any) -> Iterable[str]:
 
 def _code_elsewhere() -> Iterable[str]:
     """What hosts run that is not on `sys.path`: compiled kernels, and packages installed in place by a finder."""
-    from codecbench.core.kernels.trust import given_folders, kernel_folder
+    from codecbench.core.kernels.folders import kernel_folder, precompiled_folders
 
-    yield from (str(folder) for folder in (kernel_folder(), *given_folders()) if folder is not None)
+    yield from (str(folder) for folder in (kernel_folder(), *precompiled_folders()) if folder is not None)
     finders = [module for name, module in sys.modules.items() if name.startswith("__editable__")]
     yield from (str(path) for finder in finders for path in getattr(finder, "MAPPING", {}).values())
 

@@ -17,7 +17,7 @@ from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.plugins.fingerprint import fingerprint
 from codecbench.core.engine.plugins.plugin import Plugin, Problem, fault_of
-from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.folders import cache_folder
 
 _ASKED: Final = "codecbench.core.engine.plugins.serving:offers"
 

@@ -35,10 +35,10 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
     """
     bench = Workbench(registry=everything())
     bench.hosts_none = True
-    with _empty_cache(), manifest.recording() as recorder:
+    with _empty_cache(), manifest.record_compilations() as recorder:
         for recorder.stage, matrix in enumerate(matrices):
             _perform(make_sampled_plan(read_matrix(matrix)), bench)
-    files = dict(manifest.recorded(package, recorder.entries) for package in packages)
+    files = dict(manifest.manifest_file(package, recorder.entries) for package in packages)
     for path, content in files.items():
         write_file(path, content)
     return list(files)

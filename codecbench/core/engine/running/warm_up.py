@@ -212,13 +212,13 @@ def entries_missing(_: Registry, names: list[str], builds: list[str], kept: bool
 
     kept: also entries that the cache has.
     """
-    from codecbench.core.kernels.manifest import ManifestError, listed
+    from codecbench.core.kernels.manifest import ManifestError, entries_of
 
     entries: dict[Entry, None] = {}
     problems: list[str] = []
     for name in names:
         try:
-            entries |= dict.fromkeys(e for e in listed(name) if e.build in builds and (not e.is_kept() or kept))
+            entries |= dict.fromkeys(e for e in entries_of(name) if e.build in builds and (not e.is_cached() or kept))
         except ManifestError as error:
             problems.append(str(error))
     return {"entries": [asdict(entry) for entry in entries], "problems": problems}

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.storage.plain_file import open_plain
-from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.folders import cache_folder
 
 _KEY_FILE: Final = "origin.key"
 _KEY_BYTES: Final = 32

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
-from codecbench.core.kernels.cache_folder import cache_folder
+from codecbench.core.kernels.folders import cache_folder
 from codecbench.plugins.datasets.selection import Selection, convert_color
 
 _DIGEST_BYTES = 32

@@ -1,4 +1,7 @@
-"""Whose files may be run as code: this user's and root's, as long as nobody else may write them."""
+"""Folders of the cache, and which files in them may be run as code.
+
+Trusted are files of this user and of root that nobody else may write.
+"""
 
 from __future__ import annotations
 
@@ -12,36 +15,41 @@ from pathlib import Path
 
 import platformdirs
 
-from codecbench.core.kernels.cache_folder import cache_folder
-
 log = logging.getLogger("codecbench.kernels")
 
 FOLDER_MODE = 0o755
 FILE_MODE = 0o644
-"""For everyone to read, so that what root compiled into an image of a container serves its users."""
+"""Readable by all, so that kernels that root compiled into a container image serve its users."""
 
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
-_told: set[str] = set()
+_reported: set[str] = set()
+"""Paths whose refusal this process has logged."""
+
+
+def cache_folder() -> Path:
+    """Return the folder for what can be made or fetched again: `$CODECBENCH_CACHE`, else the platform's cache."""
+    variable = os.environ.get("CODECBENCH_CACHE")
+    return Path(variable).expanduser() if variable else Path(platformdirs.user_cache_dir("codecbench"))
 
 
 def kernel_folder() -> Path | None:
-    """Where compiled kernels are kept: in the cache folder, else in the user's own one, else nowhere.
+    """Return the folder of compiled kernels: in the cache folder, else in the user's own cache; None if none serves.
 
     A folder that others own or may write is refused, with a line in the log.
     """
-    own = Path(platformdirs.user_cache_dir("codecbench"))
-    folders = (cache_folder() / "kernels", own / "kernels")
+    user_cache = Path(platformdirs.user_cache_dir("codecbench"))
+    folders = (cache_folder() / "kernels", user_cache / "kernels")
     return next((folder for folder in folders if _is_trusted(folder, may_be_missing=True)), None)
 
 
-def given_folders() -> list[Path]:
-    """Where kernels lie that were compiled elsewhere: the folder in CODECBENCH_KERNELS, then `codecbench_kernels`.
+def precompiled_folders() -> list[Path]:
+    """Return the folders of kernels compiled elsewhere: that in CODECBENCH_KERNELS, then `codecbench_kernels`.
 
-    That package is all that the distribution `codecbench-kernels` has. Nothing is written into these folders, and one
-    that others own or may write is refused, with a line in the log.
+    That package is all that the distribution `codecbench-kernels` contains. Nothing is written into these folders, and
+    one that others own or may write is refused, with a line in the log.
     """
-    named = os.environ.get("CODECBENCH_KERNELS")
-    folders = [Path(named).expanduser()] if named else []
+    variable = os.environ.get("CODECBENCH_KERNELS")
+    folders = [Path(variable).expanduser()] if variable else []
     return [folder for folder in (*folders, *_installed_folders()) if _is_trusted(folder)]
 
 
@@ -64,7 +72,7 @@ def _is_trusted(folder: Path, *, may_be_missing: bool = False) -> bool:
 
 
 def read_trusted(file: Path) -> bytes | None:
-    """The content of a file, or None where it cannot be read or is refused, with a line in the log."""
+    """Return the content of a file; None if it cannot be read, or is refused with a line in the log."""
     try:
         with open(file, "rb") as stream:
             reason = objection(os.fstat(stream.fileno()))
@@ -77,7 +85,7 @@ def read_trusted(file: Path) -> bytes | None:
 
 
 def objection(facts: os.stat_result) -> str | None:
-    """Why a file or folder is not to be trusted, from its owner and mode; None where it is."""
+    """Return why a file or folder is not trusted, from its owner and mode; None if it is trusted."""
     if facts.st_uid not in (0, current_user()):
         return f"it belongs to {_name(facts.st_uid)}"
     if facts.st_mode & _WRITABLE_BY_OTHERS:
@@ -86,10 +94,10 @@ def objection(facts: os.stat_result) -> str | None:
 
 
 def refuse(path: Path, reason: str) -> None:
-    """Say once in a process what is refused, why, what is allowed and what to do."""
-    if str(path) in _told:
+    """Log once in a process what is refused, why, what is allowed and what to do."""
+    if str(path) in _reported:
         return
-    _told.add(str(path))
+    _reported.add(str(path))
     log.warning(
         "%s: compiled kernels are not taken from here: %s; allowed is what you or root own and nobody else may write, "
         "for they are run as code. They are kept elsewhere or compiled in memory; to use this place: "
@@ -100,6 +108,7 @@ def refuse(path: Path, reason: str) -> None:
 
 
 def current_user() -> int:
+    """Return the effective user id; tests replace it."""
     return os.geteuid()
 
 
