@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import typeof, types
 
-from codecbench.core.kernels.argument_types import ArgumentTypeError, text_from_types, types_from_text
+from codecbench.core.kernels.manifest import ArgumentTypeError, text_from_types, types_from_text
 
 View = namedtuple("View", "pixels count")
 VALUES = {
