@@ -1,4 +1,4 @@
-"""What every codec must keep, as small checks that anyone can run on theirs.
+"""Checks of the codec contract, which authors can run on their own codecs.
 
     from codecbench.core.conformance.suite import run_checks
     for result in run_checks(MyCodec, MyCodec.params_type()):

@@ -1,6 +1,6 @@
-"""Checks of what goes into the sessions of a codec and what comes out, in this process, in others and in threads.
+"""Checks of the inputs and outputs of a codec's sessions, in this process, in others and in threads.
 
-What a codec makes of lost packets and of bytes that no encoder wrote is in `damage`.
+`damage` has the checks of lost packets and of bytes that no encoder wrote.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from codecbench.core.conformance.harness import (
     ConformanceFailure,
     NotClaimed,
     decoded_of,
-    elsewhere,
-    encoded,
+    encode_films,
     packets_of,
     require_same,
     require_same_contents,
     require_same_packets,
-    whole,
+    run_elsewhere,
+    whole_contents,
 )
 from codecbench.core.conformance.material import (
     FRAME_RATE_HZ,
@@ -45,23 +45,23 @@ from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.counting.trace import CountingTrace
 
 _ACROSS: Final = 192
-"""Three quarters of the range of a sample."""
+"""Difference of samples that counts as wrapped: three quarters of their range."""
 _LENGTHS: Final = (1, 2, 5)
 _SHARED: Final = 6
 _SHARED_OF_LONG: Final = 100
-"""More than encoders hold back, so that packets have left of which something can be said."""
+"""Number of shared frames, more than encoders hold back, so that some packets have left."""
 _THREADS: Final = 4
 _FEW: Final = 3
 _MANY: Final = 70_000
-"""More features than any device finds, and more than 16 bits count."""
+"""More features than any device extracts, and more than 16 bits can count."""
 
 
 def params_survive_json(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    again = type(params).model_validate(json.loads(json.dumps(params.model_dump(mode="json"))))
-    if again != params:
-        raise ConformanceFailure("params", f"{again!r} after JSON", repr(params))
-    if json.dumps(again.identity(), sort_keys=True) != json.dumps(params.identity(), sort_keys=True):
-        raise ConformanceFailure("params.identity()", again.identity(), repr(params.identity()))
+    restored = type(params).model_validate(json.loads(json.dumps(params.model_dump(mode="json"))))
+    if restored != params:
+        raise ConformanceFailure("params", f"{restored!r} after JSON", repr(params))
+    if json.dumps(restored.identity(), sort_keys=True) != json.dumps(params.identity(), sort_keys=True):
+        raise ConformanceFailure("params.identity()", restored.identity(), repr(params.identity()))
 
 
 def libraries_are_named(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
@@ -71,7 +71,7 @@ def libraries_are_named(codec_class: CodecClass, params: Params, films: Sequence
 
 
 def packets_are_bytes(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    for film, packets in encoded(codec_class(params), films):
+    for film, packets in encode_films(codec_class(params), films):
         for index, packet in enumerate(packets):
             where = f"encoding {film.name}, packet {index}"
             if type(packet) is not Packet:
@@ -89,7 +89,7 @@ def packets_are_bytes(codec_class: CodecClass, params: Params, films: Sequence[F
 
 
 def no_frame_is_lost_or_doubled(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Sessions of several lengths, so that pictures are held back in each way when they end; one is longer."""
+    """Run sessions of several lengths, to end them with different numbers of frames held back; one is longer."""
     lengths = [(film, length) for film in films for length in (*_LENGTHS, len(film.pictures))]
     longest = long_sequence(channel_count(films[0].pictures[0]))
     for film, length in [*lengths, (longest, len(longest.pictures))]:
@@ -106,12 +106,12 @@ def no_frame_is_lost_or_doubled(codec_class: CodecClass, params: Params, films: 
 
 def shape_and_type_return(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     codec = codec_class(params)
-    for film, packets in encoded(codec, films):
+    for film, packets in encode_films(codec, films):
         where = f"decoding {film.name}"
         allowed = {shape := film.pictures[0].shape}
-        if "gray" in (getattr(params, "color", None), getattr(params, "colour", None)):  # asks for it in so many words
+        if "gray" in (getattr(params, "color", None), getattr(params, "colour", None)):  # asks for it explicitly
             allowed.add(shape[:2])
-        for image in whole(where, decoded_of(codec, packets)).values():
+        for image in whole_contents(where, decoded_of(codec, packets)).values():
             if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
                 got = f"{type(image).__name__} {getattr(image, 'dtype', '')}"
                 raise ConformanceFailure(where, got, "a uint8 array")
@@ -121,8 +121,8 @@ def shape_and_type_return(codec_class: CodecClass, params: Params, films: Sequen
                 raise ConformanceFailure(where, "a read-only or strided array", "an array that the caller owns")
 
 
-def features_are_of_the_picture(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """Sets are valid, of the picture's size, the same again, and not all empty."""
+def features_match_the_image(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
+    """Check that feature sets are valid, of the image's size, repeatable, and not all empty."""
     codec, count = codec_class(params), 0
     for film in films:
         for index, picture in enumerate(film.pictures):
@@ -140,30 +140,31 @@ def features_are_of_the_picture(codec_class: Any, params: Params, films: Sequenc
 
 
 def sets_come_back(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """Every packet gives the set of its frame, of the picture's size; the set that was pushed is left alone."""
+    """Check that every packet decodes to its frame's set, of the image's size, and that pushed sets are unchanged."""
     codec = codec_class(params)
     for film in films:
         sets = [codec.extract(picture) for picture in film.pictures]
-        copies = [replace(one, **{name: getattr(one, name).copy() for name in FEATURE_ARRAYS}) for one in sets]
-        contents = _coded_sets(codec, sets, f"decoding {film.name}")
-        for index, (one, before) in enumerate(zip(sets, copies, strict=True)):
-            require_same(f"set {index} of {film.name} after it was pushed", one, before)
-            if contents[index].size != one.size:
+        copies = [replace(pushed, **{name: getattr(pushed, name).copy() for name in FEATURE_ARRAYS}) for pushed in sets]
+        contents = _decoded_sets(codec, sets, f"decoding {film.name}")
+        for index, (pushed, before) in enumerate(zip(sets, copies, strict=True)):
+            require_same(f"set {index} of {film.name} after it was pushed", pushed, before)
+            if contents[index].size != pushed.size:
                 got = f"size {contents[index].size}"
                 raise ConformanceFailure(f"decoding {film.name}, frame {index}", got, "its own")
 
 
-def _coded_sets(codec: Any, sets: Sequence[Features], where: str) -> list[Features]:
-    """What comes back of sets that are pushed into a session. Fails where it is not one of each frame, in order."""
+def _decoded_sets(codec: Any, sets: Sequence[Features], where: str) -> list[Features]:
+    """Encode and decode sets in one session. Fails unless each frame has one set, in order."""
     encoder, decoder = codec.encoder(), codec.decoder()
-    contents = whole(where, [decoder.push(packet) for packet in [encoder.push(one) for one in sets]])
+    packets = [encoder.push(features) for features in sets]
+    contents = whole_contents(where, [decoder.push(packet) for packet in packets])
     if list(contents) != list(range(len(sets))):
         raise ConformanceFailure(where, f"the frames {list(contents)}", f"0 to {len(sets) - 1}")
     return list(contents.values())
 
 
 def empty_sets_are_sets(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """Pictures without a corner, first and between others, and one pixel: nothing is found, sent and received."""
+    """Code empty sets, first and between others, and of one pixel: they decode as empty sets."""
     codec = codec_class(params)
     for film in films:
         sets = [codec.extract(picture) for picture in film.pictures[:_FEW]]
@@ -171,21 +172,21 @@ def empty_sets_are_sets(codec_class: Any, params: Params, films: Sequence[Film])
         between = [nothing, sets[0], nothing, *sets[1:], nothing, nothing]
         for pushed in (between, [Features.none((1, 1))]):
             where = f"decoding {film.name} with empty sets between" if len(pushed) > 1 else "an empty set of one pixel"
-            for index, back in enumerate(_coded_sets(codec, pushed, where)):
-                if len(back) and not len(pushed[index]):
-                    raise ConformanceFailure(f"{where}, set {index}", f"{len(back)} features", "none")
+            for index, decoded in enumerate(_decoded_sets(codec, pushed, where)):
+                if len(decoded) and not len(pushed[index]):
+                    raise ConformanceFailure(f"{where}, set {index}", f"{len(decoded)} features", "none")
 
 
-def limits_are_kept(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """Sets of very many features, of a huge image, of a high level: coded and decoded whole, or refused by ValueError.
+def large_sets_are_coded_or_refused(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
+    """Push sets with very many features, a huge image or a high level: they are coded whole, or raise ValueError.
 
-    A session that refused one goes on as if it had not been there.
+    A session that refuses one continues as if it had not been pushed.
     """
     codec, rng = codec_class(params), np.random.default_rng(2)
     first, second = (codec.extract(picture) for picture in films[0].pictures[:2])
-    few = _drawn(rng, _FEW, first.size)
+    few = _random_features(rng, _FEW, first.size)
     unusual = {
-        f"{_MANY} features": _drawn(rng, _MANY, first.size),
+        f"{_MANY} features": _random_features(rng, _MANY, first.size),
         "an image of 2^20 a side": replace(few, size=(1 << 20, 1 << 20)),
         "level 40": replace(few, octaves=np.full(_FEW, 40, np.int32)),
     }
@@ -199,13 +200,13 @@ def limits_are_kept(codec_class: Any, params: Params, films: Sequence[Film]) -> 
         except ValueError:
             require_same_packets(f"after {name} was refused", [*packets, session.push(second)], expected)
             continue
-        back = whole(name, [decoder.push(packet) for packet in packets])[1]
-        if len(back) != len(features) or back.size != features.size:
-            got = f"{len(back)} features of {back.size[0]}x{back.size[1]}"
+        decoded = whole_contents(name, [decoder.push(packet) for packet in packets])[1]
+        if len(decoded) != len(features) or decoded.size != features.size:
+            got = f"{len(decoded)} features of {decoded.size[0]}x{decoded.size[1]}"
             raise ConformanceFailure(name, got, "all of them, or a ValueError when they are pushed")
 
 
-def _drawn(rng: np.random.Generator, count: int, size: tuple[int, int]) -> Features:
+def _random_features(rng: np.random.Generator, count: int, size: tuple[int, int]) -> Features:
     return Features(
         size,
         rng.integers(0, size, (count, 2)).astype(np.float64),
@@ -218,27 +219,27 @@ def _drawn(rng: np.random.Generator, count: int, size: tuple[int, int]) -> Featu
 
 def input_is_untouched(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     codec = codec_class(params)
-    for film, expected in encoded(codec, films):
-        given = [picture.copy() for picture in film.pictures]
-        packets_of(codec, given)
-        for index, (picture, before) in enumerate(zip(given, film.pictures, strict=True)):
+    for film, expected in encode_films(codec, films):
+        copies = [picture.copy() for picture in film.pictures]
+        packets_of(codec, copies)
+        for index, (picture, before) in enumerate(zip(copies, film.pictures, strict=True)):
             require_same(f"picture {index} of {film.name} after it was pushed", picture, before)
             picture.flags.writeable = False
-        require_same_packets(f"{film.name}, read-only", packets_of(codec, given), expected)
+        require_same_packets(f"{film.name}, read-only", packets_of(codec, copies), expected)
         strided = [np.repeat(picture, 2, axis=1)[:, ::2] for picture in film.pictures]
         require_same_packets(f"{film.name}, strided views", packets_of(codec, strided), expected)
-        reused = np.empty_like(given[0])
+        buffer = np.empty_like(copies[0])
         session, packets = codec.open_encoder(FRAME_RATE_HZ), []
-        for picture in given:
-            reused[:] = picture
-            packets += session.push(reused)
+        for picture in copies:
+            buffer[:] = picture
+            packets += session.push(buffer)
         require_same_packets(f"{film.name}, pushed from one buffer", packets + session.flush(), expected)
 
 
 def sessions_repeat(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """The same instance again, in another order, and another instance."""
+    """Encode and decode again by the same instance in another order, and by another instance."""
     codec = codec_class(params)
-    first = [(film, packets, decoded_of(codec, packets)) for film, packets in encoded(codec, films)]
+    first = [(film, packets, decoded_of(codec, packets)) for film, packets in encode_films(codec, films)]
     for film, packets, decoded in reversed(first):
         require_same_packets(f"{film.name} again", packets_of(codec, film.pictures), packets)
         new = packets_of(codec_class(params), film.pictures)
@@ -247,19 +248,19 @@ def sessions_repeat(codec_class: CodecClass, params: Params, films: Sequence[Fil
 
 
 def sessions_do_not_interfere(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Two films at once, picture by picture in turn, give what each gives alone."""
+    """Code two films at once, frame by frame in turn: each gives what it gives alone."""
     codec = codec_class(params)
     alone = [packets_of(codec, film.pictures) for film in films]
-    together = _in_turn([codec.open_encoder(FRAME_RATE_HZ) for _ in films], [film.pictures for film in films])
-    shown = _in_turn([codec.open_decoder() for _ in films], alone)
-    for film, packets, got, decoded in zip(films, alone, together, shown, strict=True):
+    together = _run_in_turn([codec.open_encoder(FRAME_RATE_HZ) for _ in films], [film.pictures for film in films])
+    results = _run_in_turn([codec.open_decoder() for _ in films], alone)
+    for film, packets, got, decoded in zip(films, alone, together, results, strict=True):
         require_same_packets(f"{film.name} beside another session", got, packets)
         where = f"decoding {film.name} beside another session"
         require_same_contents(where, decoded, decoded_of(codec, packets))
 
 
-def _in_turn(sessions: Sequence[Any], inputs: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """What sessions give whose inputs are pushed in turn."""
+def _run_in_turn(sessions: Sequence[Any], inputs: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """Push the inputs of several sessions in turn; return the outputs of each."""
     outputs: list[list[Any]] = [[] for _ in sessions]
     for turn in zip_longest(*inputs):
         for session, pushed, output in zip(sessions, turn, outputs, strict=True):
@@ -270,14 +271,15 @@ def _in_turn(sessions: Sequence[Any], inputs: Sequence[Sequence[Any]]) -> list[l
 
 
 def preparing_changes_nothing(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """Instances prepared for each image write the bytes of the instance that they come from, which stays as it is."""
+    """Check that an instance prepared for an image writes the same bytes, and that its original does not change."""
     codec = codec_class(params)
-    first = list(encoded(codec, films))
-    prepared = [codec.prepared(film.pictures[0]) for film, _ in first]
-    for ready, (film, packets) in zip(prepared, first, strict=True):
-        if type(ready) is not codec_class or ready.params != params:
-            raise ConformanceFailure(f"prepared({film.name})", ready, f"{codec_class.__name__} of the same parameters")
-        require_same_packets(f"prepared({film.name}) encoding it", packets_of(ready, film.pictures), packets)
+    unprepared = list(encode_films(codec, films))
+    instances = [codec.prepared(film.pictures[0]) for film, _ in unprepared]
+    for prepared, (film, packets) in zip(instances, unprepared, strict=True):
+        if type(prepared) is not codec_class or prepared.params != params:
+            expected = f"{codec_class.__name__} of the same parameters"
+            raise ConformanceFailure(f"prepared({film.name})", prepared, expected)
+        require_same_packets(f"prepared({film.name}) encoding it", packets_of(prepared, film.pictures), packets)
         require_same_packets(f"{film.name} after prepared({film.name})", packets_of(codec, film.pictures), packets)
 
 
@@ -293,25 +295,27 @@ def one_in_gives_one_out(codec_class: CodecClass, params: Params, films: Sequenc
             if [packet.frame for packet in packets] != [frame]:
                 raise ConformanceFailure(where, f"packets of {[packet.frame for packet in packets]}", "its packet")
             pictures = decoder.push(packets[0])
-            if [shown.frame for shown in pictures] != [frame]:
+            if [result.frame for result in pictures] != [frame]:
                 raise ConformanceFailure(f"{where}'s packet", f"{len(pictures)} pictures", "its picture at once")
         if encoder.flush() or decoder.flush():
             raise ConformanceFailure(f"{film.name}, flush", "more", "nothing, for nothing was held back")
 
 
 def what_was_sent_is_final(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Packets that have left say nothing of later pictures: not if these differ, nor if they lie beside in memory."""
+    """Check that sent packets do not depend on later frames, not even on those next to them in memory."""
     channels = channel_count(films[0].pictures[0])
     futures = [(*pair, _SHARED) for pair in zip(films, moving_pictures(channels, seed=2), strict=True)]
     for film, other, shared in [*futures, (long_sequence(channels), long_sequence(channels, 4), _SHARED_OF_LONG)]:
-        own = np.stack(film.pictures)
-        twin = np.stack([*film.pictures[:shared], *other.pictures[shared:]])
-        left, right = (_sent_early(codec_class(params), list(pictures), shared) for pictures in (own, twin))
+        original = np.stack(film.pictures)
+        variant = np.stack([*film.pictures[:shared], *other.pictures[shared:]])
+        left, right = (
+            _packets_sent_early(codec_class(params), list(pictures), shared) for pictures in (original, variant)
+        )
         require_same_packets(f"{film.name} before another future", left, right)
 
 
-def _sent_early(codec: AnyCodec[Any], pictures: Sequence[Image], first: int) -> list[Packet]:
-    """Packets that left with the `first` pictures, as they are when the session is over; fails if they changed."""
+def _packets_sent_early(codec: AnyCodec[Any], pictures: Sequence[Image], first: int) -> list[Packet]:
+    """Return the packets that left with the `first` frames. Fails if they changed by the end of the session."""
     session = codec.open_encoder(FRAME_RATE_HZ)
     packets = [packet for picture in pictures[:first] for packet in session.push(picture)]
     sent = [replace(packet, data=bytes(packet.data)) for packet in packets]
@@ -326,21 +330,21 @@ def lossless_means_lossless(codec_class: Any, params: Params, films: Sequence[Fi
     codec = codec_class(params)
     if not codec.is_lossless():
         raise NotClaimed("this setting does not claim to be lossless")
-    for film, packets in encoded(codec, films):
+    for film, packets in encode_films(codec, films):
         where = f"decoding {film.name} of a lossless setting"
-        contents = whole(where, decoded_of(codec, packets))
+        contents = whole_contents(where, decoded_of(codec, packets))
         for frame, picture in enumerate(film.pictures):
             if codec_class.carries == "features":
-                _require_as_good(f"{where}, frame {frame}", contents[frame], codec.extract(picture))
+                _require_same_unordered(f"{where}, frame {frame}", contents[frame], codec.extract(picture))
             else:
                 require_same(f"{where}, frame {frame}", contents[frame], picture)
 
 
-def _require_as_good(where: str, got: Features, expected: Features) -> None:
-    """Fail unless two sets are the same in any order, but for the last of the angles' bits."""
+def _require_same_unordered(where: str, got: Features, expected: Features) -> None:
+    """Fail unless two sets are equal in any order, with angles within the tolerance."""
     if len(got) != len(expected):
         raise ConformanceFailure(where, f"{len(got)} features", f"{len(expected)}")
-    got, expected = _in_order(got), _in_order(expected)
+    got, expected = _sorted_features(got), _sorted_features(expected)
     for name in ("pixels", "octaves", "descriptors"):
         if not np.array_equal(getattr(got, name), getattr(expected, name)):
             raise ConformanceFailure(where, f"other {name}", "those that were found")
@@ -349,29 +353,29 @@ def _require_as_good(where: str, got: Features, expected: Features) -> None:
         raise ConformanceFailure(where, f"an angle that is {turn:.2g} rad off", f"at most {ANGLE_TOLERANCE_RAD:.0e}")
 
 
-def _in_order(one: Features) -> Features:
-    """Sorted by all that is to come back to the bit."""
-    order = np.lexsort(np.column_stack([one.descriptors, one.pixels, one.octaves]).T)
-    return replace(one, **{name: getattr(one, name)[order] for name in FEATURE_ARRAYS})
+def _sorted_features(features: Features) -> Features:
+    """Sort features by all that lossless coding reproduces to the bit."""
+    order = np.lexsort(np.column_stack([features.descriptors, features.pixels, features.octaves]).T)
+    return replace(features, **{name: getattr(features, name)[order] for name in FEATURE_ARRAYS})
 
 
 def samples_stop_at_black_and_white(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """No decoded sample jumps to the other end of the range, which is where one that wraps round comes out."""
+    """Check that no decoded sample wraps around to the other end of the range."""
     codec = codec_class(params)
-    for film, packets in encoded(codec, saturated_images(channel_count(films[0].pictures[0]))):
+    for film, packets in encode_films(codec, saturated_images(channel_count(films[0].pictures[0]))):
         original = film.pictures[0]
-        decoded = whole(f"decoding {film.name}", decoded_of(codec, packets))[0]
-        if decoded.shape != original.shape:  # turned gray, as `shape` allows where it is asked for
+        decoded = whole_contents(f"decoding {film.name}", decoded_of(codec, packets))[0]
+        if decoded.shape != original.shape:  # converted to gray, which check `shape` allows if a parameter asks for it
             continue
-        wrapped = _wrapped(decoded.astype(np.int16), original.astype(np.int16))
+        wrapped = _wrapped_samples(decoded.astype(np.int16), original.astype(np.int16))
         if wrapped.any():
-            place = tuple(int(i) for i in np.argwhere(wrapped)[0])
-            got = f"{decoded[place]} at {place}, far from its neighbour; {np.count_nonzero(wrapped)} such"
-            raise ConformanceFailure(f"decoding {film.name}", got, f"about {original[place]}")
+            index = tuple(int(i) for i in np.argwhere(wrapped)[0])
+            got = f"{decoded[index]} at {index}, far from its neighbour; {np.count_nonzero(wrapped)} such"
+            raise ConformanceFailure(f"decoding {film.name}", got, f"about {original[index]}")
 
 
-def _wrapped(decoded: Any, original: Any) -> Any:
-    """Samples at the wrong end of the range beside a neighbour that is not, where the image has no edge.
+def _wrapped_samples(decoded: Any, original: Any) -> Any:
+    """Mark samples at the wrong end of the range next to one that is not, where the original has no edge.
 
     An error alone proves nothing: a coarse setting may smear black over white, but smoothly.
     """
@@ -379,7 +383,7 @@ def _wrapped(decoded: Any, original: Any) -> Any:
     beside = np.zeros_like(wrong)
     for axis in (0, 1):
         flat = np.diff(original, axis=axis) == 0
-        flat = flat if flat.ndim == 2 else flat.all(axis=2, keepdims=True)  # colour that turns gray mixes its channels
+        flat = flat if flat.ndim == 2 else flat.all(axis=2, keepdims=True)  # color converted to gray mixes its channels
         jump = (np.abs(np.diff(decoded, axis=axis)) > _ACROSS) & flat
         before, after = np.zeros_like(wrong), np.zeros_like(wrong)
         np.moveaxis(before, axis, 0)[:-1] = np.moveaxis(jump, axis, 0)
@@ -389,7 +393,7 @@ def _wrapped(decoded: Any, original: Any) -> Any:
 
 
 def bad_images_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """As the first picture of a session, and of codecs with memory after one of another shape."""
+    """Push bad images as the first frame of a session; for inter-frame codecs also after one of another shape."""
     for name, pictures in _bad_images(codec_class, films[0].pictures[0]):
         session = codec_class(params).open_encoder(FRAME_RATE_HZ)
         for picture in pictures[:-1]:
@@ -404,7 +408,7 @@ def bad_images_are_refused(codec_class: CodecClass, params: Params, films: Seque
 
 
 def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, list[Any]]]:
-    """Names, and what is pushed of which the last is to be refused. image: a good one."""
+    """Yield names and frames to push, of which the last must be refused. image: a valid one."""
     yield "uint16", [np.zeros((8, 8), np.uint16)]
     yield "float64", [np.zeros((8, 8))]
     yield "bool", [np.zeros((8, 8), np.bool_)]
@@ -424,20 +428,21 @@ def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, li
 
 
 def another_process_encodes_alike(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    for film, packets in encoded(codec_class(params), films):
+    for film, packets in encode_films(codec_class(params), films):
         where = f"encoding {film.name} in another process"
-        require_same_packets(where, elsewhere("encode", where, _encode, codec_class, params, film.pictures), packets)
+        encoded = run_elsewhere("encode", where, _encode, codec_class, params, film.pictures)
+        require_same_packets(where, encoded, packets)
 
 
 def packets_alone_decode(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Decode copies of the packets where nothing was encoded, by instances of other settings."""
+    """Decode copies of the packets in a process that encoded nothing, by instances of other settings."""
     codec = codec_class(params)
-    for film, packets in encoded(codec, films):
+    for film, packets in encode_films(codec, films):
         copies = [replace(packet, data=bytes(bytearray(packet.data))) for packet in packets]
         expected = decoded_of(codec, packets)
         for other in [params, *other_settings(params)]:
             where = f"decoding {film.name} in another process, by the setting {other}"
-            require_same_contents(where, elsewhere("decode", where, _decode, codec_class, other, copies), expected)
+            require_same_contents(where, run_elsewhere("decode", where, _decode, codec_class, other, copies), expected)
 
 
 def _encode(codec_class: CodecClass, params: Params, pictures: Sequence[Image]) -> list[Packet]:
@@ -449,11 +454,11 @@ def _decode(codec_class: CodecClass, params: Params, packets: Sequence[Packet]) 
 
 
 def threads_do_not_interfere(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Sessions of one instance in several threads at once give what they give alone."""
+    """Run sessions of one instance in several threads at once: each gives what it gives alone."""
     if not codec_class.capabilities.thread_safe:
         raise NotClaimed("this codec does not claim to be thread-safe")
     codec = codec_class(params)
-    alone = [(film, packets, decoded_of(codec, packets)) for film, packets in encoded(codec, films)]
+    alone = [(film, packets, decoded_of(codec, packets)) for film, packets in encode_films(codec, films)]
 
     def work(offset: int) -> None:
         for film, packets, decoded in alone[offset:] + alone[:offset]:
@@ -468,10 +473,10 @@ def threads_do_not_interfere(codec_class: CodecClass, params: Params, films: Seq
 
 
 def counting_changes_nothing(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Counted runs give the bytes and pixels of fast ones, the same counts every time, and none if opaque."""
+    """Check that counting runs give the bytes and pixels of fast ones, and repeatable counts, or none if opaque."""
     codec = codec_class(params)
     claims = codec_class.capabilities.counts_operations
-    for film, packets in encoded(codec, films if codec_class.stateless else films[-1:]):
+    for film, packets in encode_films(codec, films if codec_class.stateless else films[-1:]):
         where = f"{film.name}, counting"
         encoding, decoding, again = CountingTrace(), CountingTrace(), CountingTrace()
         require_same_packets(where, packets_of(codec, film.pictures, encoding), packets)

@@ -1,11 +1,11 @@
-"""A corpus: bitstreams in a folder, with the hashes of what they decode to, for other machines and later versions.
+"""A corpus of bitstreams with hashes of their decoded pixels, to check other machines and later versions.
 
-    manifest.json          what is here, and where it came from
+    manifest.json          the entries, and what wrote them
     <codec>/<number>.bin   bitstreams
 
-A bitstream must decode to the same pixels everywhere and for ever. It need not be what a later version of the
-codec writes; but an encoder that writes other bytes under the same version of itself and its libraries forgot to
-raise its version, or depends on the machine.
+A bitstream must decode to the same pixels everywhere and forever. A later version of the codec may write other bytes.
+If an encoder writes other bytes with unchanged versions of itself and its libraries, its version was not raised, or it
+depends on the machine.
 """
 
 from __future__ import annotations
@@ -40,50 +40,53 @@ _MEMORY_MB = 1024
 
 @dataclass(frozen=True)
 class Entry:
-    """A bitstream of the corpus: what wrote it, of which image, and what it decoded to there.
-
-    shape: height, width and channels of the image.
-    """
+    """A bitstream of the corpus: what wrote it, for which image, and what it decoded to."""
 
     file: str
+    """Path in the corpus."""
     codec: str
     version: str
+    """Version of the codec."""
     libraries: dict[str, str]
+    """Versions of its libraries, by name."""
     params: dict[str, Any]
     generator: str
+    """Name and version of the image generator."""
     seed: int
     shape: tuple[int, int, int]
+    """Height, width and channels of the image."""
     bitstream_sha256: str
     pixels_sha256: str
+    """Hash of the decoded image, as `pixels_sha256` computes it."""
 
 
 @dataclass(frozen=True)
 class EntryResult:
-    """How an entry fared: `passed`, `failed` with the reason, or `skipped` where its codec is not available.
-
-    note: what is worth knowing of an entry that passed.
-    """
+    """Result of checking an entry."""
 
     entry: Entry
     status: Literal["passed", "failed", "skipped"]
+    """`skipped` if its codec is not available."""
     reason: str = ""
+    """Why it failed or was skipped."""
     note: str = ""
+    """A remark on an entry that passed."""
 
 
 Maker = Callable[[Sequence[Entry]], list[tuple[Entry, bytes]]]
-"""Makes bitstreams with their entries, given the entries that the corpus has already; raises PluginError."""
+"""Creates bitstreams with their entries, given those that the corpus has already; raises PluginError."""
 
 
 def pixels_sha256(pixels: Image) -> str:
-    """The hash of an image: of its shape and its samples row by row."""
+    """Return the hash of an image's shape and its samples, row by row."""
     shape = "x".join(map(str, pixels.shape))
     return hashlib.sha256(f"uint8 {shape}\n".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
 
 
 def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> list[Entry]:
-    """Write what makers of bitstreams give, one after another, and the manifest, into a new or empty folder.
+    """Write the bitstreams of all makers, one after another, and the manifest into a new or empty folder.
 
-    Raises StoreError if the folder holds anything, and what makers raise; then there is no manifest.
+    Raises StoreError if the folder is not empty, and what makers raise; then there is no manifest.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
@@ -104,7 +107,7 @@ def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> 
 
 
 def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
-    """The bitstreams of the pictures at a setting, made in another process. earlier: entries that the corpus has.
+    """Encode the corpus images at a setting, in another process. earlier: entries that the corpus has already.
 
     An image that the setting does not support is left out. Raises PluginError if the codec fails.
     """
@@ -116,21 +119,25 @@ def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[En
             shape = (*size, channels)
             reply = _ask(codec, "encode", integer_image(seed, *shape))
             if reply.status != "unsupported":
-                bitstreams.append(_coded(f"{codec.name}/{first + len(bitstreams):03}.bin", codec, seed, shape, reply))
+                bitstreams.append(
+                    _new_entry(f"{codec.name}/{first + len(bitstreams):03}.bin", codec, seed, shape, reply)
+                )
     return bitstreams
 
 
 def _ask(codec: Codec[Any], verb: Verb, argument: Any) -> Reply:
-    """Have a codec of this setting work in another process."""
-    asked = type(codec), codec.params, verb, argument
-    return sandbox(verb).call(_done, *asked, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+    """Encode or decode at this codec's setting in another process."""
+    arguments = type(codec), codec.params, verb, argument
+    return sandbox(verb).call(_call_codec, *arguments, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
 
 
-def _done(codec_class: CodecClass, params: Params, verb: Verb, argument: Any) -> Any:
+def _call_codec(codec_class: CodecClass, params: Params, verb: Verb, argument: Any) -> Any:
     return getattr(codec_class(params), verb)(argument)
 
 
-def _coded(file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply) -> tuple[Entry, bytes]:
+def _new_entry(
+    file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply
+) -> tuple[Entry, bytes]:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
         raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
@@ -151,7 +158,7 @@ def _coded(file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int],
 
 
 def read_manifest(folder: Path) -> list[Entry]:
-    """The entries of a corpus. Raises StoreError where there is none or it is of another format."""
+    """Read the entries of a corpus. Raises StoreError if there is none or it has another format."""
     path = folder / _MANIFEST
     try:
         manifest = json_from_bytes(path.read_bytes())
@@ -163,9 +170,9 @@ def read_manifest(folder: Path) -> list[Entry]:
 
 
 def check_entry(folder: Path, entry: Entry, load: Callable[[str], CodecClass]) -> EntryResult:
-    """How one entry fares: its bitstream is decoded in another process and the pixels are compared.
+    """Check one entry: decode its bitstream in another process and compare the pixels.
 
-    load: the class of a codec by name, which raises Unsupported or PluginError where there is none.
+    load: returns the class of a codec by name; raises Unsupported or PluginError if there is none.
     """
     try:
         codec, outdated = _codec_of(entry, load(entry.codec))
@@ -176,11 +183,11 @@ def check_entry(folder: Path, entry: Entry, load: Callable[[str], CodecClass]) -
         return EntryResult(entry, "failed", failure)
     if outdated:
         return EntryResult(entry, "passed", note="its parameters are not valid any more; only decoded")
-    return _encoded_again(entry, codec)
+    return _reencoding_result(entry, codec)
 
 
 def _codec_of(entry: Entry, codec_class: CodecClass) -> tuple[Codec[Any], bool]:
-    """An instance at the entry's setting, or, where that is not valid any more, at the first example; and which."""
+    """Return the codec at the entry's setting and False, or, if that is not valid any more, at an example and True."""
     try:
         return codec_class(codec_class.params_type.model_validate(entry.params)), False
     except ValidationError:
@@ -202,8 +209,8 @@ def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None
     return None
 
 
-def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
-    """Whether the encoder still writes these bytes, which it must unless its version or a library's changed."""
+def _reencoding_result(entry: Entry, codec: Codec[Any]) -> EntryResult:
+    """Check that the encoder still writes these bytes, as it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
         return EntryResult(entry, "passed", note=f"only decoded: generator {entry.generator} is not of this version")
     reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
@@ -220,7 +227,7 @@ def _encoded_again(entry: Entry, codec: Codec[Any]) -> EntryResult:
 
 
 def _changes(entry: Entry, codec: Codec[Any]) -> str:
-    """Which versions differ from those that wrote the entry, to be put behind a finding."""
+    """Return a suffix for messages that lists the versions that changed since the entry was written; empty if none."""
     now = {codec.name: codec.version, **codec.libraries()}
     before = {entry.codec: entry.version, **entry.libraries}
     differing = [

@@ -1,8 +1,8 @@
-"""Checks of what a decoder makes of packets of which some are lost, cut or damaged, and of bytes that no encoder wrote.
+"""Checks of decoding lost, cut or damaged packets, and bytes that no encoder wrote.
 
-Whatever may go wrong is decoded in a process that may die of it, with caps of time and memory. Foreign and cut
-bitstreams must be refused with BitstreamError; damaged ones may give some picture, because not every format has a
-checksum, but never crash, hang or raise. Of features nobody sees that they are wrong, so that all damage is refused.
+Damaged data are decoded in a sandbox process with caps on time and memory. A decoder must refuse foreign and cut
+bitstreams with BitstreamError. Not every format has a checksum, so damaged ones may decode to some image, but must not
+crash, hang or raise other errors. Wrong features cannot be seen, so feature codecs must refuse all damage.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from codecbench.core.conformance.harness import (
     Shape,
     content_of,
     decoded_of,
-    elsewhere,
-    encoded,
+    encode_films,
     require_same,
     require_same_contents,
+    run_elsewhere,
     shape_of,
     state_of,
-    whole,
+    whole_contents,
 )
 from codecbench.core.conformance.material import Film
 from codecbench.core.contracts.codec import AnyCodec, Decoded, Fragment, PartialImage
@@ -41,7 +41,7 @@ _TIMEOUT_S = 20.0
 _MEMORY_MB: Final = 1024
 _CUTS: Final = 40
 _MUTATIONS: Final[dict[Shape, int]] = {"pictures": 60, "stream": 10, "features": 40}
-"""Of each packet that is damaged."""
+"""Number of mutations of each packet that is damaged."""
 _BOMBED_BYTES: Final = 96
 _HUGE: Final = (b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x01\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\xff\x7f")
 _FOREIGN: Final = {
@@ -57,18 +57,18 @@ _FOREIGN: Final = {
     "noise": np.random.default_rng(7).integers(0, 256, 3000, dtype=np.uint8).tobytes(),
 }
 _PARTS: Final = 12
-"""Into which a bitstream is cut, some of which are then missing."""
+"""Number of parts that a bitstream is cut into, of which some are then missing."""
 _TRIALS: Final = 20
 _LOSS: Final = 0.25
 
 Damaged = Iterable[tuple[str, Sequence[Packet]]]
-"""Packets of which the last but those that came whole is damaged, and what was done to it."""
+"""Descriptions of the damage, each with packets of which one is damaged."""
 
 
 def starts_are_starts(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """A new decoder from each declared start on gives what the uninterrupted one gives."""
+    """Decode from each keyframe on by a new decoder: the frames equal those of the uninterrupted one."""
     codec = codec_class(params)
-    for film, packets in encoded(codec, films):
+    for film, packets in encode_films(codec, films):
         expected = decoded_of(codec, packets)
         for index in [index for index, packet in enumerate(packets) if packet.starts]:
             where = f"{film.name} from packet {index} on"
@@ -79,31 +79,30 @@ def starts_are_starts(codec_class: CodecClass, params: Params, films: Sequence[F
             require_same_contents(where, decoded, expected, packets[index].frame)
 
 
-def losses_are_told(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """What is called whole is, and from the next start on all is, or from where a recovery point says, whatever is
-    missing.
+def losses_are_reported(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
+    """Check the states of frames after losses: from the next keyframe or recovery point on, all must be whole.
 
-    Each packet is lost in turn, alone and with the one behind it; and each is the first that a new decoder gets, which
-    nobody tells that there were others. Packets of features say their frames, so that a decoder sees an untold gap.
+    Each packet is lost in turn, alone and with the next; and a new decoder joins after each, without knowing of earlier
+    packets. Feature packets carry their frame number, so their decoder must also notice unreported losses.
     """
     codec = codec_class(params)
-    for film, packets in encoded(codec, films):
-        expected = whole(f"decoding {film.name}", decoded_of(codec, packets))
+    for film, packets in encode_films(codec, films):
+        expected = whole_contents(f"decoding {film.name}", decoded_of(codec, packets))
         for index, packet in enumerate(packets):
             before, rest, lost = packets[:index], packets[index + 1 :], {packet.frame}
             where = f"decoding {film.name} without packet {index}, of frame {packet.frame}"
-            _require_honesty(where, codec, [*before, LOST, *rest], rest, lost, expected)
+            _require_true_states(where, codec, [*before, LOST, *rest], rest, lost, expected)
             if rest:
                 both = lost | {rest[0].frame}
                 received: list[Packet | Loss] = [*before, LOST, LOST, *rest[1:]]
-                _require_honesty(f"{where} and the next", codec, received, rest[1:], both, expected)
+                _require_true_states(f"{where} and the next", codec, received, rest[1:], both, expected)
             if codec.carries == "features":
-                _require_honesty(f"{where}, untold", codec, [*before, *rest], rest, lost, expected)
+                _require_true_states(f"{where}, untold", codec, [*before, *rest], rest, lost, expected)
             where = f"joining {film.name} behind packet {index}, of frame {packet.frame}"
-            _require_honesty(where, codec, rest, rest, lost, expected)
+            _require_true_states(where, codec, rest, rest, lost, expected)
 
 
-def _require_honesty(
+def _require_true_states(
     where: str,
     codec: AnyCodec[Any],
     received: Sequence[Packet | Loss],
@@ -111,19 +110,22 @@ def _require_honesty(
     lost: set[int],
     expected: dict[int, Any],
 ) -> None:
-    """received: packets and what the decoder is told of losses. rest: the packets after the loss. lost: frames."""
+    """Fail unless frames that are called whole are, and all that must be whole are.
+
+    received: packets and reported losses. rest: the packets after the loss. lost: frames.
+    """
     try:
         decoded = decoded_of(codec, received)
     except BitstreamError as error:
         raise ConformanceFailure(where, f"BitstreamError: {error}", "pictures: no byte was damaged") from error
-    states = {shown.frame: state_of(shown) for shown in decoded}
+    states = {result.frame: state_of(result) for result in decoded}
     if len(states) != len(decoded) or not states.keys() <= expected.keys():
-        frames = [shown.frame for shown in decoded]
+        frames = [result.frame for result in decoded]
         raise ConformanceFailure(where, f"the frames {frames}", "each frame of the stream at most once")
     if codec.carries == "features" and len(decoded) != len(received):
         raise ConformanceFailure(where, f"{len(decoded)} sets", f"{len(received)}, one of each packet or loss")
-    for shown in decoded:
-        _require_honest(f"{where}, frame {shown.frame}", shown, lost, expected)
+    for result in decoded:
+        _require_true_state(f"{where}, frame {result.frame}", result, lost, expected)
     start = min((first for packet in rest if (first := packet.whole_from) is not None), default=math.inf)
     due = {frame for frame in expected if frame >= start and frame not in lost}
     if codec.carries == "features" and len(received) > len(rest):
@@ -132,14 +134,14 @@ def _require_honesty(
         raise ConformanceFailure(where, f"frames {broken} are not whole", "those before the loss and from a start on")
 
 
-def _require_honest(where: str, shown: Decoded, lost: set[int], expected: dict[int, Any]) -> None:
-    content, state = content_of(shown), state_of(shown)
-    if state == "whole" and shown.frame in lost:
+def _require_true_state(where: str, result: Decoded, lost: set[int], expected: dict[int, Any]) -> None:
+    content, state = content_of(result), state_of(result)
+    if state == "whole" and result.frame in lost:
         raise ConformanceFailure(where, "whole", "concealed or missing: its packet never came")
     if (content is None) != (state == "missing"):
-        raise ConformanceFailure(where, shown, "an image unless it is missing")
+        raise ConformanceFailure(where, result, "an image unless it is missing")
     if state == "whole":
-        require_same(f"{where}, which is called whole", content, expected[shown.frame])
+        require_same(f"{where}, which is called whole", content, expected[result.frame])
 
 
 def foreign_bytes_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
@@ -161,27 +163,30 @@ def damaged_streams_are_survived(codec_class: CodecClass, params: Params, films:
 
 
 def huge_headers_are_survived(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    """Every place of the first header in turn claims as much as it can, within the time and memory caps."""
+    """Overwrite each place of the first header with huge numbers; decoding must stay within time and memory caps."""
     samples = _samples(codec_class, params, films if codec_class.stateless else films[-1:])
     name, packets, _ = min(samples, key=lambda sample: len(sample[1][0].data))
     _must_withstand(codec_class, params, 0, _with_each(packets[:2], 0, _bombs(packets[0].data, name)))
 
 
 def _samples(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> list[tuple[str, Sequence[Packet], int]]:
-    """Packets to damage, and which of them: of single pictures the longest and the shortest that the codec takes, of
-    each film the first and one in the middle."""
-    streams = [(film.name, packets) for film, packets in encoded(codec_class(params), films)]
+    """Return packets and the index of the one to damage.
+
+    Of single images these are the longest and the shortest that the codec supports, of each stream the first and a
+    middle one.
+    """
+    streams = [(film.name, packets) for film, packets in encode_films(codec_class(params), films)]
     if codec_class.stateless:
         by_size = sorted(streams, key=lambda stream: len(stream[1][0].data))
         return [(name, packets, 0) for name, packets in dict([by_size[-1], by_size[0]]).items()]
-    places = [(name, packets, index) for name, packets in streams for index in (0, len(packets) // 2)]
-    return [(f"{name}, packet {index}", packets, index) for name, packets, index in places]
+    targets = [(name, packets, index) for name, packets in streams for index in (0, len(packets) // 2)]
+    return [(f"{name}, packet {index}", packets, index) for name, packets, index in targets]
 
 
 def _with_each(
     packets: Sequence[Packet], index: int, damaged: Iterable[tuple[str, bytes]]
 ) -> Iterator[tuple[str, Sequence[Packet]]]:
-    """The packets with one of them damaged, in each of these ways that changes it."""
+    """Yield the packets with one of them replaced by each of its damaged versions that differ from it."""
     for where, data in damaged:
         if data != packets[index].data:
             yield where, [*packets[:index], replace(packets[index], data=data), *packets[index + 1 :]]
@@ -203,7 +208,7 @@ def _bombs(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
 
 
 def mutations(data: bytes, rng: np.random.Generator, count: int, name: str) -> Iterator[tuple[str, bytes]]:
-    """Copies of a bitstream with bits flipped, bytes changed, parts overwritten, taken out or repeated."""
+    """Yield copies of a bitstream with bits flipped, bytes changed, or parts overwritten, removed or repeated."""
     for index in range(count):
         mutant = bytearray(data)
         place = int(rng.integers(len(data)))
@@ -231,9 +236,9 @@ def _must_withstand(codec_class: CodecClass, params: Params, index: int, damaged
 
 
 def _must_survive(codec_class: CodecClass, params: Params, damaged: Damaged) -> None:
-    """Every packet is refused or gives uint8 images of a sane size."""
+    """Fail unless every packet is refused or decodes to uint8 images of a sane size."""
     for where, packets in damaged:
-        for image in _decoded_elsewhere(where, codec_class, params, packets)[0]:
+        for image in _decode_in_process(where, codec_class, params, packets)[0]:
             try:
                 check_image(image)
             except ImageError as error:
@@ -243,23 +248,23 @@ def _must_survive(codec_class: CodecClass, params: Params, damaged: Damaged) -> 
 
 
 def _must_refuse(codec_class: CodecClass, params: Params, index: int, damaged: Damaged) -> None:
-    """The packet at this index is refused in each stream. It is the last that is decoded."""
+    """Fail unless the packet at this index is refused in each stream. It is the last that is decoded."""
     for where, packets in damaged:
-        contents, refused = _decoded_elsewhere(where, codec_class, params, packets[: index + 1])
+        contents, refused = _decode_in_process(where, codec_class, params, packets[: index + 1])
         if refused != [index]:
             got = f"{len(contents)} pictures or sets of features" if not refused else f"packets {refused} refused"
             raise ConformanceFailure(where, got, "BitstreamError")
 
 
-def _decoded_elsewhere(where: str, codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> Any:
-    """What `_survivors` gives in another process. Fails where it gives nothing, because the codec raised or crashed."""
-    asked = _survivors, codec_class, params, packets
+def _decode_in_process(where: str, codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> Any:
+    """Call `_survivors` in another process. Fails if the codec raises or crashes."""
+    call = _survivors, codec_class, params, packets
     expected = "BitstreamError, or what a decoder gives"
-    return elsewhere("decode", where, *asked, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
+    return run_elsewhere("decode", where, *call, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
 
 
 def _survivors(codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> tuple[list[Any], list[int]]:
-    """What a decoder gives of damaged packets, and the indexes of those that it refuses."""
+    """Decode damaged packets; return the contents, and the indexes of packets that were refused."""
     session = codec_class(params).open_decoder()
     decoded: list[Decoded] = []
     refused = []
@@ -269,34 +274,34 @@ def _survivors(codec_class: CodecClass, params: Params, packets: Sequence[Packet
         except BitstreamError:
             refused.append(index)
     decoded += session.flush()
-    return [content for shown in decoded if (content := content_of(shown)) is not None], refused
+    return [content for result in decoded if (content := content_of(result)) is not None], refused
 
 
 def parts_decode(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
-    """What is there of a bitstream is refused, or gives a picture of the right shape that says truly what is whole."""
+    """Decode parts of a bitstream: they are refused, or give an image of the right shape with a true mask."""
     if not codec_class.capabilities.partial_decoding:
         raise NotClaimed("this codec does not claim to decode parts of a bitstream")
     codec, rng = codec_class(params), np.random.default_rng(13)
-    for film, packets in encoded(codec, films):
+    for film, packets in encode_films(codec, films):
         bitstream = packets[0].data
         decoded = codec.decode(bitstream)
         partial = codec.decode_partial([Fragment(0, bitstream)])
         where = f"decode_partial({film.name}), nothing missing"
-        _require_truth(where, partial, decoded)
+        _require_true_mask(where, partial, decoded)
         if not partial.whole.all():
             raise ConformanceFailure(where, f"{np.count_nonzero(~partial.whole)} pixels not whole", "all whole")
         for trial in range(_TRIALS):
             fragments = _with_gaps(bitstream, rng)
             where = f"decode_partial({film.name}), {[(part.offset, part.end) for part in fragments]}, trial {trial}"
-            asked, expected = (_partial, codec_class, params, fragments), "BitstreamError or a picture"
-            for partial in elsewhere(
-                "decode", where, *asked, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
+            call, expected = (_decode_partial, codec_class, params, fragments), "BitstreamError or a picture"
+            for partial in run_elsewhere(
+                "decode", where, *call, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
             ):
-                _require_truth(where, partial, decoded)
+                _require_true_mask(where, partial, decoded)
 
 
-def _partial(codec_class: Any, params: Params, fragments: Sequence[Fragment]) -> list[PartialImage]:
-    """The picture of parts of a bitstream, or none where they are refused."""
+def _decode_partial(codec_class: Any, params: Params, fragments: Sequence[Fragment]) -> list[PartialImage]:
+    """Decode parts of a bitstream into a list of one image; empty if they are refused."""
     try:
         return [codec_class(params).decode_partial(fragments)]
     except BitstreamError:
@@ -304,13 +309,13 @@ def _partial(codec_class: Any, params: Params, fragments: Sequence[Fragment]) ->
 
 
 def _with_gaps(bitstream: bytes, rng: np.random.Generator) -> list[Fragment]:
-    """The first part, and others at random: with gaps in between, and in half of all trials an end that is missing."""
+    """Return the first part and a random selection of the others; half of all trials lack the end."""
     bounds = [*np.linspace(0, len(bitstream), min(_PARTS, len(bitstream)) + 1, dtype=int).tolist()]
-    there = rng.random(len(bounds) - 1) >= _LOSS
-    there[0], there[-1] = True, rng.random() < 0.5
+    arrived = rng.random(len(bounds) - 1) >= _LOSS
+    arrived[0], arrived[-1] = True, rng.random() < 0.5
     fragments: list[Fragment] = []
-    for (begin, end), is_there in zip(pairwise(bounds), there, strict=True):
-        if not is_there:
+    for (begin, end), has_arrived in zip(pairwise(bounds), arrived, strict=True):
+        if not has_arrived:
             continue
         if fragments and fragments[-1].end == begin:
             begin = fragments.pop().offset
@@ -318,8 +323,8 @@ def _with_gaps(bitstream: bytes, rng: np.random.Generator) -> list[Fragment]:
     return fragments
 
 
-def _require_truth(where: str, partial: PartialImage, decoded: Image) -> None:
-    """Fail unless a partial image has the shape of the whole one, and its pixels wherever it says so."""
+def _require_true_mask(where: str, partial: PartialImage, decoded: Image) -> None:
+    """Fail unless a partial image has the shape of the complete one, and its pixels wherever the mask says so."""
     if not isinstance(partial, PartialImage):
         raise ConformanceFailure(where, type(partial).__name__, "a PartialImage")
     image, is_whole = partial.image, partial.whole

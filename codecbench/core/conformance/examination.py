@@ -1,6 +1,6 @@
-"""Installed codecs examined in a process of their own, so that none can end, stop or outlast the examiner.
+"""Examination of installed codecs in processes of their own, so that none can end, stop or outlast the examiner.
 
-What comes back is data: a codec that exits, hangs, kills or interrupts its process fails the check that it did so in.
+Results come back as data. A codec that exits, hangs, kills or interrupts its process fails the current check.
 """
 
 from __future__ import annotations
@@ -21,37 +21,39 @@ from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.engine.plugins.registry import installed
 
 TIMEOUT_S: Final = 300.0
-"""For one check on images of one layout; the longest compile a counting build."""
+"""Timeout in seconds of one check on images of one layout; the slowest ones compile a counting build."""
 _MEMORY_MB: Final = 4096
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A codec setting to be examined, as data.
-
-    setting: as it was asked for. params: complete, as JSON types. libraries: versions by name. channels: the layouts
-    that the codec declares. shape: what it codes, which decides what is checked.
-    """
+    """A codec setting to examine, as data."""
 
     codec: str
     version: str
     setting: dict[str, Any]
+    """Parameters as the user gave them."""
     params: dict[str, Any]
+    """All parameters, as JSON types."""
     libraries: dict[str, str]
+    """Versions by name."""
     channels: tuple[int, ...]
+    """Layouts that the codec declares."""
     shape: Shape
+    """What it codes, which selects the checks."""
 
 
 @dataclass(frozen=True)
 class Unexamined:
-    """Why a codec cannot be examined: it is not `available` here, a setting is not `valid`, or it is `broken`."""
+    """Why a codec cannot be examined."""
 
     kind: str
+    """The condition that is not met, `available` or `valid`; or `broken`."""
     reason: str
 
 
 class Examiner:
-    """Examines codecs of one distribution after another, each in a fresh process. A context that ends it."""
+    """Examines codecs, those of each distribution in a fresh process; as a context manager it ends the process."""
 
     def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
         self._timeout_s = timeout_s
@@ -68,15 +70,15 @@ class Examiner:
         self._sandbox.stop()
 
     def subjects(self, codec: str, settings: list[dict[str, Any]]) -> list[Subject] | Unexamined:
-        """The codec at these settings, or at its examples. Raises PluginError for a name that is not installed."""
-        self._turn_to(codec)
+        """Return the codec at these settings, or at its examples. Raises PluginError if it is not installed."""
+        self._use_process_for(codec)
         self._hung = ""
         reply = self._ask(_subjects, codec, settings)
         subjects: list[Subject] | Unexamined = reply.value
         return subjects if reply.status == "done" else Unexamined("broken", f"{reply.status}: {reply.reason}")
 
     def results(self, subject: Subject, check: Check) -> Iterator[CheckResult]:
-        """How a check goes, for each layout. After one that hung, no more are run on this codec."""
+        """Run a check on each layout. After a check that hung, no more are run on this codec."""
         for channels in subject.channels:
             if self._hung:
                 yield CheckResult(check, channels, "skipped", f"not run, because {self._hung} hung")
@@ -88,8 +90,8 @@ class Examiner:
             yield reply.value if reply.status == "done" else failure
 
     def coded_pictures(self, subject: Subject, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
-        """See `corpus.coded_pictures`. Raises PluginError, also where the codec takes its process with it."""
-        self._turn_to(subject.codec)
+        """Run `corpus.coded_pictures` in the process. Raises PluginError also if the codec ends its process."""
+        self._use_process_for(subject.codec)
         reply = self._ask(_coded_pictures, subject, list(earlier))
         if reply.status != "done" or isinstance(reply.value, str):
             fault = f"{subject.codec}: {reply.status}: {reply.reason}"
@@ -98,19 +100,19 @@ class Examiner:
         return bitstreams
 
     def entry_result(self, folder: Path, entry: Entry) -> EntryResult:
-        """See `corpus.check_entry`; codecbench's own codecs are constructed in this process."""
+        """Run `corpus.check_entry`, in this process for codecbench's own codecs."""
         try:
             if not installed().find("codec", entry.codec).hosted:
                 return check_entry(folder, entry, _load)
         except PluginError as error:
             return EntryResult(entry, "skipped", str(error))
-        self._turn_to(entry.codec)
+        self._use_process_for(entry.codec)
         reply = self._ask(check_entry, folder.absolute(), entry, _load)
         failure = EntryResult(entry, "failed", f"{reply.status}: {reply.reason}")
         return reply.value if reply.status == "done" else failure
 
-    def _turn_to(self, codec: str) -> None:
-        """A fresh process where the codec is of another distribution than the one before."""
+    def _use_process_for(self, codec: str) -> None:
+        """Start a fresh process if the codec is of another distribution than the one before."""
         distribution = installed().find("codec", codec).distribution
         if distribution != self._distribution:
             self._sandbox.stop()

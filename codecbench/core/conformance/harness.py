@@ -1,7 +1,7 @@
-"""What all checks share: the sessions of a codec of any kind, and when two of them gave the same.
+"""Shared parts of the checks: sessions of any kind of codec, and comparisons of their results.
 
-Pictures that are coded on their own are sessions of one packet. What a packet gives back is an image, or a set of
-features; checks ask `state_of` and `content_of`, and compare by `require_same`.
+A frame that is coded on its own is a session of one packet. A packet decodes to an image or a feature set: checks read
+it by `state_of` and `content_of`, and compare by `require_same`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 CodecClass = type[AnyCodec[Any]]
 Shape = Literal["pictures", "stream", "features"]
-"""What a codec codes: pictures on their own, pictures with memory between them, or features."""
+"""What a codec codes: frames on their own, streams of frames, or features."""
 
 FEATURE_ARRAYS: Final = ("pixels", "octaves", "angles", "responses", "descriptors")
 _TIMEOUT_S: Final = 120.0
@@ -32,9 +32,10 @@ _MEMORY_MB: Final = 2048
 
 
 class ConformanceFailure(AssertionError):
-    """A plugin breaks the contract: what was being checked, on what, what came and what should have come."""
+    """A plugin breaks the contract."""
 
     def __init__(self, where: str, got: object, expected: str) -> None:
+        """where: what was checked, on what. got, expected: the result, and what it should have been."""
         super().__init__(f"{where}: got {got}; expected {expected}")
         self.where = where
         self.got = got
@@ -42,7 +43,7 @@ class ConformanceFailure(AssertionError):
 
 
 class NotClaimed(Exception):
-    """The check is about something that the codec, or this setting of it, does not claim; the text says what."""
+    """The check does not apply: the codec, or this setting, does not claim what it checks; the text says what."""
 
 
 CheckFunction = Callable[[CodecClass, Params, Sequence[Film]], None]
@@ -50,42 +51,42 @@ CheckFunction = Callable[[CodecClass, Params, Sequence[Film]], None]
 
 @dataclass(frozen=True)
 class Check:
-    """A named check: what it proves of codecs of some shapes.
-
-    function: takes the class, a setting and films of one layout; raises ConformanceFailure where a codec falls short.
-    """
+    """A named check for codecs of some shapes."""
 
     name: str
     proves: str
+    """What passing it proves, as a sentence."""
     function: CheckFunction
+    """Takes the class, a setting and films of one layout; raises ConformanceFailure if the codec breaks the contract.
+    """
     shapes: tuple[Shape, ...]
 
 
 def shape_of(codec_class: CodecClass) -> Shape:
-    """By which contract a codec goes."""
+    """Return the contract that a codec class implements."""
     if codec_class.carries == "features":
         return "features"
     return "pictures" if codec_class.stateless else "stream"
 
 
 def packets_of(codec: AnyCodec[Any], pictures: Sequence[Image], trace: Trace = NULL_TRACE) -> list[Packet]:
-    """All packets of a session, in the order in which they leave."""
+    """Encode frames in one session; return its packets in sending order."""
     session = codec.open_encoder(FRAME_RATE_HZ)
     return [packet for picture in pictures for packet in session.push(picture, trace=trace)] + session.flush()
 
 
 def decoded_of(codec: AnyCodec[Any], packets: Sequence[Packet | Loss], trace: Trace = NULL_TRACE) -> list[Decoded]:
-    """What comes of all packets of a session, in order."""
+    """Decode packets in one session; return its results in order."""
     session = codec.open_decoder()
-    return [shown for packet in packets for shown in session.push(packet, trace=trace)] + list(session.flush())
+    return [result for packet in packets for result in session.push(packet, trace=trace)] + list(session.flush())
 
 
-def encoded(codec: AnyCodec[Any], films: Sequence[Film]) -> Iterator[tuple[Film, list[Packet]]]:
-    """The films that the codec takes, each with its packets.
+def encode_films(codec: AnyCodec[Any], films: Sequence[Film]) -> Iterator[tuple[Film, list[Packet]]]:
+    """Yield the films that the codec supports, each with its packets.
 
-    A single picture may be Unsupported (too small for a rate, say), but not every one of a layout.
+    A single image may be Unsupported, for example if it is too small for a rate, but not every one of a layout.
     """
-    taken, reasons = 0, []
+    supported, reasons = 0, []
     for film in films:
         try:
             packets = packets_of(codec, film.pictures)
@@ -94,44 +95,44 @@ def encoded(codec: AnyCodec[Any], films: Sequence[Film]) -> Iterator[tuple[Film,
                 raise
             reasons.append(f"{film.name}: {error}")
             continue
-        taken += 1
+        supported += 1
         yield film, packets
-    if not taken:
+    if not supported:
         got = f"Unsupported for every image ({'; '.join(reasons[:2])})"
         raise ConformanceFailure("encoding", got, "some bitstreams")
 
 
-def content_of(shown: Decoded) -> Image | Features | None:
-    """The image or the features."""
-    return shown.features if isinstance(shown, FeatureSet) else shown.image
+def content_of(result: Decoded) -> Image | Features | None:
+    """Return the image or the features of a decoder's result; None if they are missing."""
+    return result.features if isinstance(result, FeatureSet) else result.image
 
 
-def state_of(shown: Decoded) -> str:
-    """Of features, which are never made up: `whole` or `missing`."""
-    if isinstance(shown, FeatureSet):
-        return "missing" if shown.features is None else "whole"
-    return shown.state
+def state_of(result: Decoded) -> str:
+    """Return the state of a decoder's result; features are never concealed, only `whole` or `missing`."""
+    if isinstance(result, FeatureSet):
+        return "missing" if result.features is None else "whole"
+    return result.state
 
 
-def whole(where: str, decoded: Sequence[Decoded]) -> dict[int, Any]:
-    """The contents by frame. Fails where one is not whole or comes twice."""
+def whole_contents(where: str, decoded: Sequence[Decoded]) -> dict[int, Any]:
+    """Return contents by frame. Fails if one is not whole or occurs twice."""
     contents: dict[int, Any] = {}
-    for shown in decoded:
-        if type(shown) not in (Picture, FeatureSet):
-            raise ConformanceFailure(where, type(shown).__name__, "a Picture or a FeatureSet")
-        content = content_of(shown)
-        if state_of(shown) != "whole" or content is None:
-            raise ConformanceFailure(where, f"frame {shown.frame} is {state_of(shown)}", "whole: nothing was lost")
-        if isinstance(shown, FeatureSet) and type(content) is not Features:
+    for result in decoded:
+        if type(result) not in (Picture, FeatureSet):
+            raise ConformanceFailure(where, type(result).__name__, "a Picture or a FeatureSet")
+        content = content_of(result)
+        if state_of(result) != "whole" or content is None:
+            raise ConformanceFailure(where, f"frame {result.frame} is {state_of(result)}", "whole: nothing was lost")
+        if isinstance(result, FeatureSet) and type(content) is not Features:
             raise ConformanceFailure(where, type(content).__name__, "Features")
-        if shown.frame in contents:
-            raise ConformanceFailure(where, f"frame {shown.frame} twice", "each frame once")
-        contents[shown.frame] = content
+        if result.frame in contents:
+            raise ConformanceFailure(where, f"frame {result.frame} twice", "each frame once")
+        contents[result.frame] = content
     return contents
 
 
 def require_same_packets(where: str, got: Sequence[Packet], expected: Sequence[Packet]) -> None:
-    """Fail unless two sessions gave the same packets."""
+    """Fail unless the packets of two sessions are equal."""
     if len(got) != len(expected):
         raise ConformanceFailure(where, f"{len(got)} packets", f"{len(expected)}")
     for index, (left, right) in enumerate(zip(got, expected, strict=True)):
@@ -141,21 +142,21 @@ def require_same_packets(where: str, got: Sequence[Packet], expected: Sequence[P
 
 
 def require_same(where: str, got: Any, expected: Any) -> None:
-    """Fail unless two images, or two sets of features in order, are the same to the bit."""
+    """Fail unless two images, or two feature sets in order, are equal to the bit."""
     if isinstance(expected, Features):
         _require_same_features(where, got, expected)
         return
     if got.shape != expected.shape:
         raise ConformanceFailure(where, f"shape {got.shape}", f"shape {expected.shape}")
     if not np.array_equal(got, expected):
-        place = tuple(int(i) for i in np.argwhere(got != expected)[0])
+        index = tuple(int(i) for i in np.argwhere(got != expected)[0])
         count = int(np.count_nonzero(got != expected))
-        raise ConformanceFailure(where, f"{got[place]} at {place}, {count} samples differ", f"{expected[place]} there")
+        raise ConformanceFailure(where, f"{got[index]} at {index}, {count} samples differ", f"{expected[index]} there")
 
 
 def _require_same_features(where: str, got: Features, expected: Features) -> None:
     if got.size != expected.size or len(got) != len(expected):
-        counts = [f"{len(one)} features of {one.size[0]}x{one.size[1]}" for one in (got, expected)]
+        counts = [f"{len(features)} features of {features.size[0]}x{features.size[1]}" for features in (got, expected)]
         raise ConformanceFailure(where, *counts)
     for name in FEATURE_ARRAYS:
         if not np.array_equal(getattr(got, name), getattr(expected, name), equal_nan=name != "descriptors"):
@@ -163,16 +164,16 @@ def _require_same_features(where: str, got: Features, expected: Features) -> Non
 
 
 def require_same_contents(where: str, got: Sequence[Decoded], expected: Sequence[Decoded], first: int = 0) -> None:
-    """Fail unless two sessions gave the same, whole, from frame `first` on."""
-    contents = whole(where, [shown for shown in got if type(shown.frame) is int and shown.frame >= first])
-    others = {frame: content for frame, content in whole(where, expected).items() if frame >= first}
-    if sorted(contents) != sorted(others):
-        raise ConformanceFailure(where, f"the frames {sorted(contents)}", f"{sorted(others)}")
+    """Fail unless two sessions decoded the same whole contents from frame `first` on."""
+    contents = whole_contents(where, [result for result in got if type(result.frame) is int and result.frame >= first])
+    references = {frame: content for frame, content in whole_contents(where, expected).items() if frame >= first}
+    if sorted(contents) != sorted(references):
+        raise ConformanceFailure(where, f"the frames {sorted(contents)}", f"{sorted(references)}")
     for frame, content in contents.items():
-        require_same(f"{where}, frame {frame}", content, others[frame])
+        require_same(f"{where}, frame {frame}", content, references[frame])
 
 
-def elsewhere(
+def run_elsewhere(
     verb: Verb,
     where: str,
     function: Callable[..., Any],
@@ -181,7 +182,7 @@ def elsewhere(
     timeout_s: float = _TIMEOUT_S,
     memory_mb: int = _MEMORY_MB,
 ) -> Any:
-    """What a function gives in another process. Fails where it gives nothing."""
+    """Call a function in another process and return its result. Fails if it returns none."""
     reply = sandbox(verb).call(function, *arguments, timeout_s=timeout_s, memory_mb=memory_mb)
     if reply.status != "done":
         raise ConformanceFailure(where, f"{reply.status}: {reply.reason}", expected)

@@ -1,4 +1,4 @@
-"""What the contract asks of links, as checks on any of them."""
+"""Checks of the link contract."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ _SEEDS: Final = (0, 1)
 _ROUNDING_S: Final = 1e-9
 
 Sent = tuple[int, float]
-"""The size of a packet in bytes, and when its turn was."""
+"""Size of a packet in bytes, and the time in seconds at which it starts."""
 
 
 def check_link(link: Link[Any]) -> None:
-    """Run every check on a link. Raises ConformanceFailure for the first that it does not pass."""
+    """Run every check on a link. Raises ConformanceFailure for the first that it fails."""
     for seed in _SEEDS:
-        journeys = [carried(link, seed, pattern) for pattern in (_steady, _bursts)]
-        for sent, passages in journeys:
+        transmissions = [send_packets(link, seed, pattern) for pattern in (_steady, _bursts)]
+        for sent, passages in transmissions:
             for check in CHECKS:
                 check(link, sent, passages)
-        again = carried(link, seed, _steady)
-        if again != journeys[0]:
+        again = send_packets(link, seed, _steady)
+        if again != transmissions[0]:
             raise ConformanceFailure(f"{link.name}: the same packets twice from seed {seed}", "two answers", "one")
 
 
-def carried(
+def send_packets(
     link: Link[Any], seed: int, gap_s: Callable[[np.random.Generator], float]
 ) -> tuple[list[Sent], list[Passage]]:
-    """Packets of all sizes sent over a link that was opened anew, each `gap_s` after the one before could be."""
+    """Send packets of all sizes over a newly opened link, each due `gap_s` after the one before."""
     channel, rng = link.open(np.random.default_rng(seed)), np.random.default_rng(1000 + seed)
     sent: list[Sent] = []
     passages: list[Passage] = []
-    free_s = wanted_s = 0.0
+    free_s = due_s = 0.0
     for _ in range(_PACKETS):
-        wanted_s += gap_s(rng)
-        size_bytes, start_s = int(rng.integers(1, 1501)), max(free_s, wanted_s)
+        due_s += gap_s(rng)
+        size_bytes, start_s = int(rng.integers(1, 1501)), max(free_s, due_s)
         passage = channel.carry(size_bytes, start_s)
         sent.append((size_bytes, start_s))
         passages.append(passage)
@@ -50,7 +50,7 @@ def carried(
 
 
 def one_outcome(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
-    """Every packet arrives at a time, or is lost, and frees the link at a time."""
+    """Check that every packet leaves at a finite time, and arrives at one or is lost."""
     for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
         times = [passage.sent_s] if passage.arrives_s is None else [passage.sent_s, passage.arrives_s]
         if not all(isinstance(time_s, float | int) and math.isfinite(time_s) for time_s in times):
@@ -58,7 +58,7 @@ def one_outcome(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> N
 
 
 def causal(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
-    """Nothing leaves before its turn, or arrives before it has left and travelled."""
+    """Check that no packet leaves before it starts, or arrives before it has left and the delay has passed."""
     for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
         where = f"{link.name}: {size_bytes} bytes at {start_s:g} s"
         if passage.sent_s < start_s:
@@ -71,7 +71,7 @@ def causal(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
 
 
 def in_order(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
-    """Where the link says that it keeps the order, packets arrive in it."""
+    """Check that packets arrive in order, if the link declares that it keeps it."""
     if not link.keeps_order:
         return
     latest_s = -math.inf

@@ -1,4 +1,4 @@
-"""Pictures on which codecs are checked: single ones at the edges of what codecs are asked for, and short films."""
+"""Synthetic test images and sequences for the checks, with extreme sizes and contents."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from codecbench.core.contracts.image import Image
 FRAME_RATE_HZ: Final = 30.0
 _FRAMES: Final = 14
 _LONG: Final = 120
-"""Frames of a stream that is longer than encoders look ahead: by 16 to 80 frames, as far as we know."""
+"""Number of frames of a long stream: more than any known encoder's lookahead of 16 to 80 frames."""
 _SIZES: Final = ((48, 64), (33, 17))
 _SIZES_WITH_CORNERS: Final = ((120, 160), (97, 131))
 _CORNER_FRAMES: Final = 8
 GENERATOR = "shading-and-edges-1"
-"""Raised with any change of a pixel."""
+"""Name and version of `integer_image`; raise it with any change of a pixel."""
 
 _OCTAVES = ((32, 110), (8, 50), (1, 12))  # spacing of the lattice in pixels, amplitude in gray levels
 _DISC_LEVELS = 70
@@ -27,16 +27,18 @@ _SALTS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], 
 
 @dataclass(frozen=True)
 class Film:
-    """One picture or more, with a name to call them by in a report; those of a sequence are views of one array."""
+    """A test sequence of one or more frames."""
 
     name: str
+    """Name for reports."""
     pictures: list[Image] = field(repr=False)
+    """Frames in order; those of a sequence may be views of one array."""
 
 
 def conformance_images(channels: int, seed: int = 1) -> list[Film]:
-    """Images of 1 or 3 channels: single pixels, single rows and columns, prime sizes, constants, extremes, noise.
+    """Return images of 1 or 3 channels: single pixels, rows and columns, prime sizes, constants, extremes, noise.
 
-    The first has ordinary content; the same seed gives the same images everywhere.
+    The first has ordinary content; equal seeds give equal images everywhere.
     """
     rng = np.random.default_rng(seed)
     planes = {
@@ -57,10 +59,10 @@ def conformance_images(channels: int, seed: int = 1) -> list[Film]:
 
 
 def saturated_images(channels: int) -> list[Film]:
-    """Images of 1 or 3 channels, 64x64, of which a decoder that forgets to stop at 0 and 255 makes nonsense.
+    """Return 64x64 images of 1 or 3 channels that overflow in a decoder which does not clip to 0..255.
 
-    Black beside white, the corners of the colour cube side by side, and texture that touches either end. Edges lie
-    at multiples of 16 pixels, so that a codec of blocks is not asked for more than it can do.
+    They have black beside white, adjacent corners of the color cube, and texture that touches either end. Edges lie at
+    multiples of 16 pixels, to suit block-based codecs.
     """
     rows, columns = np.indices((64, 64)) // 16
     texture = np.indices((64, 64)).sum(axis=0) * 7 % 12
@@ -73,15 +75,15 @@ def saturated_images(channels: int) -> list[Film]:
         "nearly white": 255 - texture,
         "saturated colours": cube if channels == 3 else cube[:, :, 0],
     }
-    return [Film(name, [_repeated(picture.astype(np.uint8), channels)]) for name, picture in pictures.items()]
+    return [Film(name, [_with_channels(picture.astype(np.uint8), channels)]) for name, picture in pictures.items()]
 
 
-def _repeated(picture: Image, channels: int) -> Image:
+def _with_channels(picture: Image, channels: int) -> Image:
     return picture if picture.ndim == 3 or channels == 1 else np.repeat(picture[:, :, None], channels, axis=2)
 
 
 def _picture(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Smooth shading, a disc with a sharp edge and a little noise."""
+    """Draw smooth shading, a disc with a sharp edge and a little noise."""
     rows, columns = np.mgrid[0:height, 0:width]
     shading = 90 + 60 * np.sin(columns / 9) + 50 * np.cos(rows / 7)
     disc = (rows - height / 2) ** 2 + (columns - width / 3) ** 2 < (min(height, width) / 4) ** 2
@@ -100,36 +102,36 @@ def _layout(plane: NDArray[np.generic], channels: int, rng: np.random.Generator)
 
 
 def moving_pictures(channels: int, seed: int = 1) -> list[Film]:
-    """Sequences of 1 or 3 channels, of even and of odd sides: a texture that glides, a disc before it, some noise.
+    """Return sequences of 1 or 3 channels, with even and odd sizes: moving texture, a disc before it, some noise.
 
-    The same seed gives the same pictures everywhere; another one gives another motion, too.
+    Equal seeds give equal frames everywhere; another seed also changes the motion.
     """
     rng = np.random.default_rng(seed)
     return [Film(f"{width}x{height}", _sequence(height, width, channels, _FRAMES, rng)) for height, width in _SIZES]
 
 
 def long_sequence(channels: int, seed: int = 3) -> Film:
-    """A sequence of 1 or 3 channels that no encoder can hold back to its end; small, so that it costs little."""
+    """Return a small sequence of 1 or 3 channels, longer than any encoder holds back."""
     height, width = _SIZES[-1]
     pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(seed))
     return Film(f"{width}x{height}", pictures)
 
 
 def pictures_with_corners(channels: int, seed: int = 5) -> list[Film]:
-    """Sequences of 1 or 3 channels in which detectors find something: squares of all grays that glide, some noise.
+    """Return sequences of 1 or 3 channels with features to detect: moving gray squares and some noise.
 
-    The second ends with a picture without a corner. The same seed gives the same pictures everywhere.
+    The second ends with a frame without corners. Equal seeds give equal frames everywhere.
     """
     rng = np.random.default_rng(seed)
     films: list[Film] = []
     for height, width in _SIZES_WITH_CORNERS:
         squares = rng.integers(0, 256, (height // 8 + _FRAMES, width // 8 + _FRAMES))
         ground = np.kron(squares, np.ones((8, 8)))
-        film = [ground[2 * k : 2 * k + height, 3 * k : 3 * k + width] for k in range(_CORNER_FRAMES)]
-        shown = [np.clip(frame + rng.normal(0, 3, frame.shape), 0, 255).astype(np.uint8) for frame in film]
+        crops = [ground[2 * k : 2 * k + height, 3 * k : 3 * k + width] for k in range(_CORNER_FRAMES)]
+        frames = [np.clip(crop + rng.normal(0, 3, crop.shape), 0, 255).astype(np.uint8) for crop in crops]
         if films:
-            shown[-1] = np.full_like(shown[-1], 90)
-        pictures = shown if channels == 1 else [np.repeat(frame[..., None], 3, axis=2) for frame in shown]
+            frames[-1] = np.full_like(frames[-1], 90)
+        pictures = frames if channels == 1 else [np.repeat(frame[..., None], 3, axis=2) for frame in frames]
         films.append(Film(f"{width}x{height}", pictures))
     return films
 
@@ -142,17 +144,17 @@ def _sequence(height: int, width: int, channels: int, frames: int, rng: np.rando
         down, across = speed * index
         texture = 100 + 50 * np.sin((columns + across) / 5) + 40 * np.cos((rows + down) / 4)
         disc = (rows - height / 2) ** 2 + (columns - width / 4 - 2 * index) ** 2 < (min(height, width) / 4) ** 2
-        shown = texture + 60 * disc + rng.normal(0, 2, (height, width))
-        film[index] = np.stack([np.roll(shown, 3 * channel, axis=1) for channel in range(channels)], axis=2)
+        plane = texture + 60 * disc + rng.normal(0, 2, (height, width))
+        film[index] = np.stack([np.roll(plane, 3 * channel, axis=1) for channel in range(channels)], axis=2)
     samples = np.clip(np.round(film), 0, 255).astype(np.uint8)
     return list(samples[..., 0].copy() if channels == 1 else samples)
 
 
 def integer_image(seed: int, height: int, width: int, channels: int) -> Image:
-    """A picture that every machine draws alike: of integers only, without a library's random generator.
+    """Draw an image that is equal on every machine: integer arithmetic only, without a library's random generator.
 
-    A corpus names it by generator and seed. Smooth shading at two scales, a disc with a sharp edge and noise, in 1 or 3
-    channels. The channels share the disc and differ in the rest, so colour is neither constant nor noise.
+    A corpus identifies it by generator and seed. It has smooth shading at two scales, a disc with a sharp edge and
+    noise. Its 1 or 3 channels share the disc and differ in the rest, so color is neither constant nor noise.
     """
     planes = [_plane(seed + 1000 * channel, height, width) for channel in range(channels)]
     rows, columns = np.indices((height, width))
@@ -169,7 +171,7 @@ def _plane(seed: int, height: int, width: int) -> NDArray[np.int64]:
 
 
 def _shading(seed: int, height: int, width: int, spacing: int) -> NDArray[np.int64]:
-    """Bilinear interpolation, 0..255, of random values on a lattice."""
+    """Interpolate random values 0..255 on a lattice, bilinearly."""
     lattice = _random_bytes(seed, height // spacing + 2, width // spacing + 2)
     rows, y = np.divmod(np.arange(height), spacing)
     columns, x = np.divmod(np.arange(width), spacing)
@@ -181,7 +183,7 @@ def _shading(seed: int, height: int, width: int, spacing: int) -> NDArray[np.int
 
 
 def _random_bytes(seed: int, height: int, width: int) -> NDArray[np.int64]:
-    """Hashes of places: the finaliser of SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195)."""
+    """Hash pixel positions by the finalizer of SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195)."""
     places = np.arange(height * width, dtype=np.uint64)
     with np.errstate(over="ignore"):
         state = (places + np.uint64(1)) * _SALTS[0] + np.uint64(seed) * _SALTS[1] + _SALTS[2]

@@ -1,6 +1,6 @@
-"""Another process that works on request, and may crash, hang, exit or eat memory without harm.
+"""A sandbox process for calls that may crash, hang, exit or exhaust memory without harm.
 
-It starts afresh rather than as a copy of this one, so nothing that an encoder left behind here is there.
+It is spawned, not forked, so it has nothing that an encoder left behind in this process.
 """
 
 from __future__ import annotations
@@ -29,35 +29,36 @@ _MEBIBYTE = 1 << 20
 
 @dataclass(frozen=True)
 class Reply:
-    """What came of a request: `done` with a value, `refused` or `unsupported` with the error's text, or a fault."""
+    """Result of a call."""
 
     status: Literal["done", "refused", "unsupported", "raised", "crashed", "hung", "out_of_memory"]
+    """`refused` is a BitstreamError, `unsupported` an Unsupported; all others but `done` are faults."""
     value: Any = None
+    """The return value, if `done`."""
     reason: str = ""
+    """Text of the error or fault."""
 
 
 class Sandbox:
-    """One process, started when it is first needed and again after it died.
-
-    may_start_others: whether what runs there may use sandboxes itself; whoever made it then has to stop it.
-    """
+    """A process that is started when first needed, and again after it died."""
 
     def __init__(self, *, may_start_others: bool = False) -> None:
+        """may_start_others: whether calls may use sandboxes themselves; the owner then has to stop this one."""
         self._may_start_others = may_start_others
         self._process: Any = None
         self._connection: Connection | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_mb: int) -> Reply:
-        """Have a function of a module called there; it and what it takes and gives must be picklable.
+        """Call a module's function in the process; function, arguments and result must be picklable.
 
-        `memory_mb` is what the process may allocate for it beyond what it holds already.
+        `memory_mb` is how much the process may allocate beyond what it has already.
         """
         if self._connection is None:
             self._start()
         assert self._connection is not None
         with suppress(EOFError, ConnectionError):
             self._connection.send((function, arguments, memory_mb))
-            for limit_s in (_START_TIMEOUT_S, timeout_s):  # importing the codec's module is not its decoding
+            for limit_s in (_START_TIMEOUT_S, timeout_s):  # importing the codec's module has its own limit
                 if not self._connection.poll(limit_s):
                     self.stop()
                     return Reply("hung", reason=f"no answer within {limit_s:g} s")
@@ -67,18 +68,18 @@ class Sandbox:
         return Reply("crashed", reason=_death(self.stop()))
 
     def stop(self) -> int | None:
-        """End the process with all that it started, and return its exit code."""
+        """End the process and all its children, and return its exit code."""
         if self._process is None:
             return None
         if self._connection is not None:
             self._connection.close()
-        started: list[psutil.Process] = []
+        children: list[psutil.Process] = []
         with suppress(psutil.NoSuchProcess):
-            started = psutil.Process(self._process.pid).children(recursive=True)
+            children = psutil.Process(self._process.pid).children(recursive=True)
         self._process.join(0.5)
         self._process.kill()
         self._process.join()
-        for process in started:
+        for process in children:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         code: int | None = self._process.exitcode
@@ -87,22 +88,22 @@ class Sandbox:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=not self._may_start_others)
+        self._connection, child_end = context.Pipe()
+        self._process = context.Process(target=_serve, args=(child_end,), daemon=not self._may_start_others)
         self._process.start()
-        theirs.close()
+        child_end.close()
 
 
 @cache
 def sandbox(verb: Verb) -> Sandbox:
-    """The sandbox for encoding or the one for decoding: the decoding one never sees what an encoder saw."""
+    """Return the sandbox for encoding, or that for decoding, which never sees what an encoder saw."""
     return Sandbox()
 
 
 def _serve(connection: Connection) -> None:
-    with open(os.devnull, "wb") as nowhere:
+    with open(os.devnull, "wb") as devnull:
         for stream in (1, 2):
-            os.dup2(nowhere.fileno(), stream)  # libraries in C complain there of every damaged bitstream
+            os.dup2(devnull.fileno(), stream)  # C libraries print warnings there for every damaged bitstream
     while True:
         try:
             request = connection.recv()
@@ -147,7 +148,7 @@ def _death(code: int | None) -> str:
 
 @contextmanager
 def _memory_limit(memory_mb: int) -> Iterator[None]:
-    """Cap the address space at what is mapped now and `memory_mb` more."""
+    """Cap the address space at what is mapped now plus `memory_mb`."""
     mapped = psutil.Process().memory_info().vms
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (mapped + memory_mb * _MEBIBYTE, hard))

@@ -1,4 +1,4 @@
-"""A codec setting as people write it, `quality=10 subsampling=444`, and other valid settings of a codec."""
+"""Codec settings as text, `quality=10 subsampling=444`, and other valid settings of a codec."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Iterator
 from typing import Any
 
 from pydantic import ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.contracts.params import Params
 
 
 def setting_from_text(text: str) -> dict[str, Any]:
-    """Parameters from `KEY=VALUE ...`, with values as YAML has them and quotes as a shell has them.
+    """Parse parameters from `KEY=VALUE ...`, with YAML values and shell quotes.
 
     Raises ParamsError for a word that is not KEY=VALUE, a repeated key or a value that is not YAML.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
 
     try:
         words = shlex.split(text)
@@ -39,14 +39,14 @@ def setting_from_text(text: str) -> dict[str, Any]:
 
 
 def setting_label(name: str, setting: dict[str, Any]) -> str:
-    """A codec setting's name in a report: `jpeg quality=5 progressive=True`."""
+    """Return a codec setting's name for reports: `jpeg quality=5 progressive=True`."""
     return " ".join([name, *(f"{key}={value}" for key, value in setting.items())])
 
 
 def other_settings(params: Params, limit: int = 4) -> list[Params]:
-    """Up to `limit` valid settings that differ from `params`: the defaults first, then one field changed at a time.
+    """Return up to `limit` valid settings other than `params`: the defaults, then one field changed at a time.
 
-    Empty only for codecs with nothing to set.
+    The list is empty only for codecs without parameters.
     """
     kind = type(params)
     values = params.model_dump(mode="json")

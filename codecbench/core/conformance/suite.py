@@ -1,4 +1,4 @@
-"""All checks, in the order in which a codec's author wants to hear of them."""
+"""All checks of codecs, in the order in which an author should fix failures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FILMS: Final[tuple[Shape, ...]] = ("stream", "features")
 
 CHECKS: Final = (
     Check("params", "parameters survive JSON, which is how they are stored", checks.params_survive_json, _ALL),
-    Check("extract", "what is found is of the picture, and repeats", checks.features_are_of_the_picture, ("features",)),
+    Check("extract", "what is found is of the picture, and repeats", checks.features_match_the_image, ("features",)),
     Check("bytes", "packets are bytes, so their size is what is measured", checks.packets_are_bytes, _ALL),
     Check("flush", "no frame is lost or doubled when a session ends", checks.no_frame_is_lost_or_doubled, ("stream",)),
     Check("shape", "decoded images are uint8, of the shape that went in", checks.shape_and_type_return, _IMAGES),
@@ -33,11 +33,11 @@ CHECKS: Final = (
     Check("lossless", "settings that claim to be lossless are", checks.lossless_means_lossless, _ALL),
     Check("range", "samples stop at black and at white", checks.samples_stop_at_black_and_white, ("pictures",)),
     Check("empty", "a set of no feature is a set", checks.empty_sets_are_sets, ("features",)),
-    Check("limits", "sets too large to be coded are refused", checks.limits_are_kept, ("features",)),
+    Check("limits", "sets too large to be coded are refused", checks.large_sets_are_coded_or_refused, ("features",)),
     Check("bad_images", "what is no image of a declared layout is refused", checks.bad_images_are_refused, _ALL),
     Check("libraries", "foreign libraries are named with their versions", checks.libraries_are_named, _ALL),
     Check("starts", "decoding from each declared start gives the same", damage.starts_are_starts, _FILMS),
-    Check("loss", "whatever packet is lost, only what is whole is called so", damage.losses_are_told, _FILMS),
+    Check("loss", "whatever packet is lost, only what is whole is called so", damage.losses_are_reported, _FILMS),
     Check("deterministic", "another process writes the same bytes", checks.another_process_encodes_alike, _ALL),
     Check("self_contained", "the bytes alone decode: another process and setting", checks.packets_alone_decode, _ALL),
     Check("threads", "an instance that claims to be thread-safe is", checks.threads_do_not_interfere, _ALL),
@@ -52,12 +52,14 @@ CHECKS: Final = (
 
 @dataclass(frozen=True)
 class CheckResult:
-    """How one check went for images of one layout, and why where it did not pass."""
+    """Result of one check on images of one layout."""
 
     check: Check
     channels: int
+    """Layout of the images: 1 gray, 3 RGB."""
     status: Status
     reason: str = ""
+    """Why it failed or was skipped."""
 
     @property
     def layout(self) -> str:
@@ -70,12 +72,12 @@ class CheckResult:
 
 
 def checks_of(shape: Shape) -> tuple[Check, ...]:
-    """The checks for codecs of a shape."""
+    """Return the checks for codecs of a shape."""
     return tuple(check for check in CHECKS if shape in check.shapes)
 
 
 def films_of(shape: Shape, channels: int) -> list[Film]:
-    """What codecs of a shape are checked on, of one layout."""
+    """Return the test sequences of one layout for codecs of a shape."""
     if shape == "pictures":
         return conformance_images(channels)
     return moving_pictures(channels) if shape == "stream" else pictures_with_corners(channels)
@@ -84,14 +86,14 @@ def films_of(shape: Shape, channels: int) -> list[Film]:
 def run_checks(
     codec_class: type[AnyCodec[Any]], params: Params, checks: Sequence[Check] | None = None
 ) -> list[CheckResult]:
-    """Every check for this shape of codec, or those given, on every layout that the codec declares."""
-    chosen = checks_of(shape_of(codec_class)) if checks is None else checks
+    """Run all checks for this shape of codec, or the given ones, on every layout that the codec declares."""
+    selection = checks_of(shape_of(codec_class)) if checks is None else checks
     layouts = codec_class.capabilities.channels
-    return [run_check(check, channels, codec_class, params) for check in chosen for channels in layouts]
+    return [run_check(check, channels, codec_class, params) for check in selection for channels in layouts]
 
 
 def run_check(check: Check, channels: int, codec_class: type[AnyCodec[Any]], params: Params) -> CheckResult:
-    """One check on images of one layout."""
+    """Run one check on images of one layout."""
     try:
         check.function(codec_class, params, films_of(shape_of(codec_class), channels))
     except NotClaimed as claim:
