@@ -1,8 +1,8 @@
 """The evaluator contract: what is measured, on what, and how it is declared.
 
-A FrameEvaluator gets one coded frame at a time, a SequenceEvaluator the whole coded sequence in order, and a
-CodecEvaluator the codec itself, to time or trace it. All yield Measurements of the metrics that the class declares; an
-undeclared one fails the cell.
+A FrameEvaluator gets one coded frame at a time, a SequenceEvaluator the whole coded sequence in order. A CodecEvaluator
+gets the codec itself, to time or trace it. All yield Measurements of the metrics that the class declares; an undeclared
+one fails the cell.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class PluginSource(Protocol):
 @former_names(awaited="inputs")
 @dataclass(frozen=True)
 class Context:
-    """What a cell may use besides what it measures."""
+    """What the engine gives a cell: random numbers, a folder, plugins and inputs."""
 
     rng: np.random.Generator
     """Random numbers, seeded from the cell's identity."""

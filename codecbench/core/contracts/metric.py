@@ -73,8 +73,8 @@ class Metric:
     `codecbench choose` judges by a frame's `delay` (missing if it never arrived); the `error` of the task, and that of
     a task that gets no frames (`idle`); the share of moments with a pose of the last FRESH_S (`fresh`); and each
     `cause` of missed deadlines with its share of frames. Evaluators may require the times in milliseconds of
-    `encoding`, `decoding` and `reading` a frame (`Evaluator.requires`). Tables recognize an implausible lossless row,
-    one whose every quality in dB is infinite, by its bits `per_pixel` and by how many percent it is `below_png`."""
+    `encoding`, `decoding` and `reading` a frame (`Evaluator.requires`). If all qualities in dB of a row are infinite,
+    its bits `per_pixel` and how many percent it is `below_png` tell tables whether that is plausible."""
     enough: float | None = None
     """A setting passes if its mean is on the right side of this bound at 95 %.
 

@@ -174,19 +174,19 @@ def record_compilations() -> Iterator[Recorder]:
 
 def text_from_types(arguments: tuple[Any, ...]) -> str:
     """Return the types of a call's arguments, separated by commas. Raises ArgumentTypeError if one has no text."""
-    return ", ".join(map(_text, arguments))
+    return ", ".join(map(_text_from_type, arguments))
 
 
 def types_from_text(text: str) -> tuple[Any, ...]:
     """Parse the text of `text_from_types` into numba types. Raises ArgumentTypeError for anything else."""
     try:
         tree = ast.parse(f"({text},)" if text else "()", mode="eval").body
-        return tuple(_type(part) for part in tree.elts)  # type: ignore[attr-defined]
+        return tuple(_type_from_node(part) for part in tree.elts)  # type: ignore[attr-defined]
     except (SyntaxError, KeyError, ValueError, TypeError, AttributeError, ImportError) as error:
         raise ArgumentTypeError(f"{text!r} is not a list of argument types: {type(error).__name__}: {error}") from error
 
 
-def _text(numba_type: Any) -> str:
+def _text_from_type(numba_type: Any) -> str:
     if str(numba_type) in _SCALARS:
         return str(numba_type)
     if isinstance(numba_type, types.Array) and numba_type.aligned and type(numba_type) is types.Array:
@@ -210,23 +210,23 @@ def _array_text(array: Any) -> str:
     if dimensions:
         dimensions[0] = first
         dimensions[-1] = last if array.ndim > 1 or array.layout == "A" else "::1"
-    text = f"{_text(array.dtype)}[{', '.join(dimensions) or '()'}]"
+    text = f"{_text_from_type(array.dtype)}[{', '.join(dimensions) or '()'}]"
     return text if array.mutable else f"readonly({text})"
 
 
-def _type(node: ast.expr) -> Any:
+def _type_from_node(node: ast.expr) -> Any:
     if isinstance(node, ast.Name):
         return types.none if node.id == "none" else _SCALARS[node.id]
     if isinstance(node, ast.Subscript):
-        return _array(node)
+        return _array_from_node(node)
     if isinstance(node, ast.Tuple):
-        return types.BaseTuple.from_types([_type(part) for part in node.elts])
+        return types.BaseTuple.from_types([_type_from_node(part) for part in node.elts])
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        return _call(node.func.id, node.args)
+        return _type_from_call(node.func.id, node.args)
     raise ValueError(ast.unparse(node))
 
 
-def _array(node: ast.Subscript) -> Any:
+def _array_from_node(node: ast.Subscript) -> Any:
     parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     steps = [ast.unparse(part) for part in parts]
     contiguous = [dimension for dimension, step in enumerate(steps) if step == "::1"]
@@ -234,13 +234,13 @@ def _array(node: ast.Subscript) -> Any:
         raise ValueError(ast.unparse(node))
     layouts = {len(steps) - 1: "C", 0: "F"} if len(steps) > 1 else {0: "C"}
     layout = layouts[contiguous[0]] if contiguous else "A" if steps else "C"
-    return types.Array(_type(node.value), len(steps), layout)
+    return types.Array(_type_from_node(node.value), len(steps), layout)
 
 
-def _call(name: str, arguments: list[ast.expr]) -> Any:
+def _type_from_call(name: str, arguments: list[ast.expr]) -> Any:
     """Return the type that is written as a call: `readonly`, `omitted` or `named`."""
     if name == "readonly":
-        array = _type(arguments[0])
+        array = _type_from_node(arguments[0])
         return types.Array(array.dtype, array.ndim, array.layout, readonly=True)
     if name == "omitted":
         return types.Omitted(ast.literal_eval(arguments[0]))
@@ -250,4 +250,4 @@ def _call(name: str, arguments: list[ast.expr]) -> Any:
     tuple_class: Any = importlib.import_module(module)
     for part in qualname.split("."):
         tuple_class = getattr(tuple_class, part)
-    return types.BaseTuple.from_types([_type(part) for part in arguments[1:]], tuple_class)
+    return types.BaseTuple.from_types([_type_from_node(part) for part in arguments[1:]], tuple_class)
