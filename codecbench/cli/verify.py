@@ -16,10 +16,9 @@ import click
 from codecbench.cli.completion import codec_names
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
-from codecbench.core.conformance.examination import TIMEOUT_S, Examiner, Subject, Unexamined
 from codecbench.core.conformance.harness import Check
 from codecbench.core.conformance.settings import setting_from_text, setting_label
-from codecbench.core.conformance.suite import CHECKS, CheckResult, checks_of
+from codecbench.core.conformance.suite import CHECKS, TIMEOUT_S, CheckResult, Examiner, Subject, Unexamined, checks_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugins.plugin import Plugin
 from codecbench.core.engine.plugins.registry import installed

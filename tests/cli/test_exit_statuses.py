@@ -351,7 +351,7 @@ def test_the_most_telling_rows_of_a_comparison_are_shown(place: Place) -> None:
         pytest.param("data list", "codecbench.plugins.datasets.catalog", marks=pytest.mark.slow),
         pytest.param("warm-up tiny.yaml", "codecbench.core.engine.planning.plan", marks=pytest.mark.slow),
         ("run tiny.yaml", "codecbench.core.engine.planning.plan"),
-        ("verify raw", "codecbench.core.conformance.examination"),
+        ("verify raw", "codecbench.core.conformance.suite"),
     ],
 )
 def test_an_interrupted_command_says_so(place: Place, tmp_path: Path, words: str, module: str) -> None:

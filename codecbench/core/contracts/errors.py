@@ -1,4 +1,4 @@
-"""The errors that codecbench raises on purpose.
+"""The errors that codecbench raises on purpose, and the warnings of renamed fields.
 
 Each message says what is wrong, where, what is allowed and what to do next. Any other exception from a plugin is a
 fault of that plugin and becomes the reason of its cell.
@@ -6,8 +6,13 @@ fault of that plugin and becomes the reason of its cell.
 
 from __future__ import annotations
 
+import functools
 import json
-from typing import Any, get_args
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar, get_args
+
+T = TypeVar("T")
 
 
 class CodecbenchError(Exception):
@@ -78,3 +83,40 @@ class Unsupported(CodecbenchError):
     Raise it if a library, a system tool or a property of the sequence is missing. Say what is missing and which command
     provides it.
     """
+
+
+def former_names(**current: str) -> Callable[[type[T]], type[T]]:
+    """Let a dataclass be created and read by deprecated names of its fields, given as `former="current"`.
+
+    `__former_names__` lists them, for reading stored records.
+    """
+
+    def decorate(cls: type[T]) -> type[T]:
+        create: Any = cls.__init__
+
+        @functools.wraps(create)
+        def init(self: Any, *values: Any, **named: Any) -> None:
+            for former in current.keys() & named.keys():
+                _warn(cls, former, current[former])
+                named[current[former]] = named.pop(former)
+            create(self, *values, **named)
+
+        for former, name in current.items():
+            setattr(cls, former, _alias(cls, former, name))
+        for name, value in (("__init__", init), ("__former_names__", current)):
+            setattr(cls, name, value)
+        return cls
+
+    return decorate
+
+
+def _alias(cls: type[Any], former: str, name: str) -> property:
+    def read(self: Any) -> Any:
+        _warn(cls, former, name)
+        return getattr(self, name)
+
+    return property(read, doc=f"The former name of `{name}`.")
+
+
+def _warn(cls: type[Any], former: str, name: str) -> None:
+    warnings.warn(f"{cls.__name__}.{former} is now called {name}", DeprecationWarning, stacklevel=3)

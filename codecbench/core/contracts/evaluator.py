@@ -17,9 +17,8 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 
 from codecbench.core.contracts.codec import AnyCodec
-from codecbench.core.contracts.errors import PluginError
+from codecbench.core.contracts.errors import PluginError, former_names
 from codecbench.core.contracts.features import Features
-from codecbench.core.contracts.former_names import former_names
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.metric import Metric, Quantity

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 from typing import Final, Literal, get_args
 
-from codecbench.core.contracts.errors import PluginError, require_choice
-from codecbench.core.contracts.former_names import former_names
+from codecbench.core.contracts.errors import PluginError, former_names, require_choice
 
 Better = Literal["higher", "lower", "neither"]
 Role = Literal["rate", "quality", "task", "time", "operations", "behaviour", "success"]

@@ -8,8 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.errors import PluginError, require_choice
-from codecbench.core.contracts.former_names import former_names
+from codecbench.core.contracts.errors import PluginError, former_names, require_choice
 
 ViewKind = Literal["curve", "bars", "map"]
 Stroke = Literal["truth", "before", "after"]
