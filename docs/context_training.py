@@ -20,13 +20,17 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.image import Image
 from codecbench.plugins.codecs.dct.planes import padded, planes_from_image
 from codecbench.plugins.codecs.dct.tables import FLAT
-from codecbench.plugins.codecs.multilevel.context import predictors, priors
+from codecbench.plugins.codecs.multilevel.context import contexts, outer
 from codecbench.plugins.codecs.multilevel.context.binary import new_coder
 from codecbench.plugins.codecs.multilevel.context.coefficients import MAX_BLOCK_BYTES, code_blocks
 from codecbench.plugins.codecs.multilevel.context.contexts import CONTEXTS, WEIGHT_SETS
-from codecbench.plugins.codecs.multilevel.context.optimisation import estimate_costs, optimise
-from codecbench.plugins.codecs.multilevel.context.predictors import DC_PLACES, PREDICTION_BITS, edge_places
-from codecbench.plugins.codecs.multilevel.context.quantisation import quantise, steps_from_table
+from codecbench.plugins.codecs.multilevel.context.outer import DC_PLACES, PREDICTION_BITS, edge_places
+from codecbench.plugins.codecs.multilevel.context.quantization import (
+    estimate_costs,
+    optimise,
+    quantise,
+    steps_from_table,
+)
 from codecbench.plugins.codecs.multilevel.context.transform import forward_transform
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.textures import photograph
@@ -55,8 +59,8 @@ def main() -> None:
     """Train on all pictures and write both files."""
     chosen = [*photographs(), *frames_of_worlds()]
     print(f"{len(chosen)} pictures")
-    write(chosen, predictors.FILE, priors.FILE)
-    for file in (predictors.FILE, priors.FILE):
+    write(chosen, outer.PREDICTORS_FILE, contexts.PRIORS_FILE)
+    for file in (outer.PREDICTORS_FILE, contexts.PRIORS_FILE):
         print(f"{file}: {file.stat().st_size} bytes")
 
 

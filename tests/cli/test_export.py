@@ -27,7 +27,7 @@ from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
-from codecbench.plugins.codecs.video.colour import image_from_frame
+from codecbench.plugins.codecs.video.color import image_from_frame
 from codecbench.plugins.codecs.video.header import Header
 from codecbench.plugins.codecs.video.muxing import file_from_packets
 

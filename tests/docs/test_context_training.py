@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from project import DOCS
 
-from codecbench.plugins.codecs.multilevel.context import predictors, priors
-from codecbench.plugins.codecs.multilevel.context.dc import dc_prediction
-from codecbench.plugins.codecs.multilevel.context.edges import edge_prediction
+from codecbench.plugins.codecs.multilevel.context import contexts, outer
+from codecbench.plugins.codecs.multilevel.context.outer import dc_prediction, edge_prediction
 from codecbench.plugins.datasets.synthetic.textures import PHOTOGRAPH_FILES
 
 sys.path.insert(0, str(DOCS))
@@ -65,7 +64,7 @@ def test_two_pictures_give_files_of_the_format(tmp_path: Path) -> None:
     pictures = [image[:96, :128] for image in context_training.photographs() if image.ndim == 3][:2]
     made = tmp_path / "predictors.npz", tmp_path / "priors.npz"
     context_training.write(pictures, *made)
-    for file, ours in zip(made, (predictors.FILE, priors.FILE), strict=True):
+    for file, ours in zip(made, (outer.PREDICTORS_FILE, contexts.PRIORS_FILE), strict=True):
         with np.load(file) as small, np.load(ours) as kept:
             assert {name: (small[name].shape, small[name].dtype) for name in small} == {
                 name: (kept[name].shape, kept[name].dtype) for name in kept

@@ -22,7 +22,7 @@ from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.jfif.markers import (
+from codecbench.plugins.codecs.jfif import (
     SOF_BASELINE,
     SOF_EXTENDED,
     SOF_PROGRESSIVE,
@@ -31,7 +31,7 @@ from codecbench.plugins.codecs.jfif.markers import (
     read_frame_header,
     read_segments,
 )
-from codecbench.plugins.codecs.jfif.restart import salvage
+from codecbench.plugins.codecs.jpeg_restart import salvage
 from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
 from codecbench.plugins.codecs.recipes import (
     CONVERSION,

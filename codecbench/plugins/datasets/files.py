@@ -18,7 +18,7 @@ from PIL import Image as PillowImage
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count
 from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
-from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
+from codecbench.plugins.codecs.jfif import quality_from_jpeg
 from codecbench.plugins.datasets.selection import Color, convert_color, workaround
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")

@@ -114,14 +114,14 @@ def test_a_setting_names_the_kernels_that_it_calls() -> None:
     [
         ({}, "tables:encode_tuples"),
         ({"color": "ycbcr420"}, "color:halve color:rgb_from_ycbcr tables:encode_tuples"),
-        ({"decoding": "search"}, "search:greedy_search tables:encode_codes"),
-        ({"effort": "fast", "scan": "coefficient"}, "rice:encode_ordered_tuples scan:_transpose"),
+        ({"decoding": "search"}, "keys:greedy_search tables:encode_codes"),
+        ({"effort": "fast", "scan": "coefficient"}, "levels:_transpose rice:encode_ordered_tuples"),
     ],
 )
 def test_of_the_kernels_that_differ_a_setting_lists_its_own(setting: dict[str, str], kernels: str) -> None:
     differ = {
         "color:rgb_from_ycbcr", "color:halve", "tables:encode_tuples", "tables:encode_codes",
-        "rice:encode_ordered_tuples", "scan:_transpose", "search:greedy_search",
+        "rice:encode_ordered_tuples", "levels:_transpose", "keys:greedy_search",
     }  # fmt: skip
     called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
     listed_ahead = {entry.kernel.rpartition(".")[2] for name in called for entry in entries_of(name)}

@@ -12,7 +12,14 @@ from scipy.fft import dctn
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.codecs.dct import tables
-from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
+from codecbench.plugins.codecs.dct.blocks import (
+    blocks_from_plane,
+    dequantise,
+    inverse_zigzag,
+    plane_from_blocks,
+    quantise,
+    zigzag,
+)
 from codecbench.plugins.codecs.dct.planes import (
     cropped,
     image_from_planes,
@@ -20,7 +27,6 @@ from codecbench.plugins.codecs.dct.planes import (
     plane_shapes,
     planes_from_image,
 )
-from codecbench.plugins.codecs.dct.quantisation import dequantise, inverse_zigzag, quantise, zigzag
 from codecbench.plugins.codecs.dct.transform import forward_dct, inverse_dct
 
 COLORS = ("gray", "rgb", "ycbcr444", "ycbcr420")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from codecbench.plugins.codecs.jfif.quality import JpegQuality, libjpeg_steps, quality_from_jpeg
+from codecbench.plugins.codecs.jfif import JpegQuality, libjpeg_steps, quality_from_jpeg
 
 PICTURE = PillowImage.fromarray(np.random.default_rng(0).integers(0, 256, (16, 16, 3), dtype=np.uint8))
 

@@ -7,9 +7,9 @@ import pytest
 import skimage.data
 
 from codecbench import BitstreamError, Fragment, Unsupported
-from codecbench.plugins.codecs.jfif.restart import salvage
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
+from codecbench.plugins.codecs.jpeg_restart import salvage
 from codecbench.plugins.codecs.multilevel.codec import Multilevel
 from codecbench.plugins.codecs.png import Png
 

@@ -7,13 +7,15 @@ Planes go through in stripes that fit the cache, which also bounds the memory th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.counting.kernel import kernel
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.planes import Plane
-from codecbench.plugins.codecs.dct.quantisation import dequantise, inverse_zigzag, quantise, zigzag
+from codecbench.plugins.codecs.dct.tables import ZIGZAG
 from codecbench.plugins.codecs.dct.transform import forward_dct, inverse_dct
 
 Blocks = NDArray[np.int32]
@@ -89,3 +91,48 @@ def _stripes(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
     for top in range(0, block_rows, step):
         bottom = min(top + step, block_rows)
         yield slice(top * 8, bottom * 8), slice(top * columns, bottom * columns)
+
+
+_ALMOST_HALF = np.float32(0.49999997)
+"""The largest float32 below 0.5: added before truncation, it rounds every float32 half away from zero, while 0.5
+would also carry 0.49999997 to 1."""
+
+
+@kernel(error_model="numpy")
+def quantise(coefficients: Any, steps: Any, indices: Any) -> None:
+    """Index q = round(C / step), halves away from zero.
+
+    coefficients: (blocks, 64) float32. steps: (64,) float32, in the same order, with |C| / step below 2^31.
+    indices: (blocks, 64) int32, filled.
+    """
+    # Steps are positive: checking each for zero, as Python's division would, takes four times as long.
+    for block in range(coefficients.shape[0]):
+        for place in range(64):
+            # A true division: a product with 1 / step would move coefficients that lie half way.
+            ratio = coefficients[block, place] / steps[place]
+            margin = _ALMOST_HALF if ratio >= 0 else -_ALMOST_HALF
+            indices[block, place] = np.int32(ratio + margin)
+
+
+@kernel
+def dequantise(indices: Any, steps: Any, coefficients: Any) -> None:
+    """Coefficient C = q * step; shapes as in `quantise`, `coefficients` filled."""
+    for block in range(indices.shape[0]):
+        for place in range(64):
+            coefficients[block, place] = np.float32(indices[block, place]) * steps[place]
+
+
+@kernel
+def zigzag(natural: Any, scanned: Any) -> None:
+    """Zigzag order from natural order, block by block; both (blocks, 64), `scanned` filled."""
+    for block in range(natural.shape[0]):
+        for rank in range(64):
+            scanned[block, rank] = natural[block, ZIGZAG[rank]]
+
+
+@kernel
+def inverse_zigzag(scanned: Any, natural: Any) -> None:
+    """Natural order from zigzag order, block by block; both (blocks, 64), `natural` filled."""
+    for block in range(scanned.shape[0]):
+        for rank in range(64):
+            natural[block, ZIGZAG[rank]] = scanned[block, rank]

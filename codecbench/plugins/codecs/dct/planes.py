@@ -26,7 +26,7 @@ _DCT = "codecbench.plugins.codecs.dct"
 
 def dct_kernels(color: Color) -> tuple[str, ...]:
     """The kernels of this package that a setting with planes of this color space calls, for `Codec.kernels`."""
-    names = ["planes", "quantisation", "transform"]
+    names = ["blocks", "planes", "transform"]
     if color != "rgb":
         names += ["color.luma_from_rgb", "color.chroma_from_rgb", "color.rgb_from_ycbcr"]
     if color == "ycbcr420":

@@ -7,7 +7,7 @@ part of the transform) and `huffman`.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,15 @@ from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.image import Image, channel_count, check_image
 from codecbench.core.contracts.params import Params
-from codecbench.core.counting.trace import NULL_TRACE, Trace
+from codecbench.core.counting.kernel import kernel
+from codecbench.core.counting.trace import NULL_TRACE, Run, Trace
 from codecbench.plugins.codecs.dct import tables
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
-from codecbench.plugins.codecs.dct.color import rgb_from_ycbcr
+from codecbench.plugins.codecs.dct.color import double, rgb_from_ycbcr
 from codecbench.plugins.codecs.dct.planes import cropped, dct_kernels, padded, planes_from_image
-from codecbench.plugins.codecs.jfif.markers import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
+from codecbench.plugins.codecs.jfif import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
 from codecbench.plugins.codecs.jpeg_qf.interchange import MAX_JPEG_QF_PIXELS, CodedPicture, read_file, write_file
 from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, scan_layout, write_scan
-from codecbench.plugins.codecs.jpeg_qf.upsampling import enlarged
 
 _SHIFT = 128.0
 _MAX_STEP = 65535
@@ -137,3 +137,45 @@ def _part_shapes(header: FrameHeader) -> list[tuple[int, int]]:
         (-(-header.height * component.v // luma.v), -(-header.width * component.h // luma.h))
         for component in header.components
     ]
+
+
+_NARROWEST_SMOOTHED = 3
+"""Planes of one or two samples across are repeated, not interpolated."""
+
+
+def enlarged(plane: NDArray[np.uint8], h: int, v: int, shape: tuple[int, int], run: Run) -> NDArray[np.uint8]:
+    """The plane, of which every sample covers h x v pixels, at `shape` (height, width) of the image.
+
+    (h, v) is (1, 1), (2, 1) or (2, 2).
+    """
+    if h == v == 1:
+        return plane
+    large = np.empty(shape, np.uint8)
+    if plane.shape[1] < _NARROWEST_SMOOTHED:
+        run(repeat, plane, h, v, large)
+    else:
+        run(double if v == 2 else widen, plane, large)
+    return large
+
+
+@kernel
+def repeat(plane: Any, h: Any, v: Any, large: Any) -> None:
+    """Every sample h times across and v times down, as far as `large` goes."""
+    for row in range(large.shape[0]):
+        for column in range(large.shape[1]):
+            large[row, column] = plane[row // v, column // h]
+
+
+@kernel
+def widen(plane: Any, large: Any) -> None:
+    """Twice as wide: 3:1 means of the nearest two samples, rounded halves down on even columns and up on odd ones.
+
+    plane: (H, ceil W/2) uint8. large: (H, W) uint8, filled.
+    """
+    last = plane.shape[1] - 1
+    for row in range(large.shape[0]):
+        for column in range(large.shape[1]):
+            odd = column & 1
+            near = column >> 1
+            far = min(max(near - 1 + 2 * odd, 0), last)
+            large[row, column] = np.uint8((3 * np.int32(plane[row, near]) + np.int32(plane[row, far]) + 1 + odd) >> 2)

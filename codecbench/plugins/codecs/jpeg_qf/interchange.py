@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
-from codecbench.plugins.codecs.jfif.markers import (
+from codecbench.plugins.codecs.jfif import (
     APP0,
     APP14,
     APP15,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.counting.trace import Trace
-from codecbench.plugins.codecs.jfif.markers import FrameHeader
+from codecbench.plugins.codecs.jfif import FrameHeader
 from codecbench.plugins.codecs.jpeg_qf import entropy
 from codecbench.plugins.codecs.jpeg_qf.huffman_tables import (
     STANDARD_TABLES,

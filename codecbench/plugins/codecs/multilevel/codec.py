@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -25,13 +26,13 @@ from codecbench.plugins.codecs.dct.planes import (
 from codecbench.plugins.codecs.dct.tables import steps_from_table
 from codecbench.plugins.codecs.multilevel import entropy_coding
 from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, pack, unpack, version_of
+from codecbench.plugins.codecs.multilevel.context import bitstream as context
 from codecbench.plugins.codecs.multilevel.context import profile
 from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, ContextHeader
 from codecbench.plugins.codecs.multilevel.header import CONTEXT_VERSION, MAX_SAMPLES, TABLES, Header, Picture
 from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked, manual_keys, random_keys
-from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised
+from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised, scanned, unscanned
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams
-from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
 
 _HERE = "codecbench.plugins.codecs.multilevel"
 _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.codecs.dct.planes", f"{_HERE}.context")
@@ -39,11 +40,11 @@ _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.c
 
 def static_kernels(params: MultilevelParams) -> tuple[str, ...]:
     """What a setting of the profile `static` calls."""
-    names = ["arithmetic", "minimise"]
+    names = ["arithmetic", "minimize"]
     if params.scan == "coefficient":
-        names += ["scan"]
+        names += ["levels"]
     if params.decoding == "search":
-        names += ["tables.encode_codes", "tables.decode_codes", "search"]
+        names += ["tables.encode_codes", "tables.decode_codes", "keys"]
     else:
         names += ["rice"] if params.effort == "fast" else ["tables.encode_tuples", "tables.decode_tuples"]
     return *dct_kernels(params.color), *(f"{_HERE}.{name}" for name in names)
@@ -207,3 +208,30 @@ def image_from_values(values: NDArray[np.int32], header: Header, trace: Trace) -
         planes.append(cropped(plane, shape, trace))
         start = stop
     return image_from_planes(planes, header.color, header.channels, trace)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Where the bytes of a bitstream go. header: fixed fields, custom table, section sizes, checksum."""
+
+    header: int
+    tables: tuple[int, ...]
+    keys: tuple[int, ...]
+    payload: int
+    entries: tuple[int, ...]
+
+    @property
+    def total(self) -> int:
+        return self.header + sum(self.tables) + sum(self.keys) + self.payload
+
+
+def describe(bitstream: bytes) -> Sizes:
+    """Bytes of header, tables and keys by level, and payload; raises BitstreamError as decoding would."""
+    if version_of(bitstream) == CONTEXT_VERSION:
+        payload = sum(map(len, context.unpack(bitstream)[1]))
+        return Sizes(len(bitstream) - payload, (), (), payload, ())
+    parts = unpack(bitstream)
+    tables = tuple(len(level.table) for level in parts.levels)
+    keys = tuple(level.keys.nbytes for level in parts.levels)
+    header = len(bitstream) - sum(tables) - sum(keys) - len(parts.payload)
+    return Sizes(header, tables, keys, len(parts.payload), tuple(level.entries for level in parts.levels))

@@ -13,18 +13,22 @@ from codecbench.core.counting.trace import Trace
 from codecbench.plugins.codecs.multilevel.arithmetic import decode_symbols, encode_symbols
 from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, check_end, filled_up
 from codecbench.plugins.codecs.multilevel.header import Header
-from codecbench.plugins.codecs.multilevel.keys import MANUAL_BITS, MAX_CODE, Keys, colliding_digits, is_super_increasing
-from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
-from codecbench.plugins.codecs.multilevel.rice import decode_ordered_tuples, encode_ordered_tuples
-from codecbench.plugins.codecs.multilevel.search import (
+from codecbench.plugins.codecs.multilevel.keys import (
     FREE_PRUNED_TESTS,
+    MANUAL_BITS,
+    MAX_CODE,
     MAX_SEQUENTIAL_TESTS,
     PRUNED_TESTS_PER_BYTE,
+    Keys,
     Search,
+    colliding_digits,
     greedy_search,
+    is_super_increasing,
     pruned_search,
     sequential_search,
 )
+from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
+from codecbench.plugins.codecs.multilevel.rice import decode_ordered_tuples, encode_ordered_tuples
 from codecbench.plugins.codecs.multilevel.tables import (
     BAD_COUNTS,
     OUT_OF_RANGE,

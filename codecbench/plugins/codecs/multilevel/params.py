@@ -11,9 +11,8 @@ from codecbench.plugins.codecs.dct.planes import Color
 from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, MAX_RESTART
 from codecbench.plugins.codecs.multilevel.context.profile import Effort
 from codecbench.plugins.codecs.multilevel.header import MAX_GROUP, MAX_LEVELS, MAX_QF, MIN_GROUP, MIN_QF
-from codecbench.plugins.codecs.multilevel.keys import AutomaticKeys
-from codecbench.plugins.codecs.multilevel.scan import Scan
-from codecbench.plugins.codecs.multilevel.search import Search
+from codecbench.plugins.codecs.multilevel.keys import AutomaticKeys, Search
+from codecbench.plugins.codecs.multilevel.levels import Scan
 
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Step = Annotated[int, Field(ge=1, le=65535)]

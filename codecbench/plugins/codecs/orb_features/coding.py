@@ -21,7 +21,7 @@ from codecbench.plugins.codecs.multilevel.context.binary import (
     WIDTH,
     code_adaptive,
 )
-from codecbench.plugins.codecs.orb_features.references import (
+from codecbench.plugins.codecs.orb_features.keypoints import (
     MAX_CANDIDATES,
     PLACE_UNIT,
     candidate_of,

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
+
+from pydantic import Field
 
 from codecbench.core.contracts.codec import Capabilities, StreamCodec
 from codecbench.core.contracts.recipe import Recipe, Scene
-from codecbench.plugins.codecs.video.decoding import VideoDecoder
-from codecbench.plugins.codecs.video.encoding import VideoEncoder
+from codecbench.plugins.codecs.video.encoders import ENCODERS, Encoder, Gop, PixelFormat, VideoParams
 from codecbench.plugins.codecs.video.library import open_encoder, require, versions
-from codecbench.plugins.codecs.video.params import (
-    Av1Params,
-    Ffv1Params,
-    H264Params,
-    HevcParams,
-    MjpegParams,
-    VideoParams,
-    Vp9Params,
-)
 from codecbench.plugins.codecs.video.recipes import recipes
+from codecbench.plugins.codecs.video.sessions import VideoDecoder, VideoEncoder
 
 V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
@@ -67,6 +60,22 @@ class VideoCodec(StreamCodec[V]):
         return versions()
 
 
+class H264Params(VideoParams):
+    """H.264, by x264 (preset veryfast, crf 23) or by an encoder in hardware."""
+
+    encoder: Literal["libx264", "h264_nvenc", "h264_v4l2m2m", "h264_vaapi"] = Field(
+        "libx264", description="FFmpeg's name of the encoder"
+    )
+
+    @classmethod
+    def encoder_of(cls, values: Any) -> Encoder | None:
+        return ENCODERS.get(str(values.get("encoder", "libx264")))
+
+    @property
+    def traits(self) -> Encoder:
+        return ENCODERS[self.encoder]
+
+
 class H264(VideoCodec[H264Params]):
     """H.264 (ITU-T H.264, ISO/IEC 14496-10) by x264, or by an encoder in hardware."""
 
@@ -82,6 +91,12 @@ class H264(VideoCodec[H264Params]):
     magic = b"V264"
 
 
+class HevcParams(VideoParams):
+    """HEVC (H.265), by x265: preset veryfast, crf 28."""
+
+    encoder_name = "libx265"
+
+
 class Hevc(VideoCodec[HevcParams]):
     """HEVC (ITU-T H.265, ISO/IEC 23008-2) by x265."""
 
@@ -89,6 +104,12 @@ class Hevc(VideoCodec[HevcParams]):
     params_type = HevcParams
     examples = ({}, {"qp": 30, "pixel_format": "yuv444p", "gop": 5}, {"latency": "any", "gop": 8})
     magic = b"V265"
+
+
+class Av1Params(VideoParams):
+    """AV1, by SVT-AV1: preset 8 of 0 (small) to 13 (fast), crf 35."""
+
+    encoder_name = "libsvtav1"
 
 
 class Av1(VideoCodec[Av1Params]):
@@ -101,6 +122,12 @@ class Av1(VideoCodec[Av1Params]):
     magic = b"VAV1"
 
 
+class Vp9Params(VideoParams):
+    """VP9, by libvpx: preset (its cpu-used) 7 of 0 (small) to 9 (fast), crf 32."""
+
+    encoder_name = "libvpx-vp9"
+
+
 class Vp9(VideoCodec[Vp9Params]):
     """VP9 by libvpx."""
 
@@ -110,6 +137,13 @@ class Vp9(VideoCodec[Vp9Params]):
     magic = b"VVP9"
 
 
+class MjpegParams(VideoParams):
+    """Motion JPEG, by FFmpeg: a JPEG for each picture, at qp 5 of 1 (large) to 31."""
+
+    encoder_name = "mjpeg"
+    gop: Gop = Field(1, ge=1, description="1: each picture stands alone")
+
+
 class Mjpeg(VideoCodec[MjpegParams]):
     """Motion JPEG: a picture's packet is a JPEG. What memory is worth shows in the difference from it."""
 
@@ -117,6 +151,13 @@ class Mjpeg(VideoCodec[MjpegParams]):
     params_type = MjpegParams
     examples = ({}, {"qp": 2, "pixel_format": "yuv444p"})
     magic = b"VJPG"
+
+
+class Ffv1Params(VideoParams):
+    """FFV1 (RFC 9043), by FFmpeg: lossless of what it is given."""
+
+    encoder_name = "ffv1"
+    pixel_format: PixelFormat = Field("rgb", description="rgb keeps every sample; the others what their format keeps")
 
 
 class Ffv1(VideoCodec[Ffv1Params]):

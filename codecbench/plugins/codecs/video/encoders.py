@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
-if TYPE_CHECKING:
-    from codecbench.plugins.codecs.video.params import VideoParams
+from pydantic import BeforeValidator, Field, model_validator
+
+from codecbench.core.contracts.params import Params
 
 PixelFormat = Literal["gray", "yuv420p", "yuv444p", "rgb"]
 RATES: Final = ("crf", "qp", "bitrate_kbps")
@@ -111,6 +112,63 @@ class Encoder:
     def ffmpeg_format(self, params: VideoParams) -> str:
         """The pixel format by FFmpeg's name."""
         return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
+
+
+_INTRA_ONLY = "intra_only"
+
+
+def _frames_from_gop(value: Any) -> Any:
+    return 1 if value == _INTRA_ONLY else value
+
+
+Gop = Annotated[int, BeforeValidator(_frames_from_gop, json_schema_input_type=int | Literal["intra_only"])]
+
+
+class VideoParams(Params):
+    """What an encoder is asked for: a rate by one of `crf`, `qp` and `bitrate_kbps`, and how it codes.
+
+    Where no rate, preset or pixel format is given, it is the encoder's usual one. encoder_name: FFmpeg's name.
+    """
+
+    encoder_name: ClassVar[str]
+
+    crf: float | None = Field(None, description="constant quality, on the encoder's scale: the higher, the smaller")
+    qp: int | None = Field(None, description="constant quantiser, on the encoder's scale: the higher, the smaller")
+    bitrate_kbps: float | None = Field(None, description="bit rate at the sequence's frame rate")
+    vbv_ms: float = Field(1000, ge=20, le=10000, description="buffer that bounds a bit rate, as time at that rate")
+    preset: str | int | None = Field(None, description="the encoder's trade of time for size, by its own name")
+    gop: Gop = Field(30, ge=1, le=1000, description="frames from start to start; intra_only is 1")
+    intra_refresh: bool = Field(False, description="a column of intra blocks that moves over `gop` frames, no starts")
+    pixel_format: PixelFormat = Field("yuv420p", description="what is coded: gray, or chroma at half or full size")
+    threads: Literal[1] = Field(1, description="threads of the encoder; with one its bytes repeat")
+    latency: Literal["low", "any"] = Field("low", description="low: each packet at once; any: look-ahead, B-frames")
+
+    @classmethod
+    def encoder_of(cls, values: Any) -> Encoder | None:
+        """The encoder that these values ask for, where they do so validly."""
+        return ENCODERS[cls.encoder_name]
+
+    @property
+    def traits(self) -> Encoder:
+        """What is known of the encoder that these settings are for."""
+        return ENCODERS[self.encoder_name]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or (encoder := cls.encoder_of(values)) is None:
+            return values
+        usual = dict(encoder.usual)
+        if any(values.get(name) is not None for name in RATES):
+            usual = {name: value for name, value in usual.items() if name not in RATES}
+        return {**usual, **{name: value for name, value in values.items() if name not in usual or value is not None}}
+
+    @model_validator(mode="after")
+    def _the_encoder_can(self) -> Self:
+        faults = list(self.traits.faults(self))
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
 
 
 def _listed(values: tuple[str | int, ...]) -> str:

@@ -11,9 +11,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 from codecbench.core.contracts.errors import Unsupported
-from codecbench.plugins.codecs.video.encoders import Encoder
+from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
 from codecbench.plugins.codecs.video.header import Header
-from codecbench.plugins.codecs.video.params import VideoParams
 
 if TYPE_CHECKING:
     from av import Packet, VideoCodecContext, VideoFrame

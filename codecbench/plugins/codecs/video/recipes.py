@@ -11,7 +11,7 @@ from typing import Final
 
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.plugins.codecs.recipes import CONVERSION, FULL_RANGE, GSTREAMER, ffmpeg, gstreamer, sentences
-from codecbench.plugins.codecs.video.params import VideoParams
+from codecbench.plugins.codecs.video.encoders import VideoParams
 
 _TRANSPORT: Final = "ROS 2 ffmpeg_image_transport 3.0"
 _CAMERA_RATE: Final = {"libx264": "x264-params", "libx265": "x265-params"}

@@ -15,7 +15,7 @@ from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
-from codecbench.plugins.codecs.jfif.quality import quality_from_jpeg
+from codecbench.plugins.codecs.jfif import quality_from_jpeg
 
 _COMPRESSED_FORMATS: Final = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
 

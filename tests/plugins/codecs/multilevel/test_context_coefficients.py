@@ -14,9 +14,8 @@ from codecbench.plugins.codecs.multilevel.context.coefficients import (
     TRUNCATED,
     code_blocks,
 )
-from codecbench.plugins.codecs.multilevel.context.contexts import INNER, MAX_INDEX
-from codecbench.plugins.codecs.multilevel.context.predictors import predictors
-from codecbench.plugins.codecs.multilevel.context.priors import new_statistics
+from codecbench.plugins.codecs.multilevel.context.contexts import INNER, MAX_INDEX, new_statistics
+from codecbench.plugins.codecs.multilevel.context.outer import predictors
 
 COLUMNS = 5
 EDGES, DC = predictors(FLAT, True)

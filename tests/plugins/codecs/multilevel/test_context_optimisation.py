@@ -7,9 +7,13 @@ import pytest
 from multilevel_pictures import textured
 
 from codecbench.plugins.codecs.dct.tables import FLAT
-from codecbench.plugins.codecs.multilevel.context import optimisation
-from codecbench.plugins.codecs.multilevel.context.optimisation import estimate_costs, optimise
-from codecbench.plugins.codecs.multilevel.context.quantisation import quantise, steps_from_table
+from codecbench.plugins.codecs.multilevel.context import quantization
+from codecbench.plugins.codecs.multilevel.context.quantization import (
+    estimate_costs,
+    optimise,
+    quantise,
+    steps_from_table,
+)
 from codecbench.plugins.codecs.multilevel.context.transform import forward_transform
 
 COLUMNS = 16
@@ -38,7 +42,7 @@ def costs_of(indices: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("number", [1, 2, 3, 100, 511, 512, 12_345, 10**9])
 def test_logarithms(number: int) -> None:
-    assert optimisation._logarithm(number) / 256 == pytest.approx(np.log2(number), abs=2 / 256)
+    assert quantization._logarithm(number) / 256 == pytest.approx(np.log2(number), abs=2 / 256)
 
 
 def test_costs_are_those_of_the_frequencies() -> None:
@@ -81,9 +85,9 @@ def lagrangian(coefficients: np.ndarray, indices: np.ndarray, costs: np.ndarray)
     total = 0.0
     for block in range(len(coefficients)):
         for place in range(1, 64):
-            context = optimisation._context(indices, block, COLUMNS, place)
+            context = quantization._context(indices, block, COLUMNS, place)
             magnitude = abs(int(indices[block, place]))
-            bits = optimisation._cost_of(costs, context, place, magnitude) if magnitude else costs[place, context, 0]
+            bits = quantization._cost_of(costs, context, place, magnitude) if magnitude else costs[place, context, 0]
             error = abs(coefficients[block, place]) * 256 / STEPS[place] - magnitude
-            total += error**2 + optimisation.PRICE / 256 * bits / 256
+            total += error**2 + quantization.PRICE / 256 * bits / 256
     return total

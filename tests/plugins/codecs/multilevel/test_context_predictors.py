@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE
-from codecbench.plugins.codecs.multilevel.context.dc import dc_prediction
-from codecbench.plugins.codecs.multilevel.context.edges import edge_prediction
-from codecbench.plugins.codecs.multilevel.context.predictors import PREDICTION_BITS, predictors
-from codecbench.plugins.codecs.multilevel.context.quantisation import quantise, steps_from_table
+from codecbench.plugins.codecs.multilevel.context.outer import (
+    PREDICTION_BITS,
+    dc_prediction,
+    edge_prediction,
+    predictors,
+)
+from codecbench.plugins.codecs.multilevel.context.quantization import quantise, steps_from_table
 from codecbench.plugins.codecs.multilevel.context.transform import forward_transform
 
 COLUMNS = 12

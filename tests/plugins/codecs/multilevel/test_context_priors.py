@@ -7,8 +7,7 @@ import pytest
 
 from codecbench.plugins.codecs.multilevel.context import profile
 from codecbench.plugins.codecs.multilevel.context.binary import MAX_SEEN
-from codecbench.plugins.codecs.multilevel.context.contexts import CONTEXTS, WEIGHT_SETS
-from codecbench.plugins.codecs.multilevel.context.priors import new_statistics
+from codecbench.plugins.codecs.multilevel.context.contexts import CONTEXTS, WEIGHT_SETS, new_statistics
 
 
 @pytest.mark.parametrize("chroma", [False, True])

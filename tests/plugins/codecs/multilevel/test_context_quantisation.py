@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from codecbench.plugins.codecs.dct.tables import FLAT, LUMINANCE
-from codecbench.plugins.codecs.multilevel.context.quantisation import (
+from codecbench.plugins.codecs.multilevel.context.quantization import (
     MAX_BIAS,
     MIN_BIAS,
     STEP_BITS,

@@ -14,11 +14,13 @@ from codecbench.plugins.codecs.multilevel.keys import (
     canonical_keys,
     checked,
     colliding_digits,
+    greedy_search,
     is_super_increasing,
     manual_keys,
+    pruned_search,
     random_keys,
+    sequential_search,
 )
-from codecbench.plugins.codecs.multilevel.search import greedy_search, pruned_search, sequential_search
 
 
 def is_one_to_one(keys: np.ndarray, radix: int) -> bool:

@@ -11,9 +11,8 @@ from codecbench.core.contracts.errors import ImageError, KeyCollision
 from codecbench.core.counting.trace import NULL_TRACE
 from codecbench.plugins.codecs.multilevel import levels as levels_module
 from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked, manual_keys, random_keys
-from codecbench.plugins.codecs.multilevel.levels import expanded, minimised
-from codecbench.plugins.codecs.multilevel.minimise import extremes, find_distinct, minimise, sort_order
-from codecbench.plugins.codecs.multilevel.scan import scanned, unscanned
+from codecbench.plugins.codecs.multilevel.levels import expanded, minimised, scanned, unscanned
+from codecbench.plugins.codecs.multilevel.minimize import extremes, find_distinct, minimise, sort_order
 
 
 def canonical(group: int):  # type: ignore[no-untyped-def]

@@ -12,8 +12,7 @@ from video_pictures import gliding_pictures
 from codecbench import LOST, BitstreamError, ImageError
 from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.plugins.codecs.multilevel.codec import Multilevel
-from codecbench.plugins.codecs.multilevel.memory import Memory
-from codecbench.plugins.codecs.multilevel.stream import MultilevelStream
+from codecbench.plugins.codecs.multilevel.stream import Memory, MultilevelStream
 
 SETTINGS: list[dict[str, Any]] = [
     {},

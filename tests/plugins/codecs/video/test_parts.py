@@ -12,7 +12,7 @@ import av
 
 from codecbench import BitstreamError
 from codecbench.plugins.codecs.video.codecs import H264, Ffv1
-from codecbench.plugins.codecs.video.colour import fill_frame, image_from_frame, padded, planes_from_image
+from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, padded, planes_from_image
 from codecbench.plugins.codecs.video.header import Header, frames_to_recovery
 
 

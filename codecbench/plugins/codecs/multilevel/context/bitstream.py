@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.plugins.codecs.multilevel.bitstream import checked, least_size
-from codecbench.plugins.codecs.multilevel.context.quantisation import BIAS_SIZES, BIAS_ZONES, MAX_BIAS, MIN_BIAS
+from codecbench.plugins.codecs.multilevel.context.quantization import BIAS_SIZES, BIAS_ZONES, MAX_BIAS, MIN_BIAS
 from codecbench.plugins.codecs.multilevel.header import (
     COLORS,
     CONTEXT_PROFILE,

@@ -15,9 +15,8 @@ import numpy as np
 from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.multilevel.context.binary import LIMIT, POSITION
 from codecbench.plugins.codecs.multilevel.context.contexts import DC_RESIDUAL
-from codecbench.plugins.codecs.multilevel.context.dc import code_dc
-from codecbench.plugins.codecs.multilevel.context.edges import code_edge
 from codecbench.plugins.codecs.multilevel.context.inner import code_inner
+from codecbench.plugins.codecs.multilevel.context.outer import code_dc, code_edge
 
 TRUNCATED = -1
 BAD_INDEX = -2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.dct.tables import ZIGZAG
-from codecbench.plugins.codecs.multilevel.context.predictors import PREDICTION_BITS
+from codecbench.plugins.codecs.multilevel.context.binary import SEEN_BITS, probabilities_from_odds
 
 INNER = np.array([place for place in ZIGZAG.tolist() if place % 8 and place // 8], np.int32)
 """The 49 places of the inner part, in zigzag order."""
@@ -20,16 +22,12 @@ DC_RESIDUAL = 3
 """What is kept of each coded block: numbers of nonzero indices inside, in the first row and column; |DC residual|."""
 
 
-def _classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
+def classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
     return np.searchsorted(np.array(limits), np.arange(size), side="right").astype(np.int32)
 
 
 _LAST_MAGNITUDE = 63
-_MAGNITUDES = _classes((1, 2, 3, 5, 7, 10, 15, 23, 41), 1 + _LAST_MAGNITUDE)
-_LAST_PREDICTION = 319
-_PREDICTIONS = _classes((3, 6, 10, 16, 24, 40, 70, 140, 280), 1 + _LAST_PREDICTION)
-"""Of a twentieth of an index."""
-
+_MAGNITUDES = classes((1, 2, 3, 5, 7, 10, 15, 23, 41), 1 + _LAST_MAGNITUDE)
 SHARES = np.array([[min(12 * missing // (49 - rank), 11) for rank in range(49)] for missing in range(50)], np.int32)
 """How many twelfths of the places from a rank on are not zero, where so many are missing."""
 
@@ -59,13 +57,26 @@ def class_of(magnitude: Any) -> Any:
 
 
 @kernel(_nrt=False, forceinline=True)
-def hint_of(expected: Any) -> Any:
-    """The class of an index that is expected, in 1/2^12."""
-    return np.int64(_PREDICTIONS[min((abs(expected) * 20) >> PREDICTION_BITS, _LAST_PREDICTION)])
-
-
-@kernel(_nrt=False, forceinline=True)
 def magnitudes_around(indices: Any, left: Any, top: Any, corner: Any, right: Any, place: Any) -> Any:
     """Magnitudes at a place of the blocks around: those beside twice, those across once."""
     beside = abs(indices[left, place]) + abs(indices[top, place])
     return 2 * beside + abs(indices[corner, place]) + abs(indices[right, place])
+
+
+PRIORS_FILE = Path(__file__).with_name("priors.npz")
+"""For luma and chroma: odds (2, contexts) int8, in 1/16; seen (2, contexts) uint8, how many bits a prior is worth;
+weights (2, sets, 3) int32."""
+
+
+def new_statistics(chroma: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """A model and weights for a coder, as `binary` has them, that have seen nothing of the picture yet."""
+    model, weights = _priors()
+    return model[int(chroma)].copy(), weights[int(chroma)].copy()
+
+
+@functools.cache
+def _priors() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    with np.load(PRIORS_FILE) as file:
+        odds, seen, weights = (file[name] for name in ("odds", "seen", "weights"))
+    states = (probabilities_from_odds(odds.astype(np.int64)) << SEEN_BITS) | seen
+    return states.astype(np.int32), weights

@@ -32,13 +32,14 @@ from codecbench.plugins.codecs.multilevel.context.coefficients import (
     TRUNCATED,
     code_blocks,
 )
-from codecbench.plugins.codecs.multilevel.context.optimisation import estimate_costs, optimise
-from codecbench.plugins.codecs.multilevel.context.predictors import predictors
-from codecbench.plugins.codecs.multilevel.context.priors import new_statistics
-from codecbench.plugins.codecs.multilevel.context.quantisation import (
+from codecbench.plugins.codecs.multilevel.context.contexts import new_statistics
+from codecbench.plugins.codecs.multilevel.context.outer import predictors
+from codecbench.plugins.codecs.multilevel.context.quantization import (
     USUAL_BIAS,
     biases_from_sums,
     dequantise,
+    estimate_costs,
+    optimise,
     quantise,
     steps_from_table,
     sum_excesses,

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codecbench.core.counting.kernel import kernel
+from codecbench.plugins.codecs.dct.tables import Table
 from codecbench.plugins.codecs.multilevel.context.binary import MIXING, code_adaptive, code_mixed, code_number
 from codecbench.plugins.codecs.multilevel.context.contexts import (
+    DC_FLAGS,
+    DC_RESIDUAL,
+    DC_SET,
+    DC_SIGNS,
+    DC_SIZES,
     EDGE_COUNT_SET,
     EDGE_COUNTS,
     EDGE_FLAG_SET,
@@ -18,9 +27,59 @@ from codecbench.plugins.codecs.multilevel.context.contexts import (
     EDGE_SIZES,
     MAX_INDEX,
     class_of,
-    hint_of,
+    classes,
     magnitudes_around,
 )
+
+PREDICTION_BITS = 12
+_MAX_WEIGHT = 1 << 24
+
+PREDICTORS_FILE = Path(__file__).with_name("predictors.npz")
+"""For blocks whose borders are not filtered and those whose are: edges (2, 14, 32) and dc (2, 31) int16."""
+
+DC_PLACES = np.concatenate([[0, 0, 0], *2 * [np.arange(1, 8), 8 * np.arange(1, 8)]]).astype(np.int64)
+
+_LAST_PREDICTION = 319
+_PREDICTIONS = classes((3, 6, 10, 16, 24, 40, 70, 140, 280), 1 + _LAST_PREDICTION)
+"""Of a twentieth of an index."""
+
+
+def predictors(table: Table, lapped: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The weights of the first row and column (14, 32) and of DC (31,) for a quantisation table."""
+    edges, dc = (weights[int(lapped)] for weights in _weights())
+    steps = table.reshape(64).astype(np.int64)
+    scaled = np.stack([_scaled(edges[row], steps, *edge_places(row)) for row in range(14)])
+    return scaled, _scaled(dc, steps, DC_PLACES, 0)
+
+
+@functools.cache
+def _weights() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    with np.load(PREDICTORS_FILE) as file:
+        return file["edges"].astype(np.int64), file["dc"].astype(np.int64)
+
+
+def _scaled(
+    weights: NDArray[np.int64], steps: NDArray[np.int64], places: NDArray[np.int64], place: int
+) -> NDArray[np.int64]:
+    """Weights of indices at `places` for the index at `place`, halves up."""
+    ratios = 2 * weights * steps[places] + steps[place]
+    return np.asarray(np.clip(ratios // (2 * steps[place]), -_MAX_WEIGHT, _MAX_WEIGHT), np.int64)
+
+
+def edge_places(row: int) -> tuple[NDArray[np.int64], int]:
+    """The places in a block of what predicts the index of a row of weights, and its own place."""
+    part, rank = divmod(row, 7)
+    along, across = (8, 1) if part else (1, 8)
+    place = (rank + 1) * along
+    steps = np.arange(1, 8)
+    lines = (place + steps * across, place + np.arange(8) * across, steps * along, steps * along, np.zeros(3, np.int64))
+    return np.concatenate(lines), place
+
+
+@kernel(_nrt=False, forceinline=True)
+def hint_of(expected: Any) -> Any:
+    """The class of an index that is expected, in 1/2^12."""
+    return np.int64(_PREDICTIONS[min((abs(expected) * 20) >> PREDICTION_BITS, _LAST_PREDICTION)])
 
 
 @kernel(_nrt=False)
@@ -146,4 +205,74 @@ def code_edge(
         if size < 0 or size >= MAX_INDEX:
             return True
         indices[block, place] = -1 - size if against ^ sign else 1 + size
+    return False
+
+
+@kernel(_nrt=False, forceinline=True)
+def dc_prediction(indices: Any, block: Any, left: Any, top: Any, corner: Any, right: Any, weights: Any) -> Any:
+    """DC as the blocks around and the rest of the block let expect it, in 1/2^12. weights: (31,) int64."""
+    base = np.int64(indices[left, 0])
+    total = base << PREDICTION_BITS
+    total += weights[0] * (indices[top, 0] - base) + weights[1] * (indices[corner, 0] - base)
+    total += weights[2] * (indices[right, 0] - indices[top, 0])
+    for step in range(1, 8):
+        total += weights[step + 2] * indices[left, step] + weights[step + 9] * indices[top, 8 * step]
+        total += weights[step + 16] * indices[block, step] + weights[step + 23] * indices[block, 8 * step]
+    return total
+
+
+@kernel(_nrt=False)
+def code_dc(
+    coder: Any,
+    data: Any,
+    model: Any,
+    weights: Any,
+    indices: Any,
+    counts: Any,
+    block: Any,
+    left: Any,
+    top: Any,
+    corner: Any,
+    right: Any,
+    dc_weights: Any,
+) -> Any:
+    """DC of a block, as what differs from its prediction; returns whether it is too large."""
+    expected = dc_prediction(indices, block, left, top, corner, right, dc_weights)
+    nearest = (expected + (1 << (PREDICTION_BITS - 1))) >> PREDICTION_BITS
+    nearest = min(max(nearest, -MAX_INDEX), MAX_INDEX)
+    fifth = min(max(((expected - (nearest << PREDICTION_BITS) + 2048) * 5) >> PREDICTION_BITS, 0), 4)
+    residual = indices[block, 0] - nearest
+    active = 0
+    for step in range(1, 4):
+        active += abs(indices[block, step]) + abs(indices[block, 8 * step])
+    steep = abs(indices[left, 0] - indices[top, 0]) + abs(indices[top, 0] - indices[corner, 0])
+    unsure = class_of(counts[left, DC_RESIDUAL] + counts[top, DC_RESIDUAL])
+    class_active = class_of(active)
+    class_steep = class_of(steep)
+    differs = code_mixed(
+        coder, data, model, weights, DC_SET,
+        DC_FLAGS + unsure * 10 + class_active,
+        DC_FLAGS + 100 + class_steep * 10 + class_active,
+        DC_FLAGS + 200 + unsure * 5 + fifth,
+        1 if residual != 0 else 0,
+    )  # fmt: skip
+    counts[block, DC_RESIDUAL] = 0
+    if not differs:
+        indices[block, 0] = nearest
+        return False
+    negative = code_adaptive(coder, data, model, DC_SIGNS + fifth, 1 if residual < 0 else 0)
+    toward = 1 if negative == (1 if fifth < 2 else 0) else 0
+    size = code_number(
+        coder, data, model, weights, DC_SET + 1,
+        DC_SIZES + (unsure * 10 + class_active) * 15,
+        DC_SIZES + (100 + class_steep * 10 + class_active) * 15,
+        DC_SIZES + (200 + unsure * 2 + toward) * 15,
+        abs(residual) - 1,
+    )  # fmt: skip
+    residual = -1 - size if negative else 1 + size
+    index = nearest + residual
+    if size < 0 or abs(index) > MAX_INDEX:
+        return True
+    counts[block, DC_RESIDUAL] = 1 + size
+    indices[block, 0] = index
     return False

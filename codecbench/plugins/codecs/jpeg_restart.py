@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from codecbench.core.contracts.codec import Fragment
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.plugins.codecs.jfif.markers import (
+from codecbench.plugins.codecs.jfif import (
     DRI,
     EOI,
     FRAME_HEADERS,
