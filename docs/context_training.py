@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.codecs.dct.planes import padded, planes_from_image
+from codecbench.plugins.codecs.dct.planes import pad_plane, planes_from_image
 from codecbench.plugins.codecs.dct.tables import FLAT
 from codecbench.plugins.codecs.multilevel.context import contexts, outer
 from codecbench.plugins.codecs.multilevel.context.binary import new_coder
@@ -170,7 +170,7 @@ def priors_from(pictures: list[Image], weights: Arrays) -> Arrays:
 def transformed(image: Image, chroma: bool, lapped: bool) -> Iterator[Coded]:
     """Blocks in a row, and coefficients (n, 64), of the luma of a picture, or of its chroma if it has any."""
     planes = planes_from_image(image, "ycbcr420")
-    for plane in map(padded, planes[1:] if chroma else planes[:1]):
+    for plane in map(pad_plane, planes[1:] if chroma else planes[:1]):
         coefficients = np.empty((plane.size // 64, 64), np.int32)
         forward_transform(plane, int(lapped), coefficients)
         yield plane.shape[1] // 8, coefficients

@@ -46,7 +46,7 @@ run: {{workers: 1}}
 
 
 def payloads(packets: list[Packet], magic: bytes) -> list[bytes]:
-    return [Header.taken_from(packet.data, magic)[1] if packet.starts else packet.data for packet in packets]
+    return [Header.parse(packet.data, magic)[1] if packet.starts else packet.data for packet in packets]
 
 
 def frames_of(content: bytes, form: str | None = None) -> list[Any]:

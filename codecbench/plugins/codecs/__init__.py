@@ -1,4 +1,4 @@
-"""The codecs that ship with codecbench. Only references: nothing of a codec is imported before a cell needs it."""
+"""The codecs that ship with codecbench, by reference: a codec's module is imported when a cell needs it."""
 
 from __future__ import annotations
 

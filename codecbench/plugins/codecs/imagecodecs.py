@@ -1,8 +1,8 @@
-"""More standards through imagecodecs: JPEG XL, JPEG-LS, High-Throughput JPEG 2000, WebP and AVIF.
+"""JPEG XL, JPEG-LS, High-Throughput JPEG 2000, WebP and AVIF through imagecodecs.
 
-Every bitstream is a file of its standard behind 18 bytes of ours, little-endian: magic, `IC` and two letters (4);
-channels (1); reserved 0 (1); width (4); height (4); CRC-32 (4) of these and the file. They tell damage from content,
-bound what a decoder allocates, and let gray stay gray where the standard knows only colour.
+Every bitstream is a file of its standard behind our header of 18 bytes, little-endian: magic, `IC` and two letters (4);
+channels (1); reserved 0 (1); width (4); height (4); CRC-32 (4) of these and the file. The header detects damage, bounds
+what a decoder allocates, and keeps gray images gray if the standard has only color.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstream
 
 _HEADER = struct.Struct("<4sBBII")
 _CRC = struct.Struct("<I")
-_CONTENT = _HEADER.size + _CRC.size
+_CONTENT_START = _HEADER.size + _CRC.size
 _SIZ = struct.Struct(">HHHH8IH")
 P = TypeVar("P", bound=Params)
 
 
-def _version(version: str, function: str, library: str) -> str:
-    """`version` if `function` is of this library, such as `libavif 1.4.0`; else `version+` and the library that it is.
+def _qualified_version(version: str, function: str, library: str) -> str:
+    """Return `version` if `function` is of this library, such as `libavif 1.4.0`; else `version+` and its own library.
 
-    Only for codecs whose rate or pixels change with the library, so that one run never mixes their results.
+    For codecs whose rate or pixels change with the library, so that one run never mixes their results.
     """
     try:
         installed: str = getattr(_load_imagecodecs((function,)), f"{function}_version")()
@@ -56,20 +56,19 @@ def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
     return imagecodecs  # type: ignore[no-any-return]
 
 
-class _Enveloped(Codec[P]):
-    """What the codecs below share. Subclasses name their functions in imagecodecs and choose its arguments.
-
-    decoder: the function that decodes, where it is not of the library that encodes.
-    """
+class _EnvelopedCodec(Codec[P]):
+    """Base class of the codecs below. Subclasses name their functions in imagecodecs and choose the arguments."""
 
     version = "1"
     capabilities = Capabilities()
     magic: ClassVar[bytes]
     function: ClassVar[str]
     decoder: ClassVar[str] = ""
+    """Function that decodes, if it is not of the library that encodes."""
     colour_only: ClassVar[bool] = False
     max_side: ClassVar[int] = 65535
     decoding: ClassVar[dict[str, Any]] = {}
+    """Keyword arguments of the decoding function."""
 
     def __init__(self, params: P) -> None:
         super().__init__(params)
@@ -81,19 +80,19 @@ class _Enveloped(Codec[P]):
         """Keyword arguments of the encoding function."""
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
-        """The very call of imagecodecs, and what other stacks have."""
+        """The call of imagecodecs, and recipes of other stacks."""
         layout = "gray" if scene.channels == 1 else "rgb"
-        given = {name: int(value) if isinstance(value, int) else value for name, value in self._arguments().items()}
-        arguments = "".join(f", {name}={value}" for name, value in given.items())
+        values = {name: int(value) if isinstance(value, int) else value for name, value in self._arguments().items()}
+        arguments = "".join(f", {name}={value}" for name, value in values.items())
         stored = "gray[:, :, None].repeat(3, axis=2)" if self.colour_only and layout == "gray" else layout
         text = f"import imagecodecs\n\n\ndef encode({layout}):\n"
         text += f"    return bytes(imagecodecs.{self.function}_encode({stored}{arguments}))"
-        own = Recipe(
+        python = Recipe(
             f"Python, imagecodecs {self._library.__version__}", "python", text, "Another release may give other bytes."
         )
-        return (*self._elsewhere(scene), own)
+        return (*self._other_recipes(scene), python)
 
-    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+    def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         """Recipes of stacks other than imagecodecs."""
         return (
             Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", f"No element of theirs is known to code {self.name} so."),
@@ -113,34 +112,34 @@ class _Enveloped(Codec[P]):
         return header + _CRC.pack(zlib.crc32(content, zlib.crc32(header))) + content
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        shape = self._checked_shape(bitstream)
-        self._check_declared_size(bitstream[_CONTENT:], shape)
+        shape = self._read_shape(bitstream)
+        self._check_declared_size(bitstream[_CONTENT_START:], shape)
         stored = (*shape[:2], 3) if self.colour_only else shape
         pixels: Image = np.empty(stored, np.uint8)
         try:
             decode = getattr(self._library, f"{self._functions[-1]}_decode")
-            decode(bitstream[_CONTENT:], out=pixels, **self.decoding)
+            decode(bitstream[_CONTENT_START:], out=pixels, **self.decoding)
         except (RuntimeError, ValueError, TypeError) as error:
             raise BitstreamError(f"{self.name}: the library cannot read the file: {error}") from error
         return pixels if stored == shape else gray_from_image(pixels)
 
     def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
-        """Raise BitstreamError if the file declares another size than the header, by which it would be allocated for.
+        """Raise BitstreamError if the file declares another size than the header; a library would allocate for it.
 
         The libraries of JPEG XL, JPEG-LS and WebP compare the size with the output's before they decode.
         """
 
     def libraries(self) -> dict[str, str]:
-        told = (getattr(self._library, f"{name}_version")().partition(" ") for name in self._functions)
-        return {"imagecodecs": self._library.__version__, **{name: version for name, _, version in told}}
+        versions = (getattr(self._library, f"{name}_version")().partition(" ") for name in self._functions)
+        return {"imagecodecs": self._library.__version__, **{name: version for name, _, version in versions}}
 
-    def _checked_shape(self, bitstream: bytes) -> tuple[int, ...]:
-        if len(bitstream) <= _CONTENT:
+    def _read_shape(self, bitstream: bytes) -> tuple[int, ...]:
+        if len(bitstream) <= _CONTENT_START:
             raise BitstreamError(f"{self.name}: {len(bitstream)} bytes cannot hold a header and an image")
         magic, channels, reserved, width, height = _HEADER.unpack_from(bitstream)
         if magic != self.magic or channels not in (1, 3) or reserved:
             raise BitstreamError(f"{self.name}: not a bitstream of this codec (magic {magic!r}, {channels} channels)")
-        crc = zlib.crc32(memoryview(bitstream)[_CONTENT:], zlib.crc32(bitstream[: _HEADER.size]))
+        crc = zlib.crc32(memoryview(bitstream)[_CONTENT_START:], zlib.crc32(bitstream[: _HEADER.size]))
         if crc != _CRC.unpack_from(bitstream, _HEADER.size)[0]:
             raise BitstreamError(f"{self.name}: checksum mismatch, the bitstream is damaged")
         if not 0 < width * height <= MAX_PIXELS:
@@ -155,11 +154,11 @@ class JpegXlParams(Params):
     effort: int = Field(4, ge=1, le=9, description="1 (fast) to 9 (small)")
 
 
-class JpegXl(_Enveloped[JpegXlParams]):
+class JpegXl(_EnvelopedCodec[JpegXlParams]):
     """JPEG XL (ISO/IEC 18181) by libjxl."""
 
     name = "jpegxl"
-    version = _version("1", "jpegxl", "libjxl 0.11.2")
+    version = _qualified_version("1", "jpegxl", "libjxl 0.11.2")
     params_type = JpegXlParams
     examples = ({}, {"distance": 0})
     magic, function, decoding = b"ICxl", "jpegxl", {"numthreads": 1}
@@ -171,7 +170,7 @@ class JpegXl(_Enveloped[JpegXlParams]):
         lossless = self.is_lossless()
         return {"distance": self.params.distance, "lossless": lossless, "effort": self.params.effort, "numthreads": 1}
 
-    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+    def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         layout = "gray" if scene.channels == 1 else "rgb24"
         options = f"-c:v libjxl -pix_fmt {layout} -distance {self.params.distance:g} -effort {self.params.effort}"
         note = "Frames depend on the release of libjxl: of 0.7 they had 0.91 to 0.96 of the bytes of 0.11."
@@ -184,7 +183,7 @@ class JpegLsParams(Params):
     near: int = Field(0, ge=0, le=127, description="largest error of any sample; 0 is lossless")
 
 
-class JpegLs(_Enveloped[JpegLsParams]):
+class JpegLs(_EnvelopedCodec[JpegLsParams]):
     """JPEG-LS (ITU-T T.87) by CharLS."""
 
     name = "jpegls"
@@ -199,7 +198,7 @@ class JpegLs(_Enveloped[JpegLsParams]):
         offered = signature(self._library.jpegls_encode).parameters
         return {"level": self.params.near} | ({"spiff": True} if "spiff" in offered else {})  # older releases always do
 
-    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+    def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         if not self.is_lossless():
             return (Recipe(FFMPEG, "sh", "", "FFmpeg's jpegls encoder is lossless alone: there is no near."),)
         return (ffmpeg(scene, [f"-c:v jpegls -pix_fmt {'gray' if scene.channels == 1 else 'rgb24'}"], "%06d.jls"),)
@@ -211,10 +210,10 @@ class Htj2kParams(Params):
     step: float = Field(0.01, ge=0, le=0.5, description="base step of the 9/7 wavelet; 0 is lossless, by the 5/3")
 
 
-class Htj2k(_Enveloped[Htj2kParams]):
+class Htj2k(_EnvelopedCodec[Htj2kParams]):
     """High-Throughput JPEG 2000 (ITU-T T.814), encoded by OpenJPH and decoded by OpenJPEG.
 
-    OpenJPH's binding lets samples that overshoot black or white wrap round to the other end; OpenJPEG stops them there.
+    OpenJPH's binding wraps samples that overshoot black or white around; OpenJPEG clips them.
     """
 
     name = "htj2k"
@@ -227,7 +226,7 @@ class Htj2k(_Enveloped[Htj2kParams]):
         return self.params.step == 0
 
     def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
-        """OpenJPEG decodes all that SIZ (T.800 A.5.1) declares: one tile of 8-bit components, as OpenJPH writes it."""
+        """Check SIZ (T.800 A.5.1), whose size OpenJPEG decodes: one tile of 8-bit components, as OpenJPH writes it."""
         height, width, channels = (*shape, 1)[:3]
         declared = _SIZ.pack(0xFF4F, 0xFF51, _SIZ.size - 4 + 3 * channels, 0, *2 * (width, height, 0, 0), channels)
         declared += b"\x07\x01\x01" * channels
@@ -246,8 +245,8 @@ class WebpParams(Params):
     method: int = Field(4, ge=0, le=6, description="0 (fast) to 6 (small)")
 
 
-class Webp(_Enveloped[WebpParams]):
-    """WebP (RFC 9649) by libwebp. Gray is coded as colour, which is all that the format has."""
+class Webp(_EnvelopedCodec[WebpParams]):
+    """WebP (RFC 9649) by libwebp. Gray is coded as color, because the format has nothing else."""
 
     name = "webp"
     params_type = WebpParams
@@ -261,7 +260,7 @@ class Webp(_Enveloped[WebpParams]):
         quality = 75 if self.params.lossless else self.params.quality
         return {"level": quality, "lossless": self.params.lossless, "method": self.params.method, "numthreads": 1}
 
-    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+    def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         params = self.params
         lossless = "true" if params.lossless else "false"
         element = f"webpenc preset=none quality={params.quality:g} speed={params.method} lossless={lossless}"
@@ -286,17 +285,17 @@ class AvifParams(Params):
     subsampling: Literal["444", "422", "420"] = Field("420", description="chroma")
 
 
-class Avif(_Enveloped[AvifParams]):
-    """AVIF (AV1 still pictures) by libavif. Gray is coded as colour: the binding codes gray only lossless."""
+class Avif(_EnvelopedCodec[AvifParams]):
+    """AVIF (AV1 still pictures) by libavif. Gray is coded as color: the binding codes gray only losslessly."""
 
     name = "avif"
-    version = _version("1", "avif", "libavif 1.4.0")
+    version = _qualified_version("1", "avif", "libavif 1.4.0")
     params_type = AvifParams
     examples = ({}, {"subsampling": "444", "quality": 90})
     magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
 
     def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
-        """libavif allocates for what the property `ispe` (ISO/IEC 23008-12, 6.5.3) declares, up to 2^28 pixels."""
+        """Check the property `ispe` (ISO/IEC 23008-12, 6.5.3), for whose size libavif allocates up to 2^28 pixels."""
         declared = {content[at.end() : at.end() + 12] for at in re.finditer(b"ispe", content.partition(b"mdat")[0])}
         if struct.pack(">III", 0, shape[1], shape[0]) not in declared or len(declared) > 1:
             raise BitstreamError(f"{self.name}: the file does not declare {shape[1]}x{shape[0]} pixels")
@@ -306,10 +305,10 @@ class Avif(_Enveloped[AvifParams]):
         chroma = self._library.AVIF.PIXEL_FORMAT[f"YUV{params.subsampling}"]  # releases spell its text differently
         return {"level": params.quality, "speed": params.speed, "pixelformat": chroma, "numthreads": 1}
 
-    def _elsewhere(self, scene: Scene) -> tuple[Recipe, ...]:
+    def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         options = {"IMWRITE_AVIF_QUALITY": self.params.quality, "IMWRITE_AVIF_SPEED": self.params.speed}
-        kept = self.params.subsampling == "420"
-        note = "" if kept else "Chroma is coded as 4:2:0 there, so frames are smaller."
+        is_same = self.params.subsampling == "420"
+        note = "" if is_same else "Chroma is coded as 4:2:0 there, so frames are smaller."
         return (
             opencv(scene, ".avif", options, note),
             Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", "They code AV1 by other scales than libavif's quality."),

@@ -1,4 +1,4 @@
-"""Markers and marker segments of a JPEG file, and what its frame header promises (ITU-T T.81 annex B)."""
+"""Marker segments and frame header of a JPEG file (ITU-T T.81 annex B), and its quality by its quantization table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from codecbench.plugins.codecs.dct.tables import LUMINANCE, ZIGZAG
 SOI, EOI, SOS, DQT, DHT, DRI, COM, DAC = 0xD8, 0xD9, 0xDA, 0xDB, 0xC4, 0xDD, 0xFE, 0xCC
 SOF_BASELINE, SOF_EXTENDED, SOF_PROGRESSIVE = 0xC0, 0xC1, 0xC2
 FRAME_HEADERS = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
-"""SOF0..SOF15: lossless, hierarchical and arithmetic ones too, which nothing here reads."""
+"""SOF0..SOF15, with the lossless, hierarchical and arithmetic ones, which no codec here reads."""
 APP0, APP14, APP15 = 0xE0, 0xEE, 0xEF
 MAX_SIDE = 65535
 
@@ -26,32 +26,37 @@ _MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7]", re.DOTALL)
 
 @dataclass(frozen=True)
 class Segment:
-    """One marker segment: its second byte, its contents after the length, and the entropy-coded data after SOS.
-
-    `offset` is where the contents start in the file.
-    """
+    """One marker segment."""
 
     code: int
+    """Second byte of the marker."""
     offset: int
+    """Where the content starts in the file."""
     content: bytes
+    """The bytes after the length."""
     scan_data: bytes = b""
+    """Entropy-coded data after SOS."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """A component of a frame: identifier, horizontal and vertical sampling factors, quantisation table."""
+    """A component of a frame."""
 
     id: int
     h: int
+    """Horizontal sampling factor."""
     v: int
+    """Vertical sampling factor."""
     table: int
+    """Destination of its quantization table."""
 
 
 @dataclass(frozen=True)
 class FrameHeader:
-    """What SOFn says: its marker code, size in pixels and components."""
+    """Content of SOFn; the size is in pixels."""
 
     code: int
+    """Second byte of the marker."""
     width: int
     height: int
     components: tuple[Component, ...]
@@ -73,9 +78,9 @@ class FrameHeader:
 
 
 def read_segments(bitstream: bytes, name: str) -> list[Segment]:
-    """All marker segments between SOI and EOI, in order.
+    """Read all marker segments between SOI and EOI, in order.
 
-    Raises BitstreamError, led by the codec's `name`, where the marker syntax is broken: no SOI, no EOI as the
+    Raises BitstreamError, led by the codec's `name`, if the marker syntax is broken: no SOI, no EOI as the
     very last bytes, a length beyond the end, a reserved or misplaced marker, or bytes that belong to none.
     """
     if bitstream[:2] != b"\xff\xd8":
@@ -98,7 +103,7 @@ def read_segments(bitstream: bytes, name: str) -> list[Segment]:
 
 
 def _read_segment(bitstream: bytes, position: int, code: int, name: str) -> tuple[Segment, int]:
-    """The segment whose marker is at `position`, and where the next marker must be."""
+    """Read the segment whose marker is at `position`; returns the position of the next marker too."""
     if code not in _ALLOWED:
         raise BitstreamError(f"{name}: marker FF{code:02X} at byte {position} has no place there")
     if position + 4 > len(bitstream):
@@ -117,7 +122,7 @@ def _read_segment(bitstream: bytes, position: int, code: int, name: str) -> tupl
 
 
 def read_frame_header(segments: list[Segment], name: str) -> FrameHeader:
-    """The one frame header of a file. Raises BitstreamError for none, several or one out of range."""
+    """Read the frame header of a file. Raises BitstreamError if there is none, several or one out of range."""
     headers = [segment for segment in segments if segment.code in FRAME_HEADERS]
     if len(headers) != 1:
         raise BitstreamError(f"{name}: {len(headers)} frame headers; exactly one is read")
@@ -142,9 +147,9 @@ def read_frame_header(segments: list[Segment], name: str) -> FrameHeader:
 
 
 def check_plausible(header: FrameHeader, segments: list[Segment], name: str) -> None:
-    """Refuse a header that promises more blocks than its scans have bits, before anything is allocated for it.
+    """Raise BitstreamError for a header with more blocks than its scans have bits, before anything is allocated.
 
-    Every block costs at least one bit, because no Huffman code is shorter: its DC difference alone.
+    Every block costs at least one bit: the shortest Huffman code of a DC difference.
     """
     bits = 8 * sum(len(segment.scan_data) for segment in segments)
     if header.blocks > bits:
@@ -153,10 +158,12 @@ def check_plausible(header: FrameHeader, segments: list[Segment], name: str) -> 
 
 @dataclass(frozen=True)
 class JpegQuality:
-    """libjpeg's quality, 1 to 100, whose luminance table is nearest, and whether it is that table exactly."""
+    """The libjpeg quality whose luminance table is nearest to that of a file."""
 
     quality: int
+    """1 to 100."""
     is_exact: bool
+    """Whether the tables are equal."""
 
     def __str__(self) -> str:
         if self.is_exact:
@@ -165,9 +172,9 @@ class JpegQuality:
 
 
 def quality_from_jpeg(bitstream: bytes) -> JpegQuality | None:
-    """The quality of a JPEG file by its table 0, that of luminance; None where it has none that can be read.
+    """Estimate the quality of a JPEG file from its table 0, that of luminance; None if there is no readable one.
 
-    Nearest is by the mean ratio of steps. Source of the scale: jpeg_quality_scaling of libjpeg.
+    The distance of two tables is the mean log ratio of steps. Source of the scale: jpeg_quality_scaling of libjpeg.
     """
     table = _table_zero(bitstream)
     if table is None:

@@ -1,4 +1,4 @@
-"""The boxes and markers of a JP2 file, as far as our own files use them (ITU-T T.800 annexes A and I)."""
+"""Boxes and marker segments of a JP2 file, as far as our own files use them (ITU-T T.800 annexes A and I)."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
 
 MAX_JP2_PIXELS = MAX_PIXELS // 4
-"""OpenJPEG holds a picture in planes of 32-bit numbers, twice."""
+"""OpenJPEG holds an image twice, in planes of 32-bit numbers."""
 
 _BOXES = (b"jP  ", b"ftyp", b"jp2h", b"jp2c")
 _SIGNATURE = b"\r\n\x87\n"
 _FILE_TYPE = b"jp2 \0\0\0\0jp2 "
 _COLOUR_SPACES = {1: b"\1\0\0\0\0\0\x11", 3: b"\1\0\0\0\0\0\x10"}
-"""Enumerated colour spaces (T.800 I.5.3.3): 17 grayscale, 16 sRGB."""
+"""Enumerated color spaces (T.800 I.5.3.3): 17 grayscale, 16 sRGB."""
 SOC, SIZ, COD, PLT, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF58, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
 _SIZ = struct.Struct(">HIIIIIIIIH")
 _COD = struct.Struct(">BBHBBBBBB")
 _IHDR = struct.Struct(">IIHBBBB")
 _SOT = struct.Struct(">HIBB")
 _TILE_PART_LENGTH = 6
-"""Where in SOT, from its marker on, the length of the tile-part stands."""
+"""Offset of the tile-part length from SOT's marker."""
 _EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
 _BLOCKS = ((4, 4, 0), (3, 3, 0), (2, 2, 0))  # 64x64, 32x32 and 16x16 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
 MAX_LAYERS = 16
-"""A packet of each takes headers of its own, though there be nothing in it."""
+"""Each layer costs a packet header even if its packet is empty."""
 _OPENJPEG_COMMENT = b"Created by OpenJPEG version"
 _CRC_COMMENT = b"codecbench CRC-32: "
 _CRC_DIGITS = 8
 _MAIN_HEADER_BYTES = 400
-"""More than our longest header: boxes, SIZ, COD, QCD and the comment."""
+"""Upper bound of our headers: boxes, SIZ, COD, QCD and the comment."""
 
 
-def with_checksum(bitstream: bytes) -> bytes:
-    """The file with a CRC-32 of all other bytes, in hexadecimal, where OpenJPEG wrote its name and version."""
+def insert_checksum(bitstream: bytes) -> bytes:
+    """Replace OpenJPEG's name and version in the comment by a CRC-32 of all other bytes, in hexadecimal."""
     place = bitstream.find(_OPENJPEG_COMMENT, 4, _MAIN_HEADER_BYTES)
     text_bytes = int.from_bytes(bitstream[place - 4 : place - 2], "big") - 4 if place > 0 else 0
     if text_bytes < len(_CRC_COMMENT) + _CRC_DIGITS:
@@ -58,23 +58,23 @@ def _check_crc(bitstream: bytes) -> None:
         raise BitstreamError("jpeg2000: checksum mismatch, the file is damaged")
 
 
-def checked_shape(bitstream: bytes) -> tuple[int, ...]:
-    """The shape that a JP2 file promises, once its structure has been checked from end to end.
+def read_shape(bitstream: bytes) -> tuple[int, ...]:
+    """Check the structure of a JP2 file from end to end and return the shape that it promises.
 
-    Takes what our encoder writes: four boxes, one tile in one part, up to MAX_LAYERS layers one after the other, 8-bit
+    Accepts what our encoder writes: four boxes, one tile in one part, up to MAX_LAYERS consecutive layers, 8-bit
     components without subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError
     for anything else.
     """
     _check_crc(bitstream)
-    return _checked_structure(bitstream)
+    return _read_structure(bitstream)
 
 
-def cut_file(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
-    """The file that ends where the first bytes of one of ours do, and its shape: its lengths say so, and EOC follows.
+def file_from_prefix(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
+    """Make a decodable file of the first bytes of one of ours: fix its lengths, append EOC; returns its shape too.
 
-    With layers it ends with the last packet that is there whole: of a code block whose bytes in a packet are cut,
-    OpenJPEG forgets what the layers before brought. Its checksum is wrong, as it is that of the whole. Raises
-    BitstreamError where the bytes end within the headers, or begin no file of ours.
+    With layers the file ends after the last complete packet: if a packet is cut inside a code block, OpenJPEG drops
+    what earlier layers contributed to the block. The checksum stays that of the whole file. Raises BitstreamError if
+    the bytes end within the headers or are not of our file.
     """
     box = 0
     for _ in _BOXES[:-1]:
@@ -96,11 +96,11 @@ def cut_file(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
     file = bytearray(prefix + EOC.to_bytes(2, "big"))
     struct.pack_into(">I", file, box, len(file) - box)
     struct.pack_into(">I", file, tile_part + _TILE_PART_LENGTH, len(prefix) - tile_part)
-    return bytes(file), _checked_structure(bytes(file))
+    return bytes(file), _read_structure(bytes(file))
 
 
 def _read_packet_lengths(bitstream: bytes, position: int) -> tuple[int, list[int]]:
-    """Where packets begin behind the tile-part header from SOT's end on, and their lengths, where PLT tells them."""
+    """Return the start of the packets behind the tile-part header, and their lengths if there is a PLT."""
     lengths, length = [], 0
     while bitstream[position : position + 2] != SOD.to_bytes(2, "big"):
         if bitstream[position : position + 2] != PLT.to_bytes(2, "big"):
@@ -117,7 +117,7 @@ def _read_packet_lengths(bitstream: bytes, position: int) -> tuple[int, list[int
     return position + 2, lengths
 
 
-def _checked_structure(bitstream: bytes) -> tuple[int, ...]:
+def _read_structure(bitstream: bytes) -> tuple[int, ...]:
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
         raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")
@@ -138,7 +138,7 @@ def _checked_structure(bitstream: bytes) -> tuple[int, ...]:
 
 
 def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int, int]]:
-    """Type, start and end of the contents of the boxes that fill `start` to `end`."""
+    """Type, content start and content end of the boxes that fill `start` to `end`."""
     boxes = []
     while start < end:
         if end - start < 8:
@@ -152,7 +152,7 @@ def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int
 
 
 def _check_codestream(bitstream: bytes, start: int, width: int, height: int, channels: int) -> None:
-    """Check main header, tile-part header and end of the codestream that runs from `start` to the end."""
+    """Check main header, tile-part header and end of the codestream that starts at `start`."""
     if bitstream[start : start + 2] != SOC.to_bytes(2, "big"):
         raise BitstreamError("jpeg2000: the codestream does not start with SOC")
     position, seen = start + 2, []

@@ -1,11 +1,10 @@
-"""JPEG (ITU-T T.81) as the world writes it: libjpeg-turbo through OpenCV.
+"""JPEG (ITU-T T.81) by libjpeg-turbo through OpenCV.
 
-A bitstream is a plain JFIF file, so it carries no checksum. Its marker structure is checked strictly, and a
-cut file never passes, but a flipped bit inside the entropy-coded data gives wrong pixels that nothing in the
-format can reveal.
+A bitstream is a plain JFIF file without a checksum. Its marker structure is checked strictly, so truncated files are
+always refused. A flipped bit inside the entropy-coded data gives wrong pixels that the format cannot reveal.
 
-With `restart` the scan has restart markers, as cameras and RTP (RFC 2435) have them: rows between two of them decode
-without the others. Rows that are missing are interpolated between the nearest that are there.
+With `restart` the scan has restart markers, as cameras and RTP (RFC 2435) write them: the rows between two of them
+decode independently. Missing rows are interpolated between the nearest received ones.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from codecbench.plugins.codecs.recipes import (
 _MAX_SIDE = 65500  # libjpeg's JPEG_MAX_DIMENSION
 _MAX_SCANS = 32  # libjpeg's own progressive script takes 10; each scan costs a pass over the whole image
 _MAX_PIXELS_OF_SCANS = MAX_PIXELS // 2
-"""libjpeg holds all coefficients of a picture in several scans, and that must stay below half a gigabyte."""
+"""libjpeg holds all coefficients of an image in several scans; this keeps them below half a gigabyte."""
 _EXACT_BELOW = 95  # finer, the rounding of a color conversion shows in the size
 _GSTREAMER_FORMATS = {"444": "Y444", "422": "Y42B", "420": "I420"}
 
@@ -63,14 +62,14 @@ class JpegParams(Params):
     )
 
     @model_validator(mode="after")
-    def _restarts_rows(self) -> Self:
+    def _check_restart(self) -> Self:
         if self.restart and self.progressive:
             raise ValueError("restart is for sequential JPEG: a missing part of a progressive one is in every row")
         return self
 
 
 class Jpeg(Codec[JpegParams]):
-    """The codec that cameras use."""
+    """JPEG, the codec of most cameras and the BD-rate anchor."""
 
     name = "jpeg"
     version = "1"
@@ -95,7 +94,7 @@ class Jpeg(Codec[JpegParams]):
         return write_image(image, ".jpg", flags(self._options(width, is_gray=image.ndim == 2)))
 
     def _options(self, width: int, *, is_gray: bool) -> Options:
-        """What OpenCV is given."""
+        """Options for OpenCV."""
         params = self.params
         options: Options = {"IMWRITE_JPEG_QUALITY": params.quality}
         options |= {"IMWRITE_JPEG_OPTIMIZE": 1} if params.optimize else {}
@@ -108,13 +107,13 @@ class Jpeg(Codec[JpegParams]):
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         params, is_gray = self.params, scene.channels == 1
-        lacking = []
+        gaps = []
         if params.progressive:
-            lacking.append("Frames are sequential there, not progressive, so they are a few per cent larger.")
+            gaps.append("Frames are sequential there, not progressive, so they are a few per cent larger.")
         elif params.optimize:
-            lacking.append("Huffman tables are the standard's there, not the frame's, so frames are larger.")
+            gaps.append("Huffman tables are the standard's there, not the frame's, so frames are larger.")
         if params.restart:
-            lacking.append("There are no restart markers there, so that a lost packet takes the frame from there on.")
+            gaps.append("There are no restart markers there, so that a lost packet takes the frame from there on.")
         chroma = ""
         if not is_gray and params.subsampling != "420":
             chroma = f"Chroma is coded as 4:2:0 there, not {':'.join(params.subsampling)}, so frames are smaller."
@@ -123,9 +122,9 @@ class Jpeg(Codec[JpegParams]):
         caps = "format=GRAY8" if is_gray else f"format={_GSTREAMER_FORMATS[params.subsampling]},{FULL_RANGE}"
         return (
             compressed_image_transport(
-                {"format": "jpeg", "jpeg_quality": params.quality}, sentences(chroma, *lacking)
+                {"format": "jpeg", "jpeg_quality": params.quality}, sentences(chroma, *gaps)
             ),
-            gstreamer(scene, caps, element, "%06d.jpg", sentences(*lacking, finest)),
+            gstreamer(scene, caps, element, "%06d.jpg", sentences(*gaps, finest)),
             opencv(scene, ".jpg", self._options(scene.width, is_gray=is_gray)),
             Recipe(
                 FFMPEG, "sh", "",
@@ -134,32 +133,32 @@ class Jpeg(Codec[JpegParams]):
         )  # fmt: skip
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        return read_image(bitstream, _checked_shape(bitstream), "jpeg")
+        return read_image(bitstream, _read_shape(bitstream), "jpeg")
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
-        """Rows of restart intervals that are there, and between them what is made up of these.
+        """Decode the rows of complete restart intervals and interpolate the rows between them.
 
-        Raises BitstreamError too for settings without `restart`, of which a missing part takes all.
+        Raises BitstreamError for files without `restart` too: any missing part makes them undecodable.
         """
         if len(fragments) == 1 and fragments[0].offset == 0 and fragments[0].data.endswith(b"\xff\xd9"):
             return PartialImage.of_whole(self.decode(fragments[0].data))
-        found = salvage(fragments, "jpeg")
-        strip = self.decode(found.file)
-        there = np.zeros(found.header.height, dtype=bool)
-        there[found.rows] = True
-        whole = there.copy()
-        if len({component.v for component in found.header.components}) > 1:  # chroma is smoothed across rows
-            whole[1:] &= there[:-1]
-            whole[:-1] &= there[1:]
-        image = _interpolated(strip, found.rows, found.header.height)
-        return PartialImage(image, np.repeat(whole[:, None], found.header.width, axis=1))
+        partial = salvage(fragments, "jpeg")
+        strip = self.decode(partial.file)
+        is_received = np.zeros(partial.header.height, dtype=bool)
+        is_received[partial.rows] = True
+        whole = is_received.copy()
+        if len({component.v for component in partial.header.components}) > 1:  # chroma is smoothed across rows
+            whole[1:] &= is_received[:-1]
+            whole[:-1] &= is_received[1:]
+        image = _interpolate_rows(strip, partial.rows, partial.header.height)
+        return PartialImage(image, np.repeat(whole[:, None], partial.header.width, axis=1))
 
     def libraries(self) -> dict[str, str]:
         return library_versions("JPEG", "libjpeg-turbo")
 
 
-def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
-    """The shape that a JPEG file promises, once its marker structure has been checked from end to end."""
+def _read_shape(bitstream: bytes) -> tuple[int, ...]:
+    """Check the marker structure of a JPEG file from end to end and return the shape that it promises."""
     segments = read_segments(bitstream, "jpeg")
     header = read_frame_header(segments, "jpeg")
     if header.code not in (SOF_BASELINE, SOF_EXTENDED, SOF_PROGRESSIVE):
@@ -173,8 +172,8 @@ def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
     return header.shape
 
 
-def _interpolated(strip: Image, rows: Sequence[int], height: int) -> Image:
-    """Rows that stand at `rows` of a picture, and those between them linearly in between; beyond the last, the last."""
+def _interpolate_rows(strip: Image, rows: Sequence[int], height: int) -> Image:
+    """Place the rows of `strip` at `rows` and interpolate the others linearly; the outermost rows are repeated."""
     image = np.empty((height, *strip.shape[1:]), np.uint8)
     image[rows] = strip
     missing = np.setdiff1d(np.arange(height), rows)

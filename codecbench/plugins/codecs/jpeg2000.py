@@ -1,11 +1,11 @@
 """JPEG 2000 (ITU-T T.800) through glymur and OpenJPEG.
 
-A bitstream is a JP2 file with one tile, a few layers one after the other and square code blocks, and the decoder takes
-nothing else, which bounds its work. The format has no checksum, so a CRC-32 stands in the comment in which OpenJPEG
-names itself: the file keeps its size, any decoder reads it, and ours notices damage.
+A bitstream is a JP2 file with one tile, a few consecutive layers and square code blocks. The decoder accepts nothing
+else, which bounds its work. The format has no checksum, so a CRC-32 replaces OpenJPEG's name in the comment: the file
+keeps its size, any decoder reads it, and ours detects damage.
 
-OpenJPEG is given a ratio, which a file meets only roughly. `cr_percent` is a limit, and relative to the PNG, so it
-needs the PNG's size and a few trials; `prepared` does both beforehand.
+OpenJPEG meets a ratio only roughly. `cr_percent` is a limit relative to the PNG, so it needs the PNG's size and a few
+trials; `prepared` does both beforehand.
 """
 
 from __future__ import annotations
@@ -29,8 +29,15 @@ from codecbench.core.contracts.image import Image, check_image, png_bytes
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.jp2_syntax import EOC, MAX_JP2_PIXELS, MAX_LAYERS, checked_shape, cut_file, with_checksum
-from codecbench.plugins.codecs.openjpeg import load_glymur, tolerant
+from codecbench.plugins.codecs.jp2_syntax import (
+    EOC,
+    MAX_JP2_PIXELS,
+    MAX_LAYERS,
+    file_from_prefix,
+    insert_checksum,
+    read_shape,
+)
+from codecbench.plugins.codecs.openjpeg import lenient_decoding, load_glymur
 from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
@@ -38,7 +45,14 @@ _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
 _LAYER_RATIO, _LAYER_DB = 2.0, 3.0  # from layer to layer
 _TOLERANCE = 0.02
 _MAX_TRIES = 10
-_UNREADABLE = (OSError, RuntimeError, ValueError, TypeError, LookupError, struct.error)  # what glymur's parser raises
+_PARSER_ERRORS = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    struct.error,
+)  # what glymur's parser raises
 
 
 class Jpeg2000Params(Params):
@@ -64,15 +78,15 @@ class Jpeg2000Params(Params):
 
     @model_validator(mode="before")
     @classmethod
-    def _lossless_is_reversible(cls, values: Any) -> Any:
+    def _default_to_reversible(cls, values: Any) -> Any:
         return {"irreversible": False, **values} if isinstance(values, dict) and values.get("lossless") else values
 
     @model_validator(mode="after")
-    def _one_rate(self) -> Self:
-        given = [name for name in ("ratio", "psnr_db", "cr_percent") if getattr(self, name) is not None]
-        given += ["lossless"] * self.lossless
-        if len(given) != 1:
-            got = " and ".join(given) or "none"
+    def _check_rate(self) -> Self:
+        rates = [name for name in ("ratio", "psnr_db", "cr_percent") if getattr(self, name) is not None]
+        rates += ["lossless"] * self.lossless
+        if len(rates) != 1:
+            got = " and ".join(rates) or "none"
             raise ValueError(f"exactly one of ratio, psnr_db, lossless and cr_percent sets the rate, got {got}")
         if self.lossless and self.irreversible:
             raise ValueError("lossless needs the reversible 5/3 wavelet: leave irreversible out")
@@ -85,15 +99,16 @@ class Jpeg2000Params(Params):
 
 @dataclass(frozen=True)
 class _Trial:
-    """A file, and what OpenJPEG was given to write it."""
+    """A file and the OpenJPEG settings that wrote it."""
 
     block_side: int
+    """Side of a code block."""
     ratio: float
     file: bytes
 
 
 class Jpeg2000(Codec[Jpeg2000Params]):
-    """The wavelet standard. Not thread-safe, because glymur keeps OpenJPEG's messages in one place."""
+    """The wavelet codec JPEG 2000. It is not thread-safe: glymur keeps OpenJPEG's messages in one place."""
 
     name = "jpeg2000"
     version = "1"
@@ -110,53 +125,53 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     def __init__(self, params: Jpeg2000Params) -> None:
         super().__init__(params)
         self._glymur = load_glymur()
-        self._found: _Trial | None = None
+        self._trial: _Trial | None = None
 
     def prepared(self, image: Image) -> Self:
-        """With `cr_percent`, an instance that knows the ratio and the code blocks for this image."""
+        """With `cr_percent`, return an instance with the ratio and the code blocks for this image."""
         if self.params.cr_percent is None:
             return self
         prepared = type(self)(self.params)
-        prepared._found = self._largest_within(_checked(image), self.params.cr_percent)
+        prepared._trial = self._largest_file_within(_check_size(image), self.params.cr_percent)
         return prepared
 
     def is_lossless(self) -> bool:
         return self.params.lossless
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = _checked(image)
+        image = _check_size(image)
         params = self.params
-        if self._found is not None:
-            return self._write(image, self._found.block_side, cratios=[self._found.ratio])
+        if self._trial is not None:
+            return self._write(image, self._trial.block_side, cratios=[self._trial.ratio])
         if params.cr_percent is not None:
-            return self._largest_within(image, params.cr_percent).file
+            return self._largest_file_within(image, params.cr_percent).file
         return self._write(image, _BLOCK_SIDES[0], **self._rate())
 
     def _rate(self) -> dict[str, list[float]]:
-        """What OpenJPEG is asked for, where no search is needed."""
+        """Rate options for OpenJPEG if no search is needed."""
         if self.params.ratio is not None:
             return {"cratios": [self.params.ratio]}
         return {} if self.params.psnr_db is None else {"psnr": [self.params.psnr_db]}
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
-        """The call of glymur, and what other stacks have; `cr_percent`, which is a search, is codecbench's alone."""
+        """The call of glymur and recipes of other stacks; `cr_percent` is a search that only codecbench does."""
         params = self.params
         if params.cr_percent is not None:
             note = "The ratio is searched for each frame, which no other stack does; measure ratio, which FFmpeg takes."
             return tuple(replace(recipe, note=note) for recipe in super().recipes(scene))
-        settings = {**self._settings((scene.height, scene.width)), **self._layered(self._rate())}
+        settings = {**self._settings((scene.height, scene.width)), **self._layer_rates(self._rate())}
         layout = "gray" if scene.channels == 1 else "rgb"
         text = "import tempfile\nfrom pathlib import Path\n\nimport glymur\n\n\n"
         text += f"def encode({layout}):\n    with tempfile.TemporaryDirectory() as folder:\n"
         text += f'        path = Path(folder) / "frame.jp2"\n        glymur.Jp2k(path, data={layout}, **{settings})\n'
         text += "        return path.read_bytes()"
-        own = Recipe("Python, glymur 0.14 with OpenJPEG 2.5", "python", text)
+        python = Recipe("Python, glymur 0.14 with OpenJPEG 2.5", "python", text)
         if params.lossless and params.layers == 1:
             caps = "format=GRAY8" if scene.channels == 1 else "format=xRGB"
-            return gstreamer(scene, caps, "openjpegenc", "%06d.jp2"), own
-        return (*self._at_ratio(scene), own)
+            return gstreamer(scene, caps, "openjpegenc", "%06d.jp2"), python
+        return (*self._ratio_recipes(scene), python)
 
-    def _at_ratio(self, scene: Scene) -> Iterator[Recipe]:
+    def _ratio_recipes(self, scene: Scene) -> Iterator[Recipe]:
         params = self.params
         yield Recipe(GSTREAMER, "sh", "", "openjpegenc has no property for a rate: it is lossless alone.")
         if params.ratio is None:
@@ -175,20 +190,19 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         yield opencv(scene, ".jp2", {"IMWRITE_JPEG2000_COMPRESSION_X1000": round(1000 / params.ratio)}, note)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        return self._read(bitstream, checked_shape(bitstream))
+        return self._read(bitstream, read_shape(bitstream))
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
-        """What comes before the first gap, layer by layer and in each the coarse resolutions first; what comes after
-        it cannot be told apart.
+        """Decode what comes before the first gap: layer by layer, coarse resolutions first.
 
-        Nothing of it is `whole`: every pixel has a share in the finest resolution of the last layer, whose parts are
-        the last. Raises Unsupported where OpenJPEG is older than 2.5.
+        No pixel is `whole`: each depends on the finest resolution of the last layer, whose packets come last. Raises
+        Unsupported if OpenJPEG is older than 2.5.
         """
         first = fragments[0]
         if len(fragments) == 1 and first.offset == 0 and first.data.endswith(EOC.to_bytes(2, "big")):
             return PartialImage.of_whole(self.decode(first.data))  # no data have these two bytes, T.800 A.1
-        file, shape = cut_file(first.data if first.offset == 0 else b"")
-        with tolerant(self._glymur):
+        file, shape = file_from_prefix(first.data if first.offset == 0 else b"")
+        with lenient_decoding(self._glymur):
             image = self._read(file, shape)
         return PartialImage(image, np.zeros(shape[:2], dtype=bool))
 
@@ -199,7 +213,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     pixels = self._glymur.Jp2k(path)[:]
-            except _UNREADABLE as error:
+            except _PARSER_ERRORS as error:
                 raise BitstreamError(f"jpeg2000: OpenJPEG cannot read the file: {error}") from error
         if pixels.shape != shape or pixels.dtype != np.uint8:
             raise BitstreamError(f"jpeg2000: the header promises {shape}, OpenJPEG read {pixels.shape} {pixels.dtype}")
@@ -208,18 +222,18 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     def libraries(self) -> dict[str, str]:
         return {"glymur": self._glymur.__version__, "openjpeg": self._glymur.lib.openjp2.version()}
 
-    def _largest_within(self, image: Image, cr_percent: float) -> _Trial:
-        """The largest file that is found of those that `cr_percent` allows.
+    def _largest_file_within(self, image: Image, cr_percent: float) -> _Trial:
+        """Search the largest file that `cr_percent` allows.
 
-        It is smaller than the tolerance allows only where coding the image in full takes no more. At high rates
-        of compression one coding pass of a code block is per cents of the file; smaller blocks then reach sizes
-        in between. Raises Unsupported where even the smallest file exceeds the target.
+        The file is below the tolerance only if coding the image in full takes no more. At high compression one coding
+        pass of a code block is several per cent of the file; smaller blocks then reach sizes in between. Raises
+        Unsupported if even the smallest file exceeds the target.
         """
         target_bytes = int(len(png_bytes(image)) * (1 - cr_percent / 100))
         best, smallest = None, image.size
         for block_side in _BLOCK_SIDES:
-            found, least, in_full = self._search(image, target_bytes, block_side)
-            best, smallest = _larger(best, found), min(smallest, least)
+            trial, least, in_full = self._search(image, target_bytes, block_side)
+            best, smallest = _larger(best, trial), min(smallest, least)
             if in_full or best is None or len(best.file) >= (1 - _TOLERANCE) * target_bytes:
                 break
         if best is None:
@@ -227,7 +241,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return best
 
     def _search(self, image: Image, target_bytes: int, block_side: int) -> tuple[_Trial | None, int, bool]:
-        """Correct the budget that OpenJPEG is given until the file is within the tolerance below the target.
+        """Adjust OpenJPEG's byte budget until the file is within the tolerance below the target.
 
         Returns the largest file that fits, the smallest size met, and whether no budget was too large.
         """
@@ -255,17 +269,17 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         with _scratch_file() as path:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                self._glymur.Jp2k(path, data=image, **settings, **self._layered(rate))
-            return with_checksum(path.read_bytes())
+                self._glymur.Jp2k(path, data=image, **settings, **self._layer_rates(rate))
+            return insert_checksum(path.read_bytes())
 
     def _settings(self, shape: tuple[int, ...], block_side: int = _BLOCK_SIDES[0]) -> dict[str, Any]:
         resolutions = min(_RESOLUTIONS, min(shape[:2]).bit_length())
         return {"irreversible": self.params.irreversible, "numres": resolutions, "cbsize": (block_side, block_side)}
 
-    def _layered(self, rate: dict[str, list[float]]) -> dict[str, Any]:
-        """What OpenJPEG is asked for in each layer, the coarsest first; the last is what is asked for in all.
+    def _layer_rates(self, rate: dict[str, list[float]]) -> dict[str, Any]:
+        """Rate options for each layer, the coarsest first; the last layer has the rate of the whole file.
 
-        The lengths of packets are written too, by which a file that is cut is decoded as far as they are whole.
+        Packet lengths (PLT) are written too, so that a truncated file decodes up to its last complete packet.
         """
         if self.params.layers == 1:
             return rate
@@ -276,22 +290,22 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         return {"cratios": [ratio * _LAYER_RATIO**steps for steps in finer], "plt": True}
 
 
-def _checked(image: Image) -> Image:
+def _check_size(image: Image) -> Image:
     image = check_image(image)
     if image.shape[0] * image.shape[1] > MAX_JP2_PIXELS:
         raise ImageError(f"jpeg2000: an image of shape {image.shape} exceeds {MAX_JP2_PIXELS} pixels")
     return image
 
 
-def _larger(best: _Trial | None, found: _Trial | None) -> _Trial | None:
-    """The trial with the larger file; the first of equal ones."""
-    if best is None or found is None:
-        return best or found
-    return max(best, found, key=lambda trial: len(trial.file))
+def _larger(best: _Trial | None, trial: _Trial | None) -> _Trial | None:
+    """Return the trial with the larger file, the first if they are equal."""
+    if best is None or trial is None:
+        return best or trial
+    return max(best, trial, key=lambda either: len(either.file))
 
 
 @contextmanager
 def _scratch_file() -> Iterator[Path]:
-    """The path of a file that does not exist yet, in the process's own temporary folder, which outlives no worker."""
+    """Yield the path of a new file in a temporary folder of this process, which is removed with its worker."""
     with tempfile.TemporaryDirectory(prefix="codecbench-") as name:
         yield Path(name) / "frame.jp2"

@@ -1,7 +1,7 @@
-"""Restart intervals of a JPEG file of which parts are missing: which are there, and the file that they make.
+"""Recover the complete restart intervals of a JPEG file with missing parts.
 
-Each interval is coded with nothing from outside (ITU-T T.81 E.1.4), so those that are there, put together, are a whole
-file of fewer rows, which any decoder reads.
+Each interval is coded independently (ITU-T T.81 E.1.4). So the complete ones together make a file of fewer rows, which
+any decoder reads.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from codecbench.plugins.codecs.jfif import (
 
 _RST0, _CYCLE = 0xD0, 8
 _END = bytes([0xFF, EOI])
-_MARKS = re.compile(rb"\xff([\xd0-\xd7\xd9])")
+_MARKERS = re.compile(rb"\xff([\xd0-\xd7\xd9])")
 _HEIGHT = 1
-"""Where in a frame header the height stands, behind the precision."""
+"""Offset of the height in a frame header, behind the precision."""
 
 
 @dataclass(frozen=True)
 class PartialDecode:
-    """What is there of a file. file: of the rows that are there, whole. rows: where in the picture each belongs.
-
-    rows are rising. header: of the picture as it was.
-    """
+    """The recovered part of a file."""
 
     file: bytes = field(repr=False)
+    """A complete JPEG file of the recovered rows."""
     rows: list[int] = field(repr=False)
+    """Index of each recovered row in the full image, ascending."""
     header: FrameHeader
+    """Frame header of the full image."""
 
 
 def salvage(fragments: Sequence[Fragment], name: str) -> PartialDecode:
-    """The intervals of a sequential file in one scan that are there from end to end.
+    """Recover the complete intervals of a sequential file in one scan.
 
-    Raises BitstreamError, led by the codec's `name`, where the header is not there, the file has no restart intervals
-    of whole rows, or none is there.
+    Raises BitstreamError, led by the codec's `name`, if the header is missing, the file has no restart intervals of
+    whole rows, or no interval is complete.
     """
     first = fragments[0]
-    begin = _scan_begin(first.data, name) if first.offset == 0 else 0
+    begin = _scan_start(first.data, name) if first.offset == 0 else 0
     if not begin:
         raise BitstreamError(f"{name}: the header is not there, and nothing is known without it")
     segments = read_segments(first.data[:begin] + _END, name)
@@ -68,18 +68,18 @@ def salvage(fragments: Sequence[Fragment], name: str) -> PartialDecode:
         raise BitstreamError(f"{name}: parts are missing, and there are no restart intervals; encode with `restart`")
     step = height * mcus // per_row
     count = -(-header.height // step)
-    found = _located([*_runs(fragments, begin, count, name)], count, name)
-    if not found:
+    complete = _number_intervals([*_marker_runs(fragments, begin, count, name)], count, name)
+    if not complete:
         raise BitstreamError(f"{name}: no restart interval of {count} is there whole")
-    rows = [row for number in found for row in range(number * step, min((number + 1) * step, header.height))]
+    rows = [row for number in complete for row in range(number * step, min((number + 1) * step, header.height))]
     place = next(segment.offset for segment in segments if segment.code in FRAME_HEADERS) + _HEIGHT
     head = first.data[:place] + struct.pack(">H", len(rows)) + first.data[place + 2 : begin]
-    data = [part for index, data in enumerate(found.values()) for part in (_restart(index - 1), data)]
+    data = [part for index, data in enumerate(complete.values()) for part in (_restart_marker(index - 1), data)]
     return PartialDecode(head + b"".join(data[1:]) + _END, rows, header)
 
 
 def _mcu_size(header: FrameHeader) -> tuple[int, int]:
-    """Width and height in pixels of what restart intervals are counted in: one block where there is one component."""
+    """Width and height of an MCU in pixels: one block if there is one component."""
     if len(header.components) == 1:
         return 8, 8
     return 8 * max(component.h for component in header.components), 8 * max(
@@ -87,12 +87,12 @@ def _mcu_size(header: FrameHeader) -> tuple[int, int]:
     )
 
 
-def _restart(index: int) -> bytes:
+def _restart_marker(index: int) -> bytes:
     return bytes([0xFF, _RST0 + index % _CYCLE])
 
 
-def _scan_begin(data: bytes, name: str) -> int:
-    """Where the entropy-coded data of the first scan begin; 0 where the bytes end before that."""
+def _scan_start(data: bytes, name: str) -> int:
+    """Start of the entropy-coded data of the first scan; 0 if the bytes end before it."""
     position = 2
     while position + 4 <= len(data):
         if data[position] != 0xFF:
@@ -104,41 +104,42 @@ def _scan_begin(data: bytes, name: str) -> int:
     return 0
 
 
-class _Run(NamedTuple):
-    """Markers of one fragment, each of which begins an interval; the end of the image is taken for one too.
-
-    first: the number of the first's interval, modulo 8. marks: how many. data: of the intervals in between.
-    """
+class _MarkerRun(NamedTuple):
+    """Consecutive markers of one fragment, each of which begins an interval; EOI counts as one too."""
 
     first: int
+    """Number of the first marker's interval, modulo 8."""
     marks: int
+    """Number of markers."""
     data: list[bytes]
+    """Data of the intervals between the markers."""
     is_end: bool
+    """Whether the last marker is EOI."""
 
 
-def _runs(fragments: Sequence[Fragment], begin: int, count: int, name: str) -> list[_Run]:
-    """Of all fragments that have a marker; the beginning of the scan counts as one."""
+def _marker_runs(fragments: Sequence[Fragment], begin: int, count: int, name: str) -> list[_MarkerRun]:
+    """Markers of each fragment that has any; the beginning of the scan counts as one."""
     runs = []
     for fragment in fragments:
         data = fragment.data if fragment.offset else fragment.data[begin:]
         marks = [] if fragment.offset else [(0, 0, 0)]
-        for found in _MARKS.finditer(data):
-            code = found[1][0]
-            marks.append((found.start(), found.end(), (count if code == EOI else code - _RST0 + 1) % _CYCLE))
+        for match in _MARKERS.finditer(data):
+            code = match[1][0]
+            marks.append((match.start(), match.end(), (count if code == EOI else code - _RST0 + 1) % _CYCLE))
         if not marks:
             continue
         if any((after[2] - before[2]) % _CYCLE != 1 for before, after in pairwise(marks)):
             raise BitstreamError(f"{name}: restart markers out of order; the file is damaged")
         between = [data[before[1] : after[0]] for before, after in pairwise(marks)]
-        runs.append(_Run(marks[0][2], len(marks), between, data.endswith(_END)))
+        runs.append(_MarkerRun(marks[0][2], len(marks), between, data.endswith(_END)))
     return runs
 
 
-def _located(runs: list[_Run], count: int, name: str) -> dict[int, bytes]:
-    """Data of the intervals that are there, by number, of those of which the number is beyond doubt.
+def _number_intervals(runs: list[_MarkerRun], count: int, name: str) -> dict[int, bytes]:
+    """Data of the complete intervals by number, if the number is certain.
 
-    A marker tells a number modulo 8. Where more than 8 intervals may be missing in a gap, its length follows only from
-    the number of all, if the end is there and no other gap is in question.
+    A marker gives the number modulo 8. If more than 8 intervals may be missing in a gap, its length follows from the
+    total count only, provided that the end was received and no other gap is uncertain.
     """
     starts, following = [0], runs[0].marks
     for run in runs[1:]:

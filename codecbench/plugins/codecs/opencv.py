@@ -1,4 +1,4 @@
-"""Image files in memory through OpenCV, with RGB on our side and BGR on its."""
+"""Write and read image files in memory through OpenCV; converts between our RGB and its BGR."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from codecbench.core.contracts.image import Image, channel_count
 
 
 def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> bytes:
-    """The image as a file of the format that `extension` (`.jpg`) names.
+    """Encode the image as a file of the format of `extension` (`.jpg`).
 
-    `options` alternate OpenCV's IMWRITE_* flags and their values. Raises ImageError where OpenCV refuses.
+    `options` alternate OpenCV's IMWRITE_* flags and their values. Raises ImageError if OpenCV refuses.
     """
     stored = image if channel_count(image) == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     try:
@@ -29,19 +29,19 @@ def write_image(image: Image, extension: str, options: Sequence[int] = ()) -> by
 
 
 Options: TypeAlias = dict[str, int | str]
-"""By the names of OpenCV's flags; a text is the name of a value."""
+"""Values by name of OpenCV's flags; a string is the name of a value."""
 
 
 def flags(options: Options) -> list[int]:
-    """Options as `write_image` takes them."""
+    """Convert options to the list that `write_image` takes."""
     pairs = ((name, getattr(cv2, value) if isinstance(value, str) else value) for name, value in options.items())
     return [number for name, value in pairs for number in (getattr(cv2, name), value)]
 
 
 def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
-    """The gray or RGB image in a file whose header promises `shape`; EXIF orientation is not applied.
+    """Decode a file whose header promises `shape` to a gray or RGB image; EXIF orientation is not applied.
 
-    Raises BitstreamError where OpenCV finds no image or another shape.
+    Raises BitstreamError if OpenCV finds no image or another shape.
     """
     try:
         stored = cv2.imdecode(np.frombuffer(bitstream, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -55,7 +55,7 @@ def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
 
 
 def library_versions(row: str, library: str) -> dict[str, str]:
-    """OpenCV's version and that of the library that one row (`JPEG`) of its build information names."""
+    """Return OpenCV's version and that of the library in one row (`JPEG`) of its build information."""
     versions = {"opencv": cv2.__version__}
     line = re.search(rf"^\s*{row}:\s*(.+)$", cv2.getBuildInformation(), re.MULTILINE)
     version = re.search(r"\(ver ([^)]+)\)", line[1]) if line else None

@@ -1,13 +1,13 @@
-"""Finding OpenJPEG for glymur, which brings none of its own.
+"""Find OpenJPEG for glymur, which does not bundle it.
 
 Order: what glymur finds itself (its configuration file, then the system's library), then the copy inside Pillow's
-wheel, so that JPEG 2000 works after a bare `pip install`. glymur's own way to name a library, a `glymurrc` in the
-working or the user's configuration folder, is read once, at the first import, and is the user's to write.
+wheel, so that JPEG 2000 works after a bare `pip install`. Users may name a library in
+glymur's `glymurrc`, in the working or the user's configuration folder; glymur reads it once, at its first import.
 
-Pillow's own JPEG 2000 plugin needs none of this. With the same OpenJPEG it writes the same bytes and reads the same
-pixels (567 codings of 27 pictures; a test repeats some), encodes colour in 4 % less time and decodes gray in 8 to
-18 % less, but decodes colour in 8 to 24 % more, and it always uses its own OpenJPEG: going through glymur, a codec
-that is measured is that of the system, as other programs use it.
+Pillow's own JPEG 2000 plugin is not used. With the same OpenJPEG it writes the same bytes and reads the same
+pixels (567 codings of 27 pictures; a test repeats some), encodes color in 4 % less time and decodes gray in 8 to
+18 % less, but decodes color in 8 to 24 % more. It always uses its own OpenJPEG; through glymur we measure the system's
+library, which other programs use too.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from typing import Any
 
 from codecbench.core.contracts.errors import Unsupported
 
-_OLDEST = (2, 4)  # what glymur writes with
-_LOADING = threading.Lock()
+_OLDEST_VERSION = (2, 4)  # what glymur writes with
+_LOAD_LOCK = threading.Lock()
 
 
 def load_glymur() -> ModuleType:
-    """glymur with a working OpenJPEG, one thread a picture.
+    """Import glymur with a working OpenJPEG and one thread per image.
 
-    Raises Unsupported, naming the package to install, where no OpenJPEG of 2.4 or later is found.
+    Raises Unsupported, with the package to install, if there is no OpenJPEG of 2.4 or later.
     """
-    with _LOADING:
+    with _LOAD_LOCK:
         return _load_glymur()
 
 
@@ -57,22 +57,22 @@ def _load_glymur() -> ModuleType:
 
 
 @contextmanager
-def tolerant(glymur: ModuleType) -> Iterator[None]:
-    """Have OpenJPEG decode as far as a file goes, where it otherwise refuses one that ends early.
+def lenient_decoding(glymur: ModuleType) -> Iterator[None]:
+    """Have OpenJPEG decode truncated files as far as they go instead of refusing them.
 
-    glymur has no way to ask for that, so its step before decoding does it meanwhile, for whoever decodes in this
-    process. Raises Unsupported where OpenJPEG is older than 2.5.
+    glymur has no option for that, so its setup step is replaced meanwhile, for the whole process. Raises Unsupported if
+    OpenJPEG is older than 2.5.
     """
     binding = glymur.lib.openjp2
     if not hasattr(binding.OPENJP2, "opj_decoder_set_strict_mode"):
         raise Unsupported(f"jpeg2000: OpenJPEG {binding.version()} decodes no part of a file; 2.5 and later do")
-    lenient = binding.OPENJP2.opj_decoder_set_strict_mode
-    lenient.argtypes, lenient.restype = [binding.CODEC_TYPE, ctypes.c_int], ctypes.c_int
+    set_strict_mode = binding.OPENJP2.opj_decoder_set_strict_mode
+    set_strict_mode.argtypes, set_strict_mode.restype = [binding.CODEC_TYPE, ctypes.c_int], ctypes.c_int
     prepare = binding.setup_decoder
 
     def prepare_leniently(codec: Any, parameters: Any) -> None:
         prepare(codec, parameters)
-        lenient(codec, 0)
+        set_strict_mode(codec, 0)
 
     binding.setup_decoder = prepare_leniently
     try:
@@ -83,11 +83,11 @@ def tolerant(glymur: ModuleType) -> Iterator[None]:
 
 def _is_usable(glymur: ModuleType) -> bool:
     library = glymur.lib.openjp2
-    return library.OPENJP2 is not None and tuple(map(int, library.version().split(".")[:2])) >= _OLDEST
+    return library.OPENJP2 is not None and tuple(map(int, library.version().split(".")[:2])) >= _OLDEST_VERSION
 
 
 def _bundled_libraries() -> list[Path]:
-    """Copies of libopenjp2 among the files that Pillow's distribution installed."""
+    """Paths of libopenjp2 among the files that Pillow's distribution installed."""
     try:
         files = importlib.metadata.files("pillow") or []
     except importlib.metadata.PackageNotFoundError:
@@ -99,8 +99,8 @@ def _bundled_libraries() -> list[Path]:
 def _attach(glymur: ModuleType, path: Path) -> None:
     """Make glymur use the library at `path`.
 
-    Its binding reads the library's version while it is imported, to lay out structures, so it is imported
-    anew with the search for a library answered by us.
+    Its binding reads the library's version at import, to lay out structures. So it is reloaded while its search for a
+    library is replaced by ours.
     """
     config = glymur.config
     search = config.glymur_config

@@ -1,4 +1,4 @@
-"""PNG (ISO/IEC 15948) through OpenCV: lossless, every chunk with its CRC."""
+"""PNG (ISO/IEC 15948) through OpenCV: lossless, with a CRC in every chunk."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PngParams(Params):
 
 
 class Png(Codec[PngParams]):
-    """The lossless yardstick: `cr_percent` is relative to this codec at its defaults."""
+    """The lossless reference: `cr_percent` is relative to this codec at its defaults."""
 
     name = "png"
     version = "1"
@@ -49,7 +49,7 @@ class Png(Codec[PngParams]):
         return write_image(image, ".png", flags(self._options()))
 
     def _options(self) -> Options:
-        """What OpenCV is given."""
+        """Options for OpenCV."""
         return {} if self.params.effort is None else {"IMWRITE_PNG_COMPRESSION": self.params.effort}
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
@@ -67,16 +67,16 @@ class Png(Codec[PngParams]):
         )
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        return read_image(bitstream, _checked_shape(bitstream), "png")
+        return read_image(bitstream, _read_shape(bitstream), "png")
 
     def libraries(self) -> dict[str, str]:
         return library_versions("PNG", "libpng")
 
 
-def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
-    """The shape that a PNG file promises, once every chunk and its CRC has been checked.
+def _read_shape(bitstream: bytes) -> tuple[int, ...]:
+    """Check every chunk and its CRC, and return the shape that a PNG file promises.
 
-    Takes what `encode` writes: 8 bits, gray or RGB, not interlaced, nothing after the end.
+    Accepts what `encode` writes: 8 bits, gray or RGB, not interlaced, nothing after the end.
     """
     if bitstream[: len(_SIGNATURE)] != _SIGNATURE:
         raise BitstreamError(f"png: no PNG signature in {bitstream[:8]!r}")
@@ -102,7 +102,7 @@ def _checked_shape(bitstream: bytes) -> tuple[int, ...]:
 
 
 def _read_chunk(bitstream: bytes, position: int) -> tuple[bytes, memoryview, int]:
-    """The type and content of the chunk at `position`, and where the next one starts."""
+    """Return the type and content of the chunk at `position`, and the start of the next one."""
     overhead = _CHUNK.size + _CRC.size
     if position + overhead > len(bitstream):
         raise BitstreamError(f"png: ends inside a chunk at byte {position}")

@@ -1,6 +1,6 @@
-"""The pixels as they are: the baseline of every comparison, and the template to copy for a new codec.
+"""Uncompressed pixels: the baseline of every comparison, and the template to copy for a new codec.
 
-A bitstream, little-endian:
+A bitstream is little-endian:
 
     bytes  content
     4      magic `RAW1`
@@ -32,7 +32,7 @@ _CRC = struct.Struct("<I")
 
 
 class Raw(Codec[NoParams]):
-    """Identity: what a picture costs, and what a task makes of it, without any compression."""
+    """The identity codec: the size of a frame and the result of a task without any compression."""
 
     name = "raw"
     version = "1"
@@ -51,8 +51,8 @@ class Raw(Codec[NoParams]):
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         note = "The pixels as they are: subscribe to the raw topic, transport `raw`, which every node publishes."
-        own = "Pixels with a header and a checksum of codecbench, which other stacks do not add."
-        python = (replace(recipe, note=own) for recipe in super().recipes(scene))
+        header_note = "Pixels with a header and a checksum of codecbench, which other stacks do not add."
+        python = (replace(recipe, note=header_note) for recipe in super().recipes(scene))
         return (Recipe("ROS 2 image_transport", "yaml", "", note), *python)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:

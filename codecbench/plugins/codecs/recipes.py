@@ -1,4 +1,4 @@
-"""Recipes of the stacks that several codecs share: what stands around the part that a codec says of its setting.
+"""Recipes of the stacks that several codecs share: the text around the options of a codec's operating point.
 
 Keys are those of ROS 2 compressed_image_transport 2.5 to 6.2, GStreamer 1.22 and FFmpeg 5.1.
 """
@@ -15,16 +15,16 @@ GSTREAMER: Final = "GStreamer 1.22"
 FFMPEG: Final = "ffmpeg 5.1"
 CONVERSION: Final = "GStreamer converts color less exactly, which lossless and nearly lossless coding pays for."
 FULL_RANGE: Final = "colorimetry=1:4:0:0"
-"""Full-range BT.601; without it GStreamer converts to limited range, with fewer bytes and another picture."""
+"""Full-range BT.601. Without it GStreamer converts to limited range, with fewer bytes and other pixels."""
 
 
 def sentences(*notes: str) -> str:
-    """Notes as one, without the empty ones."""
+    """Join the notes that are not empty."""
     return " ".join(filter(None, notes))
 
 
 def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") -> Recipe:
-    """Parameters of the node that publishes `image_raw`."""
+    """Recipe of parameters for the node that publishes `image_raw`."""
     names = [f"{key}: {value}" for key, value in keys.items()]
     new, old = ([f"{' ' * indent}{name}" for name in names] for indent in (8, 6))
     lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressed:", *new, "      # Humble:", *old]
@@ -32,7 +32,7 @@ def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") ->
 
 
 def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note: str = "") -> Recipe:
-    """options: by the names of OpenCV's flags; a text is the name of a value."""
+    """Recipe of an OpenCV call. options: values by name of OpenCV's flags; a string is the name of a value."""
     name = "gray" if scene.channels == 1 else "bgr"
     flags = ", ".join(
         f"cv2.{flag}, {f'cv2.{value}' if isinstance(value, str) else value}" for flag, value in options.items()
@@ -42,7 +42,7 @@ def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note:
 
 
 def gstreamer(scene: Scene, caps: str, encoder: str, out: str, note: str = "") -> Recipe:
-    """caps: of what the encoder is given. encoder: elements with their properties. out: a file, or files of frames."""
+    """Recipe of a pipeline. caps: of the encoder's input. encoder: elements and properties. out: file or pattern."""
     camera = f"video/x-raw,width={scene.width},height={scene.height},framerate={scene.rate.numerator}"
     sink = "multifilesink" if "%" in out else "filesink"
     source = f"gst-launch-1.0 -e v4l2src device=/dev/video0 ! {camera}/{scene.rate.denominator} ! videoconvert"
@@ -50,6 +50,6 @@ def gstreamer(scene: Scene, caps: str, encoder: str, out: str, note: str = "") -
 
 
 def ffmpeg(scene: Scene, options: Iterable[str], out: str, note: str = "") -> Recipe:
-    """options: of the encoder. out: a file, or files of frames."""
+    """Recipe of an ffmpeg command. options: of the encoder. out: file or pattern."""
     camera = f"-f v4l2 -framerate {scene.rate} -video_size {scene.width}x{scene.height} -i /dev/video0"
     return Recipe(FFMPEG, "sh", " ".join(["ffmpeg", camera, *options, out]), note)

@@ -21,9 +21,9 @@ from codecbench.plugins.codecs.dct.blocks import (
     zigzag,
 )
 from codecbench.plugins.codecs.dct.planes import (
-    cropped,
+    crop_plane,
     image_from_planes,
-    padded,
+    pad_plane,
     plane_shapes,
     planes_from_image,
 )
@@ -159,9 +159,9 @@ def test_stripes_do_not_show(rng: np.random.Generator, monkeypatch: pytest.Monke
 def test_padding_repeats_the_edge(rng: np.random.Generator, shape: tuple[int, int]) -> None:
     plane = rng.integers(0, 256, shape, dtype=np.uint8)
     rows, columns = (-size % 8 for size in shape)
-    larger = padded(plane)
+    larger = pad_plane(plane)
     assert np.array_equal(larger, np.pad(plane, ((0, rows), (0, columns)), "edge"))
-    assert np.array_equal(cropped(larger, shape), plane)
+    assert np.array_equal(crop_plane(larger, shape), plane)
 
 
 @pytest.mark.parametrize("color", COLORS)

@@ -282,7 +282,7 @@ def test_opj_decompress_makes_the_same_of_a_cut_file(image: np.ndarray, layers: 
     bitstream = codec.encode(image)
     headers = bitstream.index(b"\xff\x93") + 2
     for end in np.linspace(headers + 900, len(bitstream) - 3, 5).astype(int):
-        file, _ = jp2_syntax.cut_file(bitstream[:end])
+        file, _ = jp2_syntax.file_from_prefix(bitstream[:end])
         kept = len(file) - 2  # less EOC
         assert kept == end if layers == 1 else end - 6000 < kept <= end
         theirs = _opj_decompress(bitstream[:kept], tmp_path, "-allow-partial")
@@ -401,7 +401,7 @@ def test_without_any_library_the_codec_is_unsupported_and_names_the_package() ->
 
 _PILLOW_S_FILE = """
 import io, PIL.Image, skimage.data
-from codecbench.plugins.codecs.jp2_syntax import with_checksum
+from codecbench.plugins.codecs.jp2_syntax import insert_checksum
 picture = np.ascontiguousarray(skimage.data.astronaut()[:120, :160])
 for image, rate, own in (
     (picture, {"ratio": 12}, {"quality_mode": "rates", "quality_layers": [12], "irreversible": True, "mct": 1}),
@@ -412,7 +412,7 @@ for image, rate, own in (
     stream = io.BytesIO()
     PIL.Image.fromarray(image).save(stream, "JPEG2000", num_resolutions=6, codeblock_size=(64, 64), **own)
     codec = Jpeg2000.create(**rate)
-    assert codec.encode(image) == with_checksum(stream.getvalue()), rate
+    assert codec.encode(image) == insert_checksum(stream.getvalue()), rate
     assert (codec.decode(codec.encode(image)) == np.asarray(PIL.Image.open(stream))).all(), rate
 """
 
@@ -426,7 +426,7 @@ def test_pillow_s_own_codec_writes_the_same_file_with_the_same_library() -> None
 def test_libraries_are_recorded_with_the_version_that_openjpeg_writes_into_its_files(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(jpeg2000, "with_checksum", lambda file: file)
+    monkeypatch.setattr(jpeg2000, "insert_checksum", lambda file: file)
     codec = Jpeg2000.create(ratio=8)
     file = codec.encode(GRAY)
     start = file.index(b"Created by OpenJPEG version ") + 28

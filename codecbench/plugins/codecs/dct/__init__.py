@@ -1,1 +1,1 @@
-"""What the block-transform codecs share: tables, the 8x8 DCT, the quantiser, planes and colour."""
+"""Shared by the block-transform codecs: tables, the 8x8 DCT, the quantizer, planes and color."""

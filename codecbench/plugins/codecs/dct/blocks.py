@@ -1,7 +1,8 @@
-"""Quantised blocks from a plane and back: the part that JPEG and the multi-level codec have in common.
+"""Quantized blocks of a plane and back, shared by JPEG and the multi-level codec.
 
-Each step is a stage of the trace and a kernel of its own, so that operations can be counted step by step.
-Planes go through in stripes that fit the cache, which also bounds the memory that large planes take.
+The quantizer is the uniform one of T.81 (A.3.4), the zigzag scan that of A.3.6. Each step is a stage of the trace and
+a kernel, so that operations are counted step by step. Planes are processed in stripes that fit the cache, which also
+bounds the memory for large planes.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from codecbench.plugins.codecs.dct.transform import forward_dct, inverse_dct
 Blocks = NDArray[np.int32]
 
 _STRIPE_BLOCKS = 2400
-"""Half a 640x480 plane: 0.6 MB of coefficients and as much of indices. Buffers of a whole one together may be more than
-the C library keeps when they are freed; fetching their pages anew each time takes longer than all the transforms."""
+"""Half a 640x480 plane: 0.6 MB of coefficients and as much of indices. The C library may return larger buffers to the
+system when they are freed; mapping their pages anew each time takes longer than all the transforms."""
 
 
 def blocks_from_plane(
@@ -33,7 +34,7 @@ def blocks_from_plane(
     out: Blocks | None = None,
     trace: Trace = NULL_TRACE,
 ) -> Blocks:
-    """Quantised DCT coefficients of a plane.
+    """Transform and quantize a plane.
 
     plane: (8m, 8n) uint8. steps: (64,) float32, natural order. shift: subtracted from every sample.
     Returns (m * n, 64) int32, in `out` if given: blocks in raster order, zigzag order within a block.
@@ -59,7 +60,7 @@ def plane_from_blocks(
     *,
     trace: Trace = NULL_TRACE,
 ) -> Plane:
-    """The plane of shape (8m, 8n) that quantised blocks stand for; the inverse of `blocks_from_plane`."""
+    """Reconstruct the plane of shape (8m, 8n) from quantized blocks; the inverse of `blocks_from_plane`."""
     plane = np.empty(shape, np.uint8)
     coefficients, natural = _stripe_buffers(shape)
     for rows, part in _stripes(shape):
@@ -74,7 +75,7 @@ def plane_from_blocks(
 
 
 def _stripe_rows(shape: tuple[int, ...]) -> int:
-    """Block rows in a stripe."""
+    """Number of block rows in a stripe."""
     return min(max(_STRIPE_BLOCKS // (shape[1] // 8), 1), shape[0] // 8)
 
 
@@ -84,7 +85,7 @@ def _stripe_buffers(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], Blocks
 
 
 def _stripes(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    """Sample rows and blocks of each stripe."""
+    """Yield the sample rows and the blocks of each stripe."""
     columns = shape[1] // 8
     block_rows = shape[0] // 8
     step = _stripe_rows(shape)
@@ -100,7 +101,7 @@ would also carry 0.49999997 to 1."""
 
 @kernel(error_model="numpy")
 def quantise(coefficients: Any, steps: Any, indices: Any) -> None:
-    """Index q = round(C / step), halves away from zero.
+    """Compute q = round(C / step), halves away from zero.
 
     coefficients: (blocks, 64) float32. steps: (64,) float32, in the same order, with |C| / step below 2^31.
     indices: (blocks, 64) int32, filled.
@@ -116,7 +117,7 @@ def quantise(coefficients: Any, steps: Any, indices: Any) -> None:
 
 @kernel
 def dequantise(indices: Any, steps: Any, coefficients: Any) -> None:
-    """Coefficient C = q * step; shapes as in `quantise`, `coefficients` filled."""
+    """Compute C = q * step; shapes as in `quantise`, `coefficients` filled."""
     for block in range(indices.shape[0]):
         for place in range(64):
             coefficients[block, place] = np.float32(indices[block, place]) * steps[place]
@@ -124,7 +125,7 @@ def dequantise(indices: Any, steps: Any, coefficients: Any) -> None:
 
 @kernel
 def zigzag(natural: Any, scanned: Any) -> None:
-    """Zigzag order from natural order, block by block; both (blocks, 64), `scanned` filled."""
+    """Reorder each block from natural to zigzag order; both (blocks, 64), `scanned` filled."""
     for block in range(natural.shape[0]):
         for rank in range(64):
             scanned[block, rank] = natural[block, ZIGZAG[rank]]
@@ -132,7 +133,7 @@ def zigzag(natural: Any, scanned: Any) -> None:
 
 @kernel
 def inverse_zigzag(scanned: Any, natural: Any) -> None:
-    """Natural order from zigzag order, block by block; both (blocks, 64), `natural` filled."""
+    """Reorder each block from zigzag to natural order; both (blocks, 64), `natural` filled."""
     for block in range(scanned.shape[0]):
         for rank in range(64):
             natural[block, ZIGZAG[rank]] = scanned[block, rank]

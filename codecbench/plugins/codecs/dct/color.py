@@ -1,6 +1,7 @@
-"""Colour: RGB to YCbCr and back as JFIF defines it, luma as OpenCV computes it, and 4:2:0 chroma.
+"""Color transforms: RGB to YCbCr and back as in JFIF, luma as in OpenCV, and 4:2:0 chroma.
 
-Integer arithmetic with 16 fractional bits (15 for luma), halves up: libjpeg's, so that its decoder and ours agree.
+The integer arithmetic is libjpeg's, with 16 fractional bits (15 for luma) and halves up, so that its decoder and ours
+agree.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from codecbench.core.counting.kernel import kernel
 
 @kernel
 def luma_from_rgb(image: Any, luma: Any) -> None:
-    """BT.601 luma. image: (H, W, 3) uint8. luma: (H, W) uint8, filled; equals `gray_from_image`."""
+    """Compute BT.601 luma. image: (H, W, 3) uint8. luma: (H, W) uint8, filled; equals `gray_from_image`."""
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             red = np.int32(image[row, column, 0])
@@ -25,7 +26,7 @@ def luma_from_rgb(image: Any, luma: Any) -> None:
 
 @kernel
 def chroma_from_rgb(image: Any, cb: Any, cr: Any) -> None:
-    """JFIF chroma with 128 for gray. image: (H, W, 3) uint8. cb, cr: (H, W) uint8, filled."""
+    """Compute JFIF chroma with 128 for gray. image: (H, W, 3) uint8. cb, cr: (H, W) uint8, filled."""
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             red = np.int32(image[row, column, 0])
@@ -36,26 +37,26 @@ def chroma_from_rgb(image: Any, cb: Any, cr: Any) -> None:
 
 
 @kernel
-def _clamped(sample: Any) -> Any:
+def _clamp(sample: Any) -> Any:
     return np.uint8(min(max(sample, 0), 255))
 
 
 @kernel
 def rgb_from_ycbcr(luma: Any, cb: Any, cr: Any, image: Any) -> None:
-    """RGB from JFIF YCbCr, clamped to 0..255. luma, cb, cr: (H, W) uint8. image: (H, W, 3) uint8, filled."""
+    """Convert JFIF YCbCr to RGB, clamped to 0..255. luma, cb, cr: (H, W) uint8. image: (H, W, 3) uint8, filled."""
     for row in range(luma.shape[0]):
         for column in range(luma.shape[1]):
             y = np.int32(luma[row, column])
             blue = np.int32(cb[row, column]) - 128
             red = np.int32(cr[row, column]) - 128
-            image[row, column, 0] = _clamped(y + ((91881 * red + 32768) >> 16))
-            image[row, column, 1] = _clamped(y + ((32768 - 22554 * blue - 46802 * red) >> 16))
-            image[row, column, 2] = _clamped(y + ((116130 * blue + 32768) >> 16))
+            image[row, column, 0] = _clamp(y + ((91881 * red + 32768) >> 16))
+            image[row, column, 1] = _clamp(y + ((32768 - 22554 * blue - 46802 * red) >> 16))
+            image[row, column, 2] = _clamp(y + ((116130 * blue + 32768) >> 16))
 
 
 @kernel
 def halve(plane: Any, halved: Any) -> None:
-    """Means of 2x2 samples, an odd edge repeated. plane: (H, W) uint8. halved: (ceil H/2, ceil W/2), filled."""
+    """Average 2x2 samples; an odd edge is repeated. plane: (H, W) uint8. halved: (ceil H/2, ceil W/2), filled."""
     last_row = plane.shape[0] - 1
     last_column = plane.shape[1] - 1
     for row in range(halved.shape[0]):
@@ -71,7 +72,7 @@ def halve(plane: Any, halved: Any) -> None:
 
 @kernel
 def double(plane: Any, doubled: Any) -> None:
-    """Triangle interpolation to twice the size, as libjpeg upsamples 4:2:0.
+    """Interpolate linearly to twice the size, as libjpeg upsamples 4:2:0.
 
     plane: (ceil H/2, ceil W/2) uint8. doubled: (H, W) uint8, filled. Weights are 9, 3, 3, 1 sixteenths,
     rounded with 8 on even columns and 7 on odd ones.

@@ -1,4 +1,4 @@
-"""From an image to the planes that are coded, and back."""
+"""Convert an image to the planes that are coded, and back."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DCT = "codecbench.plugins.codecs.dct"
 
 
 def dct_kernels(color: Color) -> tuple[str, ...]:
-    """The kernels of this package that a setting with planes of this color space calls, for `Codec.kernels`."""
+    """Kernels of this package that planes of this color space need, for `Codec.kernels`."""
     names = ["blocks", "planes", "transform"]
     if color != "rgb":
         names += ["color.luma_from_rgb", "color.chroma_from_rgb", "color.rgb_from_ycbcr"]
@@ -35,7 +35,7 @@ def dct_kernels(color: Color) -> tuple[str, ...]:
 
 
 def plane_shapes(height: int, width: int, color: Color) -> list[tuple[int, int]]:
-    """(height, width) of every plane, before padding."""
+    """Return (height, width) of every plane, before padding."""
     full = (height, width)
     if color == "gray":
         return [full]
@@ -46,9 +46,9 @@ def plane_shapes(height: int, width: int, color: Color) -> list[tuple[int, int]]
 
 
 def planes_from_image(image: Image, color: Color, trace: Trace = NULL_TRACE) -> list[Plane]:
-    """The planes of an image in the given colour space.
+    """Split an image into planes of a color space.
 
-    A gray image is one plane whatever `color` says. The planes may share memory with `image`: read only.
+    A gray image is one plane for every `color`. The planes may share memory with `image`, so they are read-only.
     """
     if image.ndim == 2:
         return [image]
@@ -73,7 +73,7 @@ def planes_from_image(image: Image, color: Color, trace: Trace = NULL_TRACE) -> 
 
 
 def image_from_planes(planes: list[Plane], color: Color, channels: int, trace: Trace = NULL_TRACE) -> Image:
-    """The (H, W) or (H, W, 3) image of planes as `planes_from_image` gives them; one plane fills all channels."""
+    """Merge planes of `planes_from_image` into an (H, W) or (H, W, 3) image; a single plane fills all channels."""
     height, width = planes[0].shape
     if channels == 1:
         return planes[0]
@@ -92,8 +92,8 @@ def image_from_planes(planes: list[Plane], color: Color, channels: int, trace: T
     return image
 
 
-def padded(plane: Plane, multiple: int = 8, trace: Trace = NULL_TRACE) -> Plane:
-    """The plane with its last row and column repeated up to a multiple of `multiple`; itself where it fits."""
+def pad_plane(plane: Plane, multiple: int = 8, trace: Trace = NULL_TRACE) -> Plane:
+    """Repeat the last row and column up to a multiple of `multiple`; returns the plane itself if it fits."""
     height, width = (-(-size // multiple) * multiple for size in plane.shape)
     if (height, width) == plane.shape:
         return plane
@@ -103,8 +103,8 @@ def padded(plane: Plane, multiple: int = 8, trace: Trace = NULL_TRACE) -> Plane:
     return larger
 
 
-def cropped(plane: Plane, shape: tuple[int, int], trace: Trace = NULL_TRACE) -> Plane:
-    """The top left part of a plane, contiguous; the plane itself where it already has that shape."""
+def crop_plane(plane: Plane, shape: tuple[int, int], trace: Trace = NULL_TRACE) -> Plane:
+    """Copy the top left part of a plane; returns the plane itself if it has that shape."""
     if plane.shape == shape:
         return plane
     smaller = np.empty(shape, np.uint8)

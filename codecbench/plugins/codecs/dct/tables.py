@@ -1,4 +1,4 @@
-"""Quantisation tables and the zigzag order of ITU-T T.81.
+"""Quantization tables and the zigzag order of ITU-T T.81.
 
 Tables are (8, 8) int32, row = vertical frequency, column = horizontal frequency.
 """
@@ -12,7 +12,7 @@ Table = NDArray[np.int32]
 
 
 def _zigzag() -> NDArray[np.int32]:
-    """Natural position 8 * row + column of the k-th coefficient in zigzag order (T.81, figure A.6)."""
+    """Natural position, 8 * row + column, of each coefficient in zigzag order (T.81, figure A.6)."""
 
     def rank(position: int) -> tuple[int, int]:
         row, column = divmod(position, 8)
@@ -55,26 +55,26 @@ CHROMINANCE: Table = np.array(
 """T.81, table K.2."""
 
 FLAT: Table = np.full((8, 8), 16, dtype=np.int32)
-"""The same step for every coefficient: 16, the DC step of K.1."""
+"""Equal steps of 16, the DC step of K.1."""
 
 
-def modified(table: Table) -> Table:
-    """A copy of `table` whose DC and next five zigzag entries are 1.
+def with_unit_head(table: Table) -> Table:
+    """Copy `table` with 1 for DC and the next five zigzag entries.
 
     Source: Salih & Vasarhelyi, section 3, for the luminance table.
     """
-    changed = table.copy()
-    changed.reshape(64)[ZIGZAG[:6]] = 1
-    return changed
+    copy = table.copy()
+    copy.reshape(64)[ZIGZAG[:6]] = 1
+    return copy
 
 
-PAPER: Table = modified(LUMINANCE)
-"""The paper's table: K.1 with ones in its first six zigzag places."""
+PAPER: Table = with_unit_head(LUMINANCE)
+"""The paper's table: K.1 with 1 in the first six zigzag places."""
 
 for _table in (ZIGZAG, LUMINANCE, CHROMINANCE, FLAT, PAPER):
     _table.flags.writeable = False
 
 
 def steps_from_table(table: Table, factor: float) -> NDArray[np.float32]:
-    """Quantisation steps (64,), natural order: table * factor, rounded once to float32."""
+    """Return the quantization steps (64,), natural order: table * factor, rounded once to float32."""
     return (table.astype(np.float64) * float(factor)).astype(np.float32).reshape(64)

@@ -1,7 +1,7 @@
 """The orthonormal 8x8 discrete cosine transform of T.81 (A.3.3), forward and inverse, in single precision.
 
 The one-dimensional transform is that of Arai, Agui and Nakajima (1988): 5 multiplications and 29 additions
-for 8 points, and one more multiplication a coefficient to make it orthonormal. The order of evaluation is
+for 8 points, and one more multiplication per coefficient to make it orthonormal. The order of evaluation is
 fixed and nothing is contracted, so results are the same on every machine with IEEE 754 arithmetic.
 """
 
@@ -28,7 +28,7 @@ _WHITE = np.float32(255)
 
 
 def _scales(power: int) -> NDArray[np.float32]:
-    """What the fast transform leaves to be multiplied in, one factor a coefficient, natural order."""
+    """Factors that complete the fast transform, one per coefficient in natural order."""
     scales = np.sqrt(2.0) * np.cos(np.arange(8) * np.pi / 16)
     scales[0] = 1.0
     return (np.outer(scales, scales) ** power / 8).astype(np.float32).reshape(64)
@@ -40,7 +40,7 @@ _INVERSE_SCALES = _scales(1)
 
 @kernel
 def _forward_8(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any) -> Any:
-    """Eight scaled DCT coefficients of eight samples."""
+    """Transform eight samples to eight scaled DCT coefficients."""
     t0 = a0 + a7
     t7 = a0 - a7
     t1 = a1 + a6
@@ -68,7 +68,7 @@ def _forward_8(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7
 
 @kernel
 def _inverse_8(c0: Any, c1: Any, c2: Any, c3: Any, c4: Any, c5: Any, c6: Any, c7: Any) -> Any:
-    """Eight samples of eight scaled DCT coefficients."""
+    """Transform eight scaled DCT coefficients back to eight samples."""
     e0 = c0 + c4
     e1 = c0 - c4
     e3 = c2 + c6
@@ -153,7 +153,7 @@ def transpose_blocks(source: Any, target: Any) -> None:
 
 @kernel
 def _forward_down(source: Any, target: Any) -> None:
-    """One-dimensional transform down every column of an (8, W) strip."""
+    """Transform every column of an (8, W) strip."""
     for x in range(source.shape[1]):
         (
             target[0, x], target[1, x], target[2, x], target[3, x],
@@ -166,7 +166,7 @@ def _forward_down(source: Any, target: Any) -> None:
 
 @kernel
 def _inverse_down(source: Any, target: Any) -> None:
-    """One-dimensional inverse transform down every column of an (8, W) strip."""
+    """Transform every column of an (8, W) strip back."""
     for x in range(source.shape[1]):
         (
             target[0, x], target[1, x], target[2, x], target[3, x],

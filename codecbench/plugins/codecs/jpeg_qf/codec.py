@@ -1,8 +1,8 @@
-"""Baseline JPEG (ITU-T T.81) from instrumented kernels, by a real factor on the quantisation table.
+"""Baseline JPEG (ITU-T T.81) from instrumented kernels, with a real factor on the quantization table.
 
-The factor multiplies the whole table, as in Salih & Vasarhelyi: q = round(C / (M qf)). A file holds whole
-steps only, so M qf is rounded to 1..65535. The stages are those of `dct/` (the level shift of T.81 A.3.1 is
-part of the transform) and `huffman`.
+The factor multiplies the whole table, as in Salih & Vasarhelyi: q = round(C / (M qf)). A file holds whole steps only,
+so M qf is rounded to 1..65535. The stages are those of `dct/` (the level shift of T.81 A.3.1 is part of the transform)
+and `huffman`. The decoder enlarges chroma as libjpeg does, which all but defines how a JPEG looks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Run, Trace
 from codecbench.plugins.codecs.dct import tables
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.color import double, rgb_from_ycbcr
-from codecbench.plugins.codecs.dct.planes import cropped, dct_kernels, padded, planes_from_image
+from codecbench.plugins.codecs.dct.planes import crop_plane, dct_kernels, pad_plane, planes_from_image
 from codecbench.plugins.codecs.jfif import MAX_SIDE, SOF_BASELINE, Component, FrameHeader
 from codecbench.plugins.codecs.jpeg_qf.interchange import MAX_JPEG_QF_PIXELS, CodedPicture, read_file, write_file
 from codecbench.plugins.codecs.jpeg_qf.scan import read_scan, scan_layout, write_scan
@@ -31,7 +31,7 @@ _SHIFT = 128.0
 _MAX_STEP = 65535
 _LUMA, _CHROMA = 0, 1
 _TABLES = {
-    "paper": (tables.PAPER, tables.modified(tables.CHROMINANCE)),
+    "paper": (tables.PAPER, tables.with_unit_head(tables.CHROMINANCE)),
     "standard": (tables.LUMINANCE, tables.CHROMINANCE),
 }
 
@@ -50,7 +50,7 @@ class JpegQfParams(Params):
 
 
 class JpegQf(Codec[JpegQfParams]):
-    """The paper's JPEG as a real JFIF file that any decoder reads."""
+    """The paper's JPEG as a JFIF file that any decoder reads."""
 
     name = "jpeg_qf"
     version = "1"
@@ -67,7 +67,7 @@ class JpegQf(Codec[JpegQfParams]):
     def __init__(self, params: JpegQfParams) -> None:
         super().__init__(params)
         self.kernels = (*dct_kernels(params.color), "codecbench.plugins.codecs.jpeg_qf")
-        self._quantisers = [_steps(table, params.qf) for table in _TABLES[params.table]]
+        self._quantizers = [_steps(table, params.qf) for table in _TABLES[params.table]]
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image)
@@ -76,14 +76,14 @@ class JpegQf(Codec[JpegQfParams]):
         blocks = np.empty((len(layout.order), 64), np.int32)
         start = 0
         for plane, component in zip(planes_from_image(image, self.params.color, trace), header.components, strict=True):
-            plane = padded(plane, 8 * component.h, trace)
+            plane = pad_plane(plane, 8 * component.h, trace)
             out = blocks[start : start + plane.size // 64]
-            blocks_from_plane(plane, _natural(self._quantisers[component.table]), _SHIFT, out=out, trace=trace)
+            blocks_from_plane(plane, _natural_order(self._quantizers[component.table]), _SHIFT, out=out, trace=trace)
             start += len(out)
         selectors = tuple((component.table, component.table) for component in header.components)
         huffman_tables, scan_data = write_scan(blocks, layout, selectors, self.params.optimize, trace)
-        quantisers = {component.table: self._quantisers[component.table] for component in header.components}
-        return write_file(CodedPicture(header, quantisers, huffman_tables, selectors, 0, scan_data))
+        quantizers = {component.table: self._quantizers[component.table] for component in header.components}
+        return write_file(CodedPicture(header, quantizers, huffman_tables, selectors, 0, scan_data))
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         picture = read_file(bitstream)
@@ -92,16 +92,16 @@ class JpegQf(Codec[JpegQfParams]):
         planes, first = [], 0
         for component, part, (rows, columns) in zip(header.components, _part_shapes(header), layout.grids, strict=True):
             last = first + rows * columns
-            steps = _natural(picture.quantisers[component.table])
+            steps = _natural_order(picture.quantizers[component.table])
             plane = plane_from_blocks(blocks[first:last], (8 * rows, 8 * columns), steps, _SHIFT, trace=trace)
-            planes.append(cropped(plane, part, trace))
+            planes.append(crop_plane(plane, part, trace))
             first = last
         if len(planes) == 1:
             return planes[0]
         luma = header.components[0]
         image: Image = np.empty(header.shape, np.uint8)
         with trace.stage("inverse_color_transform") as run:
-            chroma = [enlarged(plane, luma.h, luma.v, planes[0].shape, run) for plane in planes[1:]]
+            chroma = [upsample(plane, luma.h, luma.v, planes[0].shape, run) for plane in planes[1:]]
             run(rgb_from_ycbcr, planes[0], *chroma, image)
         return image
 
@@ -117,19 +117,19 @@ class JpegQf(Codec[JpegQfParams]):
 
 
 def _steps(table: tables.Table, factor: float) -> NDArray[np.uint16]:
-    """Whole quantisation steps (64,) in zigzag order."""
+    """Whole quantization steps (64,) in zigzag order."""
     steps = np.clip(np.floor(table.astype(np.float64) * factor + 0.5), 1, _MAX_STEP)
     return steps.reshape(64)[tables.ZIGZAG].astype(np.uint16)
 
 
-def _natural(steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+def _natural_order(steps: NDArray[np.uint16]) -> NDArray[np.float32]:
     natural = np.empty(64, np.float32)
     natural[tables.ZIGZAG] = steps
     return natural
 
 
 def _part_shapes(header: FrameHeader) -> list[tuple[int, int]]:
-    """(height, width) of what the image covers of each component's plane."""
+    """(height, width) of the part of each component's plane that the image covers."""
     luma = header.components[0]
     if len(header.components) == 1:
         return [(header.height, header.width)]
@@ -140,11 +140,11 @@ def _part_shapes(header: FrameHeader) -> list[tuple[int, int]]:
 
 
 _NARROWEST_SMOOTHED = 3
-"""Planes of one or two samples across are repeated, not interpolated."""
+"""Narrower planes, of one or two columns, are repeated, not interpolated."""
 
 
-def enlarged(plane: NDArray[np.uint8], h: int, v: int, shape: tuple[int, int], run: Run) -> NDArray[np.uint8]:
-    """The plane, of which every sample covers h x v pixels, at `shape` (height, width) of the image.
+def upsample(plane: NDArray[np.uint8], h: int, v: int, shape: tuple[int, int], run: Run) -> NDArray[np.uint8]:
+    """Enlarge a plane whose samples cover h x v pixels to `shape`, (height, width) of the image.
 
     (h, v) is (1, 1), (2, 1) or (2, 2).
     """
@@ -160,7 +160,7 @@ def enlarged(plane: NDArray[np.uint8], h: int, v: int, shape: tuple[int, int], r
 
 @kernel
 def repeat(plane: Any, h: Any, v: Any, large: Any) -> None:
-    """Every sample h times across and v times down, as far as `large` goes."""
+    """Repeat every sample h times across and v times down, as far as `large` goes."""
     for row in range(large.shape[0]):
         for column in range(large.shape[1]):
             large[row, column] = plane[row // v, column // h]
@@ -168,7 +168,7 @@ def repeat(plane: Any, h: Any, v: Any, large: Any) -> None:
 
 @kernel
 def widen(plane: Any, large: Any) -> None:
-    """Twice as wide: 3:1 means of the nearest two samples, rounded halves down on even columns and up on odd ones.
+    """Interpolate to twice the width: 3:1 means of the nearest two samples, halves down on even columns, else up.
 
     plane: (H, ceil W/2) uint8. large: (H, W) uint8, filled.
     """

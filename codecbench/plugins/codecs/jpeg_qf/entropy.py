@@ -1,8 +1,8 @@
-"""The entropy-coded segment of a sequential scan: Huffman coding of quantised blocks (ITU-T T.81 annex F).
+"""Entropy coder of a sequential scan: Huffman coding of quantized blocks (ITU-T T.81 annex F).
 
-Blocks are rows of an (N, 64) array of coefficients in zigzag order. `order` (N,) says which row is coded
-when, and `pattern` (M,) which component, of M blocks of an MCU, each belongs to. `selectors` (components, 2)
-are the DC and AC tables of each component.
+Blocks are rows of an (N, 64) array of coefficients in zigzag order. `order` (N,) lists the rows in coding order.
+`pattern` (M,) is the component of each of the M blocks of an MCU. `selectors` (components, 2) are the DC and AC tables
+of each component.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ REASONS = {
     BAD_RESTART: "restart markers are missing, misplaced or out of order",
 }
 MAX_BLOCK_BYTES = 2 * (16 + 11 + 63 * (16 + 10)) // 8 + 2
-"""Of one block, every code of the greatest length and every byte stuffed."""
+"""Upper bound for one block: every code of the greatest length, every byte stuffed."""
 PADDING_BYTES = 8
-"""Zeros after unstuffed data, which the bit reader may look at but not take."""
+"""Zeros after unstuffed data, which the bit reader may peek at but not consume."""
 _END_OF_BLOCK, _SIXTEEN_ZEROS = 0x00, 0xF0
 _MAX_DC_SIZE, _MAX_AC_SIZE = 11, 10
 _MAX_DC = 2047
@@ -33,13 +33,13 @@ _SIZES = np.array([magnitude.bit_length() for magnitude in range(2 * _MAX_DC + 2
 
 @kernel
 def bit_size(value):  # type: ignore[no-untyped-def]
-    """Bits of the magnitude of a coefficient: SSSS of T.81 tables F.1 and F.2."""
+    """Number of bits of a coefficient's magnitude: SSSS of T.81 tables F.1 and F.2."""
     return np.int64(_SIZES[abs(value)])
 
 
 @kernel
 def count_symbols(blocks, order, pattern, selectors, frequencies):  # type: ignore[no-untyped-def]
-    """Add how often each symbol will be coded to `frequencies` (2 classes, 2 tables, 256)."""
+    """Add the number of occurrences of each symbol to `frequencies` (2 classes, 2 tables, 256)."""
     predictions = np.zeros(selectors.shape[0], np.int64)
     for i in range(order.shape[0]):
         block = order[i]
@@ -67,7 +67,7 @@ def count_symbols(blocks, order, pattern, selectors, frequencies):  # type: igno
 def put_bits(output, pending, bits, written, value, count):  # type: ignore[no-untyped-def]
     """Append the low `count` bits of `value`; returns the new pending bits, their number and the bytes written.
 
-    A byte FF is followed by 00 (T.81 F.1.2.3).
+    00 is stuffed after each byte FF (T.81 F.1.2.3).
     """
     pending = (pending << count) | value
     bits += count
@@ -84,7 +84,7 @@ def put_bits(output, pending, bits, written, value, count):  # type: ignore[no-u
 
 @kernel
 def put_symbol(output, pending, bits, written, code, length, value, size):  # type: ignore[no-untyped-def]
-    """Append a Huffman code and the `size` low bits of a coefficient, of one less if negative (T.81 F.1.2.1)."""
+    """Append a Huffman code and the `size` low bits of a coefficient, minus one if negative (T.81 F.1.2.1)."""
     low = value if value >= 0 else value - 1
     code = (np.int64(code) << size) | (low & ((1 << size) - 1))
     return put_bits(output, pending, bits, written, code, np.int64(length) + size)
@@ -123,17 +123,17 @@ def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # t
         if zeros > 0:
             code, length = codes[1, ac, _END_OF_BLOCK], lengths[1, ac, _END_OF_BLOCK]
             pending, bits, written = put_symbol(output, pending, bits, written, code, length, np.int64(0), 0)
-    if bits > 0:  # filled up with ones
+    if bits > 0:  # pad the last byte with ones
         pending, bits, written = put_bits(output, pending, bits, written, np.int64(0x7F) >> (bits - 1), 8 - bits)
     return written
 
 
 @kernel
 def unstuff(data, output, ends):  # type: ignore[no-untyped-def]
-    """Take stuffed zeros and restart markers out of `data`.
+    """Remove stuffed zeros and restart markers from `data`.
 
-    `ends` receives where each interval ends in `output`; the last is the end of it all. Returns the number of
-    intervals, or minus BAD_RESTART where markers are more than `ends` has room for or out of order.
+    `ends` receives the end of each interval in `output`; the last is the end of the data. Returns the number of
+    intervals, or -BAD_RESTART if there are more markers than `ends` has room for, or they are out of order.
     """
     written, intervals, i = 0, 0, 0
     while i < data.shape[0]:
@@ -156,7 +156,7 @@ def unstuff(data, output, ends):  # type: ignore[no-untyped-def]
 
 @kernel
 def peek(data, bit):  # type: ignore[no-untyped-def]
-    """The 16 bits that start at bit `bit` of `data`."""
+    """Return the 16 bits that start at bit `bit` of `data`."""
     i = bit >> 3
     three = (np.int64(data[i]) << 16) | (np.int64(data[i + 1]) << 8) | np.int64(data[i + 2])
     return (three >> (8 - (bit & 7))) & 0xFFFF
@@ -164,10 +164,10 @@ def peek(data, bit):  # type: ignore[no-untyped-def]
 
 @kernel
 def next_symbol(window, lookahead, max_codes, offsets, symbols):  # type: ignore[no-untyped-def]
-    """Length << 8 | symbol of the code that 16 bits start with, or -1 for none (T.81 F.2.2.3)."""
-    found = np.int64(lookahead[window >> 8])
-    if found != 0:
-        return found
+    """Return length << 8 | symbol of the code that 16 bits start with, or -1 for none (T.81 F.2.2.3)."""
+    length_and_symbol = np.int64(lookahead[window >> 8])
+    if length_and_symbol != 0:
+        return length_and_symbol
     for length in range(9, 17):
         code = window >> (16 - length)
         if code <= max_codes[length]:
@@ -176,8 +176,8 @@ def next_symbol(window, lookahead, max_codes, offsets, symbols):  # type: ignore
 
 
 @kernel
-def extended(window, size):  # type: ignore[no-untyped-def]
-    """The coefficient whose `size` bits a window of 16 starts with (T.81 F.2.2.1, EXTEND)."""
+def extend(window, size):  # type: ignore[no-untyped-def]
+    """Return the coefficient of the first `size` bits of a window of 16 (T.81 F.2.2.1, EXTEND)."""
     if size == 0:
         return np.int64(0)
     value = window >> (16 - size)
@@ -188,31 +188,31 @@ def extended(window, size):  # type: ignore[no-untyped-def]
 
 @kernel
 def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-untyped-def]
-    """Read one block at `bit`: its DC difference into block[0] and its AC; returns the next bit or minus an error.
+    """Decode the block at `bit`: its DC difference into block[0] and its AC; returns the next bit or minus an error.
 
-    `block` (64,) must be zero. No bit at or after `limit` is taken.
+    `block` (64,) must be zero. No bit at or after `limit` is consumed.
     """
     lookahead, max_codes, offsets, symbols = tables
-    found = next_symbol(peek(data, bit), lookahead[0, dc, :], max_codes[0, dc, :], offsets[0, dc, :], symbols[0, dc, :])
-    size = found & 0xFF
-    if found < 0:
+    code = next_symbol(peek(data, bit), lookahead[0, dc, :], max_codes[0, dc, :], offsets[0, dc, :], symbols[0, dc, :])
+    size = code & 0xFF
+    if code < 0:
         return -BAD_CODE
     if size > _MAX_DC_SIZE:
         return -BAD_SIZE
-    bit += found >> 8
+    bit += code >> 8
     if bit + size > limit:
         return -CUT_SHORT
-    block[0] = extended(peek(data, bit), size)
+    block[0] = extend(peek(data, bit), size)
     bit += size
     k = 1
     while k < 64:
-        found = next_symbol(
+        code = next_symbol(
             peek(data, bit), lookahead[1, ac, :], max_codes[1, ac, :], offsets[1, ac, :], symbols[1, ac, :]
         )
-        if found < 0:
+        if code < 0:
             return -BAD_CODE
-        zeros, size = (found >> 4) & 15, found & 15
-        bit += found >> 8
+        zeros, size = (code >> 4) & 15, code & 15
+        bit += code >> 8
         if bit + size > limit:
             return -CUT_SHORT
         if size == 0:
@@ -225,7 +225,7 @@ def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-un
             return -BAD_RUN
         if size > _MAX_AC_SIZE:
             return -BAD_SIZE
-        block[k] = extended(peek(data, bit), size)
+        block[k] = extend(peek(data, bit), size)
         bit += size
         k += 1
     if k > 64:
@@ -235,10 +235,10 @@ def decode_block(data, bit, limit, tables, dc, ac, block):  # type: ignore[no-un
 
 @kernel
 def decode_scan(data, ends, interval_blocks, order, pattern, selectors, tables, blocks):  # type: ignore[no-untyped-def]
-    """Read all blocks of unstuffed `data` into `blocks`, which must be zero; returns OK or an error code.
+    """Decode unstuffed `data` into `blocks`, which must be zero; returns OK or an error code.
 
-    Predictions start anew, and bits at a byte, every `interval_blocks` blocks; `ends` (intervals,) are where
-    in `data` intervals end. `data` has PADDING_BYTES more behind the last end.
+    Every `interval_blocks` blocks predictions are reset and bits start at a byte. `ends` (intervals,) are the ends of
+    the intervals in `data`, which has PADDING_BYTES more behind the last end.
     """
     predictions = np.zeros(selectors.shape[0], np.int64)
     interval, bit = 0, np.int64(0)

@@ -1,4 +1,4 @@
-"""Huffman tables: how they are specified, coded and made for an image (ITU-T T.81 annexes C, F, K)."""
+"""Huffman tables: specification, codes, and optimal tables for an image (ITU-T T.81 annexes C, F, K)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from codecbench.core.counting.kernel import kernel
 
 MAX_LENGTH = 16
 LOOKAHEAD = 8
-"""Codes of up to so many bits are decoded by one look-up."""
+"""Longest code in bits that one look-up decodes."""
 
 
 @dataclass(frozen=True)
 class HuffmanTable:
-    """A table as DHT carries it: how many codes there are of each length 1..16, and their symbols in code order."""
+    """A table as in DHT."""
 
     lengths: bytes
+    """Number of codes of each length 1..16."""
     symbols: bytes
+    """Symbols in code order."""
 
     def __post_init__(self) -> None:
         if len(self.lengths) != MAX_LENGTH or sum(self.lengths) != len(self.symbols):
@@ -38,7 +40,7 @@ class HuffmanTable:
 
 @dataclass(frozen=True)
 class EncodingTables:
-    """Code and length by class (0 DC, 1 AC), table and symbol; length 0 where a symbol has no code."""
+    """Code and length by class (0 DC, 1 AC), table and symbol; length 0 if a symbol has no code."""
 
     codes: NDArray[np.uint32]
     lengths: NDArray[np.uint8]
@@ -46,17 +48,19 @@ class EncodingTables:
 
 @dataclass(frozen=True)
 class DecodingTables:
-    """By class and table: `lookahead` of the next 8 bits (length << 8 | symbol, 0 for longer codes), and per length the
-    largest code (-1 for none) and what to add to a code to get the index of its symbol (T.81 F.2.2.3)."""
+    """Look-up tables of the decoder, by class and table (T.81 F.2.2.3)."""
 
     lookahead: NDArray[np.uint16]
+    """By the next 8 bits: length << 8 | symbol, 0 for longer codes."""
     max_codes: NDArray[np.int32]
+    """By length: the largest code, -1 for none."""
     offsets: NDArray[np.int32]
+    """By length: the index of a code's symbol minus the code."""
     symbols: NDArray[np.uint8]
 
 
 def encoding_tables(tables: dict[tuple[int, int], HuffmanTable]) -> EncodingTables:
-    """Canonical codes (T.81 annex C) of tables keyed by class and destination 0..1."""
+    """Assign canonical codes (T.81 annex C) to tables keyed by class and destination 0..1."""
     codes = np.zeros((2, 2, 256), np.uint32)
     lengths = np.zeros((2, 2, 256), np.uint8)
     for (kind, destination), table in tables.items():
@@ -67,7 +71,7 @@ def encoding_tables(tables: dict[tuple[int, int], HuffmanTable]) -> EncodingTabl
 
 
 def decoding_tables(tables: dict[tuple[int, int], HuffmanTable]) -> DecodingTables:
-    """What the decoding kernel looks codes up in, for tables keyed by class and destination 0..3."""
+    """Build the look-up tables of the decoding kernel for tables keyed by class and destination 0..3."""
     lookahead = np.zeros((2, 4, 1 << LOOKAHEAD), np.uint16)
     max_codes = np.full((2, 4, MAX_LENGTH + 1), -1, np.int32)
     offsets = np.zeros((2, 4, MAX_LENGTH + 1), np.int32)
@@ -84,7 +88,7 @@ def decoding_tables(tables: dict[tuple[int, int], HuffmanTable]) -> DecodingTabl
 
 
 def _canonical_codes(table: HuffmanTable) -> list[tuple[int, int, int]]:
-    """(symbol, code, length) of every symbol in code order."""
+    """List (symbol, code, length) of every symbol in code order."""
     codes, code, index = [], 0, 0
     for length, count in enumerate(table.lengths, 1):
         for _ in range(count):
@@ -95,7 +99,7 @@ def _canonical_codes(table: HuffmanTable) -> list[tuple[int, int, int]]:
 
 
 def optimal_table(frequencies: NDArray[np.int64], run: Any) -> HuffmanTable:
-    """The table that codes symbols of these (256,) frequencies in the fewest bits with codes of at most 16."""
+    """Make the table that codes symbols of these (256,) frequencies in the fewest bits, with codes of at most 16."""
     lengths = np.zeros(MAX_LENGTH, np.uint8)
     symbols = np.zeros(256, np.uint8)
     count = run(optimal_code, np.append(frequencies, 1), lengths, symbols)
@@ -104,7 +108,7 @@ def optimal_table(frequencies: NDArray[np.int64], run: Any) -> HuffmanTable:
 
 @kernel
 def optimal_code(frequencies, lengths, symbols):  # type: ignore[no-untyped-def]
-    """Code lengths for (257,) frequencies (T.81 K.2); returns how many symbols have a code.
+    """Compute code lengths for (257,) frequencies (T.81 K.2); returns how many symbols have a code.
 
     The last frequency is the reserved point of figure K.1, which keeps a code of all ones from being used.
     Fills `lengths` (16,) with how many codes there are of each length, and `symbols` in code order.
@@ -151,7 +155,7 @@ def optimal_code(frequencies, lengths, symbols):  # type: ignore[no-untyped-def]
 
 @kernel
 def limit_lengths(counts):  # type: ignore[no-untyped-def]
-    """Shorten codes to 16 bits and take the reserved one out (T.81 figure K.3). `counts` is by length, (258,)."""
+    """Shorten codes to 16 bits and remove the reserved one (T.81 figure K.3). `counts` is by length, (258,)."""
     for length in range(257, 16, -1):
         while counts[length] > 0:
             shorter = length - 2

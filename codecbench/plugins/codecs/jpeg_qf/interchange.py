@@ -1,10 +1,9 @@
-"""The JFIF file around a sequential Huffman-coded scan, written and read (ITU-T T.81 annex B, JFIF 1.02).
+"""Write and read the JFIF file around a sequential Huffman-coded scan (ITU-T T.81 annex B, JFIF 1.02).
 
-Our files are ordinary JFIF files with one addition that other decoders skip: an APP15 segment, `CRC` and a
-zero byte, then a big-endian CRC-32 of all other bytes of the file. It stands after a JFIF header whose
-densities (equal, so that pixels are square) are not those of other encoders. A file that agrees with most of
-these first bytes is one of ours and must have the checksum, so that damage to the mark alone cannot switch the
-check off; other files are read without it.
+Our files are ordinary JFIF files with one addition that other decoders skip: an APP15 segment, `CRC` and a zero byte,
+then a big-endian CRC-32 of all other bytes of the file. It follows a JFIF header whose densities (equal, so that pixels
+are square) are not those of other encoders. A file that agrees with most of these first bytes is one of ours and must
+have the checksum, so that damage to the mark alone cannot disable the check. Other files are read without it.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from codecbench.plugins.codecs.jfif import (
 from codecbench.plugins.codecs.jpeg_qf.huffman_tables import HuffmanTable
 
 MAX_JPEG_QF_PIXELS = MAX_PIXELS // 4
-"""All coefficients of a picture are held as 32-bit numbers."""
+"""Limit of the memory for all coefficients of an image as 32-bit numbers."""
 _DENSITY = 0x4342
 _CRC_BYTES = 4
 _PREFIX = (
@@ -46,48 +45,48 @@ _PREFIX = (
     + struct.pack(">BBH4s", 0xFF, APP15, 2 + 4 + _CRC_BYTES, b"CRC\0")
 )
 _OURS = len(_PREFIX) - 6
-"""Bytes of the prefix that make a file ours; libjpeg's own agree in 17."""
+"""Number of equal prefix bytes from which a file is ours; libjpeg's files agree in 17."""
 _SEQUENTIAL = bytes((0, 63, 0))  # spectral selection 0..63, no successive approximation
 
 
 @dataclass(frozen=True)
 class CodedPicture:
-    """Everything that a file says: frame header, tables, and the entropy-coded segment.
-
-    quantisers: (64,) steps in zigzag order, by destination. huffman_tables: by class (0 DC, 1 AC) and
-    destination. selectors: DC and AC destination of each component. restart_interval: in MCUs, 0 for none.
-    """
+    """Content of a file: frame header, tables and the entropy-coded segment."""
 
     header: FrameHeader
-    quantisers: dict[int, NDArray[np.uint16]]
+    quantizers: dict[int, NDArray[np.uint16]]
+    """Steps (64,) in zigzag order, by destination."""
     huffman_tables: dict[tuple[int, int], HuffmanTable]
+    """Tables by class (0 DC, 1 AC) and destination."""
     selectors: tuple[tuple[int, int], ...]
+    """DC and AC destination of each component."""
     restart_interval: int
+    """In MCUs, 0 for none."""
     scan_data: bytes
 
 
 def write_file(picture: CodedPicture) -> bytes:
-    """The picture as a JFIF file, baseline where its steps fit 8 bits.
+    """Write a JFIF file, baseline if its steps fit 8 bits.
 
     Steps over 255 are written with 16 bits in an extended sequential frame, as libjpeg does and reads them,
     although T.81 B.2.4.1 reserves 16 bits for 12-bit samples.
     """
     header = picture.header
-    wide = any(steps.max() > 255 for steps in picture.quantisers.values())
+    wide = any(steps.max() > 255 for steps in picture.quantizers.values())
     frame = struct.pack(">BHHB", 8, header.height, header.width, len(header.components))
     scan = bytes([len(header.components)])
     for component, (dc, ac) in zip(header.components, picture.selectors, strict=True):
         frame += bytes((component.id, component.h << 4 | component.v, component.table))
         scan += bytes((component.id, dc << 4 | ac))
-    quantisers = b"".join(
+    quantizers = b"".join(
         bytes([wide << 4 | destination]) + steps.astype(">u2" if wide else "u1").tobytes()
-        for destination, steps in picture.quantisers.items()
+        for destination, steps in picture.quantizers.items()
     )
     huffman = b"".join(
         bytes([kind << 4 | destination]) + table.lengths + table.symbols
         for (kind, destination), table in picture.huffman_tables.items()
     )
-    after = _segment(DQT, quantisers) + _segment(SOF_EXTENDED if wide else SOF_BASELINE, frame)
+    after = _segment(DQT, quantizers) + _segment(SOF_EXTENDED if wide else SOF_BASELINE, frame)
     after += _segment(DHT, huffman) + _segment(SOS, scan + _SEQUENTIAL) + picture.scan_data + b"\xff\xd9"
     return _PREFIX + zlib.crc32(after, zlib.crc32(_PREFIX)).to_bytes(_CRC_BYTES, "big") + after
 
@@ -97,7 +96,7 @@ def _segment(code: int, content: bytes) -> bytes:
 
 
 def read_file(bitstream: bytes) -> CodedPicture:
-    """What a sequential Huffman-coded JPEG file of one scan says; its checksum is verified if it is one of ours.
+    """Read a sequential Huffman-coded JPEG file of one scan; the checksum is verified if the file is ours.
 
     Raises BitstreamError for other kinds of JPEG (progressive, arithmetic, lossless, several scans, 12 bits,
     RGB components) and for anything inconsistent.
@@ -113,12 +112,12 @@ def read_file(bitstream: bytes) -> CodedPicture:
     if codes.count(SOS) != 1 or codes[-1] != SOS:
         raise BitstreamError(f"jpeg_qf: {codes.count(SOS)} scans; files of one scan at the end are read")
     check_plausible(header, segments, "jpeg_qf")
-    quantisers: dict[int, NDArray[np.uint16]] = {}
+    quantizers: dict[int, NDArray[np.uint16]] = {}
     huffman_tables: dict[tuple[int, int], HuffmanTable] = {}
     restart_interval = 0
     for segment in segments:
         if segment.code == DQT:
-            quantisers |= _read_quantisers(segment.content)
+            quantizers |= _read_quantizers(segment.content)
         elif segment.code == DHT:
             huffman_tables |= _read_huffman_tables(segment.content)
         elif segment.code == DRI:
@@ -126,13 +125,13 @@ def read_file(bitstream: bytes) -> CodedPicture:
         elif segment.code == APP14:
             _check_adobe(segment.content)
     selectors = _read_scan_header(segments[-1].content, header.components)
-    picture = CodedPicture(header, quantisers, huffman_tables, selectors, restart_interval, segments[-1].scan_data)
+    picture = CodedPicture(header, quantizers, huffman_tables, selectors, restart_interval, segments[-1].scan_data)
     _check_tables_and_sampling(picture)
     return picture
 
 
 def _check_crc(bitstream: bytes) -> None:
-    """Verify the checksum of a file of ours."""
+    """Verify the checksum if the file is ours."""
     if sum(ours == got for ours, got in zip(_PREFIX, bitstream, strict=False)) < _OURS:
         return
     content = len(_PREFIX) + _CRC_BYTES
@@ -141,18 +140,18 @@ def _check_crc(bitstream: bytes) -> None:
         raise BitstreamError("jpeg_qf: checksum mismatch, the file is damaged")
 
 
-def _read_quantisers(content: bytes) -> dict[int, NDArray[np.uint16]]:
-    quantisers, position = {}, 0
+def _read_quantizers(content: bytes) -> dict[int, NDArray[np.uint16]]:
+    quantizers, position = {}, 0
     while position < len(content):
         precision, destination = content[position] >> 4, content[position] & 15
         steps = content[position + 1 : position + 1 + 64 * (1 + precision)]
         if precision > 1 or destination > 3 or len(steps) != 64 * (1 + precision):
             raise BitstreamError(f"jpeg_qf: a quantisation table for {destination} of precision {precision} is broken")
-        quantisers[destination] = np.frombuffer(steps, ">u2" if precision else np.uint8).astype(np.uint16)
-        if quantisers[destination].min() == 0:
+        quantizers[destination] = np.frombuffer(steps, ">u2" if precision else np.uint8).astype(np.uint16)
+        if quantizers[destination].min() == 0:
             raise BitstreamError("jpeg_qf: a quantisation step is zero")
         position += 1 + len(steps)
-    return quantisers
+    return quantizers
 
 
 def _read_huffman_tables(content: bytes) -> dict[tuple[int, int], HuffmanTable]:
@@ -180,7 +179,7 @@ def _check_adobe(content: bytes) -> None:
 
 
 def _read_scan_header(content: bytes, components: tuple[Component, ...]) -> tuple[tuple[int, int], ...]:
-    """DC and AC destinations of each component of the frame, all of which must be in the scan, in order."""
+    """DC and AC destinations of each component of the frame; the scan must have all components in order."""
     count = len(components)
     if len(content) != 1 + 2 * count + len(_SEQUENTIAL) or content[0] != count:
         raise BitstreamError(f"jpeg_qf: the scan does not hold the {count} component(s) of the frame")
@@ -195,7 +194,7 @@ def _read_scan_header(content: bytes, components: tuple[Component, ...]) -> tupl
 def _check_tables_and_sampling(picture: CodedPicture) -> None:
     components = picture.header.components
     for component, (dc, ac) in zip(components, picture.selectors, strict=True):
-        if component.table not in picture.quantisers:
+        if component.table not in picture.quantizers:
             raise BitstreamError(f"jpeg_qf: quantisation table {component.table} is not defined")
         if (0, dc) not in picture.huffman_tables or (1, ac) not in picture.huffman_tables:
             raise BitstreamError(f"jpeg_qf: Huffman table DC {dc} or AC {ac} is not defined")

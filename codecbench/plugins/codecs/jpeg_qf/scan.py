@@ -1,4 +1,4 @@
-"""A scan from blocks and blocks from a scan: in which order they are coded, tables, buffers, kernels, errors."""
+"""Write a scan from blocks and read blocks from a scan: coding order, tables, buffers and errors."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ Tables = dict[tuple[int, int], HuffmanTable]
 
 @dataclass(frozen=True)
 class ScanLayout:
-    """Where blocks are and when they are coded (ITU-T T.81 A.2).
+    """Positions and coding order of the blocks (ITU-T T.81 A.2).
 
-    Blocks of all components lie one component after another, each in raster order. grids: rows and columns of
-    blocks of each component, whole MCUs. order: (N,) which block is coded when. pattern: (M,) the component of
-    each of the M blocks of an MCU.
+    Blocks lie one component after another, each in raster order.
     """
 
     grids: tuple[tuple[int, int], ...]
+    """Rows and columns of blocks of each component, in whole MCUs."""
     order: NDArray[np.int32]
+    """(N,): the blocks in coding order."""
     pattern: NDArray[np.int32]
+    """(M,): the component of each of the M blocks of an MCU."""
 
     @property
     def mcus(self) -> int:
@@ -44,7 +45,7 @@ class ScanLayout:
 
 
 def scan_layout(header: FrameHeader) -> ScanLayout:
-    """The layout of a frame's only scan: interleaved, or block by block where there is one component."""
+    """Return the layout of a frame's only scan: interleaved, or block by block if there is one component."""
     sampling = tuple((component.h, component.v) for component in header.components)
     return _layout(header.width, header.height, sampling if len(sampling) > 1 else ((1, 1),))
 
@@ -68,33 +69,33 @@ def _layout(width: int, height: int, sampling: tuple[tuple[int, int], ...]) -> S
 def write_scan(
     blocks: NDArray[np.int32], layout: ScanLayout, selectors: Selectors, optimize: bool, trace: Trace
 ) -> tuple[Tables, bytes]:
-    """The Huffman tables used and the entropy-coded segment of (N, 64) blocks in zigzag order."""
-    chosen = np.array(selectors, np.int64)
-    keys = sorted({(kind, pair[kind]) for pair in selectors for kind in (0, 1)})
+    """Encode (N, 64) blocks in zigzag order; returns the Huffman tables and the entropy-coded segment."""
+    selected = np.array(selectors, np.int64)
+    used = sorted({(kind, pair[kind]) for pair in selectors for kind in (0, 1)})
     with trace.stage("huffman") as run:
         if optimize:
             frequencies = np.zeros((2, 2, 256), np.int64)
-            run(entropy.count_symbols, blocks, layout.order, layout.pattern, chosen, frequencies)
-            tables = {key: optimal_table(frequencies[key], run) for key in keys}
+            run(entropy.count_symbols, blocks, layout.order, layout.pattern, selected, frequencies)
+            tables = {key: optimal_table(frequencies[key], run) for key in used}
         else:
-            tables = {key: STANDARD_TABLES[key] for key in keys}
+            tables = {key: STANDARD_TABLES[key] for key in used}
         codes = encoding_tables(tables)
         output = np.empty(entropy.MAX_BLOCK_BYTES * len(blocks), np.uint8)
         size = run(
-            entropy.encode_scan, blocks, layout.order, layout.pattern, chosen, codes.codes, codes.lengths, output
+            entropy.encode_scan, blocks, layout.order, layout.pattern, selected, codes.codes, codes.lengths, output
         )
     return tables, output[:size].tobytes()
 
 
 def read_scan(picture: CodedPicture, layout: ScanLayout, trace: Trace) -> NDArray[np.int32]:
-    """(N, 64) blocks in zigzag order. Raises BitstreamError, with the reason, where the data is not a scan."""
+    """Decode (N, 64) blocks in zigzag order. Raises BitstreamError with the reason if the data is not a scan."""
     per_mcu = len(layout.pattern)
     interval_mcus = picture.restart_interval or layout.mcus
     ends = np.zeros(-(-layout.mcus // interval_mcus), np.int64)
     stuffed = np.frombuffer(picture.scan_data, np.uint8)
     data = np.zeros(len(stuffed) + entropy.PADDING_BYTES, np.uint8)
     blocks = np.zeros((len(layout.order), 64), np.int32)
-    chosen = np.array(picture.selectors, np.int64)
+    selected = np.array(picture.selectors, np.int64)
     tables = decoding_tables(picture.huffman_tables)
     arrays = (tables.lookahead, tables.max_codes, tables.offsets, tables.symbols)
     with trace.stage("huffman") as run:
@@ -102,7 +103,15 @@ def read_scan(picture: CodedPicture, layout: ScanLayout, trace: Trace) -> NDArra
         if status == entropy.OK:
             interval_blocks = interval_mcus * per_mcu
             status = run(
-                entropy.decode_scan, data, ends, interval_blocks, layout.order, layout.pattern, chosen, arrays, blocks
+                entropy.decode_scan,
+                data,
+                ends,
+                interval_blocks,
+                layout.order,
+                layout.pattern,
+                selected,
+                arrays,
+                blocks,
             )
     if status != entropy.OK:
         raise BitstreamError(f"jpeg_qf: {entropy.REASONS[status]}")

@@ -17,10 +17,10 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.blocks import blocks_from_plane, plane_from_blocks
 from codecbench.plugins.codecs.dct.planes import (
     Color,
-    cropped,
+    crop_plane,
     dct_kernels,
     image_from_planes,
-    padded,
+    pad_plane,
     planes_from_image,
 )
 from codecbench.plugins.codecs.dct.tables import steps_from_table
@@ -142,7 +142,7 @@ class Multilevel(Codec[MultilevelParams]):
         blocks = np.empty((header.samples // 64, 64), np.int32)
         start = 0
         for number, plane in enumerate(planes_from_image(image, header.color, trace)):
-            plane = padded(plane, trace=trace)
+            plane = pad_plane(plane, trace=trace)
             out = blocks[start : start + plane.size // 64]
             blocks_from_plane(plane, steps, _shift(header.color, number), out=out, trace=trace)
             start += len(out)
@@ -205,7 +205,7 @@ def image_from_values(values: NDArray[np.int32], header: Header, trace: Trace) -
         stop = start + padded_shape[0] * padded_shape[1] // 64
         shift = _shift(header.color, number)
         plane = plane_from_blocks(blocks[start:stop], padded_shape, steps, shift, trace=trace)
-        planes.append(cropped(plane, shape, trace))
+        planes.append(crop_plane(plane, shape, trace))
         start = stop
     return image_from_planes(planes, header.color, header.channels, trace)
 

@@ -1,4 +1,4 @@
-"""The video codecs: what they are called, and the sessions that they open."""
+"""The video codecs and their parameters."""
 
 from __future__ import annotations
 
@@ -24,16 +24,14 @@ _REMARKS = {
 
 
 class VideoCodec(StreamCodec[V]):
-    """What they share. Raises Unsupported where PyAV, the encoder or its hardware is missing.
-
-    magic: what starts of its streams begin with. sends_extradata: whether the decoder needs a header that the encoder
-    does not write into its packets.
-    """
+    """Base class of the video codecs. Raises Unsupported if PyAV, the encoder or its hardware is missing."""
 
     version = "1"
     capabilities = Capabilities()
     magic: ClassVar[bytes]
+    """First four bytes of its keyframe packets."""
     sends_extradata: ClassVar[bool] = False
+    """Whether the decoder needs a header that the encoder does not write into its packets."""
 
     def __init__(self, params: V) -> None:
         super().__init__(params)
@@ -145,7 +143,7 @@ class MjpegParams(VideoParams):
 
 
 class Mjpeg(VideoCodec[MjpegParams]):
-    """Motion JPEG: a picture's packet is a JPEG. What memory is worth shows in the difference from it."""
+    """Motion JPEG: each packet is a JPEG. The difference from it shows what inter-frame coding is worth."""
 
     name = "mjpeg"
     params_type = MjpegParams
@@ -161,7 +159,7 @@ class Ffv1Params(VideoParams):
 
 
 class Ffv1(VideoCodec[Ffv1Params]):
-    """FFV1, version 3 (RFC 9043): lossless; its statistics go on from picture to picture within a gop."""
+    """FFV1, version 3 (RFC 9043): lossless; its statistics continue from frame to frame within a GOP."""
 
     name = "ffv1"
     params_type = Ffv1Params

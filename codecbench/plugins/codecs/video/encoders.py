@@ -1,6 +1,6 @@
-"""What each of FFmpeg's encoders can do, and how the settings of `VideoParams` are told to it: one table.
+"""Capabilities of FFmpeg's encoders, and the FFmpeg options of their parameters.
 
-Low latency is one packet for each picture at once: no look-ahead, no B-frames, no threads over frames.
+Low latency means one packet per frame at once: no look-ahead, no B-frames, no frame threads.
 """
 
 from __future__ import annotations
@@ -27,45 +27,48 @@ Options = dict[str, str]
 
 @dataclass(frozen=True)
 class Encoder:
-    """One of FFmpeg's encoders.
-
-    name, decoder: as FFmpeg calls them. options: what it is told beyond rate, size and gop. rates: which of RATES it
-    codes by, with least and greatest value. usual: the rate and the preset where none is given. presets: none where
-    it has no such thing. integral: whether `crf` has to be a whole number. intra_only: no picture refers to another.
-    recovers: marks where intra refresh has made pictures whole. looks_ahead: whether it can hold pictures back to
-    code them better. asynchronous: whether it then hands packets over when its threads are done with them, at times
-    that depend on what else the machine does. least_side: smaller pictures are padded; with one block in a row x265
-    writes other bytes each time, and below one it writes past its memory. hardware: what it needs of the machine, in
-    words, where only opening it tells that it is there.
-    """
+    """One of FFmpeg's encoders."""
 
     name: str
+    """FFmpeg's name of the encoder."""
     decoder: str
+    """FFmpeg's name of the decoder."""
     options: Callable[[VideoParams], Options]
+    """Returns the FFmpeg options beyond rate, size and gop."""
     rates: dict[str, tuple[float, float]]
+    """The supported ones of RATES, with least and greatest value."""
     usual: dict[str, float | int | str]
+    """Default rate and preset."""
     presets: tuple[str | int, ...] = ()
     pixel_formats: tuple[PixelFormat, ...] = _ALL_YUV
     integral: bool = False
+    """Whether `crf` has to be a whole number."""
     intra_only: bool = False
+    """Whether no frame refers to another."""
     intra_refresh: bool = False
     recovers: bool = False
+    """Whether it marks recovery points of intra refresh."""
     looks_ahead: bool = True
+    """Whether it can hold frames back to code them better."""
     bounds_any: bool = True
+    """Whether `vbv_ms` bounds the bit rate when it looks ahead."""
     asynchronous: bool = False
+    """Whether it returns packets when its threads finish them, at times that depend on the machine's load."""
     least_side: int = 2
+    """Smaller frames are padded: x265 is not deterministic with one block in a row and overruns memory below that."""
     hardware: str = ""
+    """Hardware that it needs, in words, if only opening it shows whether that is there."""
 
     def faults(self, params: VideoParams) -> Iterator[str]:
-        """What of a setting this encoder cannot do, each with what it can."""
-        given = [name for name in RATES if getattr(params, name) is not None]
-        if len(given) > 1:
-            yield f"{' and '.join(given)} are given; a stream is coded by one of {', '.join(self.rates)}"
-        yield from (fault for name in given for fault in self._rate_faults(name, getattr(params, name)))
+        """Yield what this encoder does not support of the parameters, each with the supported values."""
+        names = [name for name in RATES if getattr(params, name) is not None]
+        if len(names) > 1:
+            yield f"{' and '.join(names)} are given; a stream is coded by one of {', '.join(self.rates)}"
+        yield from (fault for name in names for fault in self._rate_faults(name, getattr(params, name)))
         if params.preset not in (self.presets or (None,)):
-            yield f"{self.name} has no preset {params.preset!r}; it has {_listed(self.presets)}"
+            yield f"{self.name} has no preset {params.preset!r}; it has {_join(self.presets)}"
         if params.pixel_format not in self.pixel_formats:
-            allowed = _listed(self.pixel_formats)
+            allowed = _join(self.pixel_formats)
             yield (
                 f"{self.name} does not code pixel_format {params.pixel_format!r}; it codes {allowed}"
                 " (gray pictures with neutral chroma, and they come back gray)"
@@ -80,14 +83,14 @@ class Encoder:
             yield "intra_refresh refreshes pictures over `gop` frames; gop has to be 2 or more"
         if params.latency == "any" and not self.looks_ahead:
             yield f"{self.name} never holds a picture back; latency is low"
-        if params.bitrate_kbps is None and _names_vbv(params):
+        if params.bitrate_kbps is None and _sets_vbv(params):
             yield "vbv_ms bounds a bitrate; give bitrate_kbps with it"
-        elif params.latency == "any" and not self.bounds_any and _names_vbv(params):
+        elif params.latency == "any" and not self.bounds_any and _sets_vbv(params):
             yield f"{self.name} keeps to no vbv_ms where it looks ahead; leave it out, or latency is low"
 
     def _rate_faults(self, name: str, value: float) -> Iterator[str]:
         if name not in self.rates:
-            yield f"{self.name} does not code by {name}; it codes by {_listed(tuple(self.rates)) or 'no rate at all'}"
+            yield f"{self.name} does not code by {name}; it codes by {_join(tuple(self.rates)) or 'no rate at all'}"
             return
         least, most = self.rates[name]
         if not least <= value <= most:
@@ -96,7 +99,7 @@ class Encoder:
             yield f"crf of {self.name} is a whole number, got {value:g}"
 
     def settings(self, params: VideoParams) -> Options:
-        """Everything that FFmpeg is told, by the names of its options."""
+        """All FFmpeg options by name."""
         options = {"g": str(params.gop), "threads": "1", **self.options(params)}
         if params.bitrate_kbps is not None:
             bits = round(params.bitrate_kbps * 1000)
@@ -105,12 +108,12 @@ class Encoder:
         return options
 
     def coded_size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height with padding: even, for chroma of half size, and what the encoder takes at least."""
+        """Width and height with padding: even, for chroma of half size, and at least `least_side`."""
         wide, high = (max(side + side % 2, self.least_side) for side in (width, height))
         return wide, high
 
     def ffmpeg_format(self, params: VideoParams) -> str:
-        """The pixel format by FFmpeg's name."""
+        """FFmpeg's name of the pixel format."""
         return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
 
 
@@ -145,17 +148,17 @@ class VideoParams(Params):
 
     @classmethod
     def encoder_of(cls, values: Any) -> Encoder | None:
-        """The encoder that these values ask for, where they do so validly."""
+        """The encoder of these unvalidated values; None if there is no such encoder."""
         return ENCODERS[cls.encoder_name]
 
     @property
     def traits(self) -> Encoder:
-        """What is known of the encoder that these settings are for."""
+        """The encoder of these parameters."""
         return ENCODERS[self.encoder_name]
 
     @model_validator(mode="before")
     @classmethod
-    def _complete(cls, values: Any) -> Any:
+    def _fill_in_defaults(cls, values: Any) -> Any:
         if not isinstance(values, dict) or (encoder := cls.encoder_of(values)) is None:
             return values
         usual = dict(encoder.usual)
@@ -164,18 +167,18 @@ class VideoParams(Params):
         return {**usual, **{name: value for name, value in values.items() if name not in usual or value is not None}}
 
     @model_validator(mode="after")
-    def _the_encoder_can(self) -> Self:
+    def _check_encoder(self) -> Self:
         faults = list(self.traits.faults(self))
         if faults:
             raise ValueError("; ".join(faults))
         return self
 
 
-def _listed(values: tuple[str | int, ...]) -> str:
+def _join(values: tuple[str | int, ...]) -> str:
     return ", ".join(map(str, values)) if values else "none"
 
 
-def _names_vbv(params: VideoParams) -> bool:
+def _sets_vbv(params: VideoParams) -> bool:
     return bool(params.vbv_ms != type(params).model_fields["vbv_ms"].default)
 
 
@@ -184,7 +187,7 @@ def _quality(params: VideoParams) -> Options:
 
 
 def _x264_options(params: VideoParams) -> Options:
-    """With look-ahead, without its macroblock tree, by which x264 writes other bytes from one session to the next."""
+    """Options of x264. With look-ahead its macroblock tree is off, because that is not deterministic."""
     options = {"preset": str(params.preset), "sc_threshold": "0", "chroma_sample_location": "center"}
     options |= {"tune": "zerolatency"} if params.latency == "low" else {"mbtree": "0"}
     if params.intra_refresh:
@@ -193,19 +196,19 @@ def _x264_options(params: VideoParams) -> Options:
 
 
 def _x265_options(params: VideoParams) -> Options:
-    """Without the note about its settings, with which x265 lengthens every start by 2 kB."""
-    own = {"frame-threads": 1, "pools": "none", "log-level": "none", "info": 0, "open-gop": 0, "scenecut": 0}
-    own |= {"min-keyint": params.gop}
+    """Options of x265. The note on its settings is off, because it adds 2 kB to every keyframe."""
+    x265_params = {"frame-threads": 1, "pools": "none", "log-level": "none", "info": 0, "open-gop": 0, "scenecut": 0}
+    x265_params |= {"min-keyint": params.gop}
     options = {"preset": str(params.preset), "chroma_sample_location": "center"}
-    options["x265-params"] = ":".join(f"{name}={value}" for name, value in own.items())
+    options["x265-params"] = ":".join(f"{name}={value}" for name, value in x265_params.items())
     if params.latency == "low":
         options["tune"] = "zerolatency"
     return options | _quality(params)
 
 
 def _svt_av1_options(params: VideoParams) -> Options:
-    own = "lp=1:scd=0" + (":pred-struct=1:lookahead=0" if params.latency == "low" else "")
-    return {"preset": str(params.preset), "svtav1-params": own} | _quality(params)
+    svt_params = "lp=1:scd=0" + (":pred-struct=1:lookahead=0" if params.latency == "low" else "")
+    return {"preset": str(params.preset), "svtav1-params": svt_params} | _quality(params)
 
 
 def _vp9_options(params: VideoParams) -> Options:
@@ -239,7 +242,7 @@ def _nvenc_options(params: VideoParams) -> Options:
     return options
 
 
-def _bitrate_only(params: VideoParams) -> Options:
+def _bitrate_options(params: VideoParams) -> Options:
     return {"bf": "0"}
 
 
@@ -279,11 +282,11 @@ ENCODERS: Final = {
             least_side=146, hardware="an NVIDIA GPU and its driver",
         ),
         Encoder(
-            "h264_v4l2m2m", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
+            "h264_v4l2m2m", "h264", _bitrate_options, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
             ("yuv420p",), looks_ahead=False, least_side=64, hardware="a V4L2 encoder of the board, as /dev/video*",
         ),
         Encoder(
-            "h264_vaapi", "h264", _bitrate_only, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
+            "h264_vaapi", "h264", _bitrate_options, {"bitrate_kbps": _ANY_BITRATE}, {"bitrate_kbps": 2000}, (),
             ("yuv420p",), looks_ahead=False, least_side=64, hardware="a GPU with a VA-API driver, as /dev/dri",
         ),
     )

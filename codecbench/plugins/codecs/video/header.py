@@ -1,8 +1,7 @@
-"""What packets of video say of themselves: the few bytes of ours in front of one at which decoding can begin, and
-where intra refresh has made pictures whole again.
+"""The header of ours in front of keyframe packets, and the recovery points of intra refresh.
 
-Little-endian: magic (4), what is coded (1): 1 low delay, 2 colour; width (2), height (2), length of the decoder's own
-header (2), that header. Every other packet, and what follows here, is what the encoder wrote.
+Little-endian: magic (4), flags (1): 1 low delay, 2 color; width (2), height (2), length of the decoder's own header
+(2), that header. The rest of the packet, and every other packet, is what the encoder wrote.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from codecbench.core.contracts.image import MAX_PIXELS
 from codecbench.core.contracts.stream import is_recovery
 
 _FIXED: Final = struct.Struct("<4sBHHH")
-_LOW_DELAY, _COLOUR = 1, 2
+_LOW_DELAY, _COLOR = 1, 2
 MAX_SIDE: Final = 0xFFFF
 _START_CODE: Final = b"\0\0\1"
 _SEI_UNIT: Final = 6
@@ -25,42 +24,45 @@ _RECOVERY_POINT: Final = 6
 
 @dataclass(frozen=True)
 class Header:
-    """What a decoder has to know before the first picture: `width` and `height` are those that went in."""
+    """Properties of a stream that a decoder needs before the first frame."""
 
     magic: bytes
+    """Four bytes that identify the codec."""
     width: int
+    """Of the images before padding."""
     height: int
     channels: int
     is_low_delay: bool
     extradata: bytes = b""
+    """The decoder's own header, if the encoder does not write it into packets."""
 
     def to_bytes(self) -> bytes:
-        """The header as it is sent."""
-        what = _LOW_DELAY * self.is_low_delay + _COLOUR * (self.channels == 3)
-        return _FIXED.pack(self.magic, what, self.width, self.height, len(self.extradata)) + self.extradata
+        """Serialize the header."""
+        flags = _LOW_DELAY * self.is_low_delay + _COLOR * (self.channels == 3)
+        return _FIXED.pack(self.magic, flags, self.width, self.height, len(self.extradata)) + self.extradata
 
     @classmethod
-    def taken_from(cls, data: bytes, magic: bytes) -> tuple[Self, bytes]:
-        """The header in front of a packet, and the rest. Raises BitstreamError for what is none of this codec's."""
+    def parse(cls, data: bytes, magic: bytes) -> tuple[Self, bytes]:
+        """Split a packet into its header and the rest. Raises BitstreamError if it has no header of this codec."""
         if len(data) < _FIXED.size or not data.startswith(magic):
             raise BitstreamError(f"not the start of a stream of this codec: {data[:4]!r} instead of {magic!r}")
-        _, what, width, height, length = _FIXED.unpack_from(data)
-        if what > _LOW_DELAY + _COLOUR:
-            raise BitstreamError(f"the header of the stream is damaged: {what:#x} says what no encoder writes")
+        _, flags, width, height, length = _FIXED.unpack_from(data)
+        if flags > _LOW_DELAY + _COLOR:
+            raise BitstreamError(f"the header of the stream is damaged: {flags:#x} says what no encoder writes")
         if not 0 < width * height <= MAX_PIXELS:
             raise BitstreamError(f"{width}x{height} is not within 1..{MAX_PIXELS} pixels")
         content = _FIXED.size + length
         if len(data) <= content:
             raise BitstreamError(f"a packet of {len(data)} bytes ends within its header of {content}")
-        channels = 3 if what & _COLOUR else 1
-        header = cls(magic, width, height, channels, bool(what & _LOW_DELAY), data[_FIXED.size : content])
+        channels = 3 if flags & _COLOR else 1
+        header = cls(magic, width, height, channels, bool(flags & _LOW_DELAY), data[_FIXED.size : content])
         return header, data[content:]
 
 
 def frames_to_recovery(data: bytes) -> int | None:
-    """How many frames after this packet pictures are exact whatever was lost before, or None if it promises nothing.
+    """Number of frames until frames are exact whatever was lost before; None if the packet does not promise it.
 
-    Recovery point messages of H.264 (ITU-T H.264, D.2.8) say so.
+    Recovery point messages of H.264 promise it (ITU-T H.264, D.2.8).
     """
     for unit in data.split(_START_CODE)[1:]:
         if unit and unit[0] & 31 == _SEI_UNIT:
@@ -69,7 +71,7 @@ def frames_to_recovery(data: bytes) -> int | None:
 
 
 def _frames_from_message(message: bytes) -> int | None:
-    """The `recovery_frame_cnt` of a message that says that the match will be exact."""
+    """Read `recovery_frame_cnt` of a message that promises an exact match."""
     if len(message) < 3 or message[0] != _RECOVERY_POINT:
         return None
     bits = "".join(f"{byte:08b}" for byte in message[2 : 2 + message[1]])

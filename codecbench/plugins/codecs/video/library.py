@@ -1,4 +1,4 @@
-"""The one door to PyAV: what it has, and encoders and decoders that are open."""
+"""Access to PyAV: checks for codecs, and opens encoders and decoders. No other module imports it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _FULL_RANGE: Final = 2
 _BT601: Final = 5
-_MARGIN: Final = 128  # what padding and the blocks of a format add at the most
+_MARGIN: Final = 128  # upper bound of what padding and the blocks of a format add
 _RATE_DENOMINATOR: Final = 1001
 _SOFTWARE: Final = "encoder: libx264, which needs no hardware"
 _REINSTALLING: Final = (
@@ -31,8 +31,8 @@ _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
 
 @cache
 def load_av() -> ModuleType:
-    """PyAV. Raises Unsupported with the command that installs it."""
-    os.environ.setdefault("SVT_LOG", "-1")  # SVT-AV1 writes past FFmpeg to standard error and listens to this alone
+    """Import PyAV. Raises Unsupported, with the command that installs it, if it is missing."""
+    os.environ.setdefault("SVT_LOG", "-1")  # SVT-AV1 bypasses FFmpeg's log; only this silences it
     try:
         import av
     except ImportError as error:
@@ -41,7 +41,7 @@ def load_av() -> ModuleType:
 
 
 def require(encoder: Encoder) -> None:
-    """Raise Unsupported, with what to do, where this machine does not have the encoder or its decoder."""
+    """Raise Unsupported, with a remedy, if this machine lacks the encoder or its decoder."""
     av = load_av()
     for name, mode in ((encoder.name, "w"), (encoder.decoder, "r")):
         try:
@@ -54,7 +54,7 @@ def require(encoder: Encoder) -> None:
 
 
 def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: float) -> VideoCodecContext:
-    """An encoder for pictures of this size. Raises Unsupported where FFmpeg cannot open it."""
+    """Open an encoder for frames of this size. Raises Unsupported if FFmpeg cannot open it."""
     av, encoder = load_av(), params.traits
     context: VideoCodecContext = av.CodecContext.create(encoder.name, "w")
     rate = frame_rate(frame_rate_hz)
@@ -64,26 +64,26 @@ def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: fl
     context.color_range, context.colorspace = _FULL_RANGE, _BT601
     context.options = encoder.settings(params)
     try:
-        with priority_kept():
+        with preserve_scheduling():
             context.open()
     except (av.FFmpegError, ValueError) as error:
-        what = f"{encoder.name} cannot be opened for {width}x{height}"
-        if encoder.hardware:  # FFmpeg's own words, which repeat every option, say less than what is missing
+        fault = f"{encoder.name} cannot be opened for {width}x{height}"
+        if encoder.hardware:  # FFmpeg's message repeats every option and does not name what is missing
             why = getattr(error, "strerror", None) or "refused"
             raise Unsupported(
-                f"{what} ({why}): it needs {encoder.hardware}; if there is none, set {_SOFTWARE}"
+                f"{fault} ({why}): it needs {encoder.hardware}; if there is none, set {_SOFTWARE}"
             ) from error
-        raise Unsupported(f"{what}: {error}") from error
+        raise Unsupported(f"{fault}: {error}") from error
     return context
 
 
 @contextmanager
-def priority_kept() -> Iterator[None]:
-    """The calling thread has its scheduling of before.
+def preserve_scheduling() -> Iterator[None]:
+    """Restore the calling thread's scheduling afterwards.
 
-    SVT-AV1 makes it real-time where it may (as root): whatever it does and starts from then on would take the processor
-    from everything else on the machine. The encoder's own threads stay so: under load, SVT-AV1 4.1 can wait for itself
-    for ever where they are not.
+    SVT-AV1 makes the thread real-time if it may (as root); everything that it does and starts afterwards would take the
+    processor from the rest of the machine. The encoder's own threads stay real-time: without that SVT-AV1 4.1 can
+    deadlock under load.
     """
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
@@ -93,15 +93,15 @@ def priority_kept() -> Iterator[None]:
 
 
 def open_decoder(encoder: Encoder, header: Header) -> VideoCodecContext:
-    """A decoder that conceals nothing unsaid and takes no picture much larger than the header tells."""
+    """Open a decoder that marks concealed frames and refuses frames much larger than the header's size."""
     av = load_av()
     context: VideoCodecContext = av.CodecContext.create(encoder.decoder, "r")
     flags = av.codec.context.Flags
     context.thread_count = 1
     context.flags |= flags.output_corrupt | (flags.low_delay if header.is_low_delay else 0)
     width, height = encoder.coded_size(header.width, header.height)
-    most_pixels = (width + _MARGIN) * (height + _MARGIN)
-    context.options = {**_STRICT, "max_pixels": str(most_pixels)}
+    max_pixels = (width + _MARGIN) * (height + _MARGIN)
+    context.options = {**_STRICT, "max_pixels": str(max_pixels)}
     if header.extradata:
         context.extradata = header.extradata
         context.width, context.height = width, height
@@ -109,30 +109,30 @@ def open_decoder(encoder: Encoder, header: Header) -> VideoCodecContext:
 
 
 def frame_rate(frame_rate_hz: float) -> Fraction:
-    """A frame rate as FFmpeg has it."""
+    """Return a frame rate as FFmpeg represents it."""
     return Fraction(frame_rate_hz).limit_denominator(_RATE_DENOMINATOR)
 
 
 def packet_for(data: bytes, frame: int) -> Packet[Stream]:
-    """A packet of FFmpeg's with these bytes, whose picture will be known by its number."""
+    """Make an FFmpeg packet of these bytes; its pts is the number of the frame."""
     packet: Packet[Stream] = load_av().Packet(data)
     packet.pts = frame
     return packet
 
 
 def video_frame(width: int, height: int, pixel_format: str) -> VideoFrame:
-    """A frame to be filled."""
+    """Allocate a frame."""
     frame: VideoFrame = load_av().VideoFrame(width, height, pixel_format)
     frame.color_range, frame.colorspace = _FULL_RANGE, _BT601
     return frame
 
 
 def decoding_errors() -> tuple[type[Exception], ...]:
-    """What FFmpeg's decoders raise: PyAV 19 a ValueError too, after bytes with which a decoder could not be opened."""
+    """Exceptions of FFmpeg's decoders. PyAV 19 raises ValueError too, after bytes that no decoder opens with."""
     return load_av().FFmpegError, ValueError
 
 
 def versions() -> dict[str, str]:
-    """PyAV, whose wheel decides which encoders these are, and FFmpeg's codecs in it."""
+    """Versions of PyAV, whose wheel has the encoders, and of FFmpeg's libavcodec in it."""
     av = load_av()
     return {"av": av.__version__, "libavcodec": ".".join(map(str, av.library_versions["libavcodec"]))}

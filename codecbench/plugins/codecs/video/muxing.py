@@ -1,4 +1,4 @@
-"""Packets as a file that any player reads, without coding anything anew."""
+"""Write packets to a video file that any player reads, without re-encoding."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _IVF_FRAME: Final = struct.Struct("<IQ")
 
 
 def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_rate_hz: float, name: str) -> bytes:
-    """The content of a file of that name, whose ending says which container it is.
+    """Return the content of a video file; the ending of `name` selects the container.
 
-    The encoder's bytes go in as they are, without the header of ours. packets: in the order in which they were sent,
-    the first a start. Raises ParamsError for an ending that is unknown or takes no such codec.
+    The encoder's bytes are copied, without our header. packets: in sending order, the first a keyframe. Raises
+    ParamsError if the ending is unknown or its container does not support the codec.
     """
     suffix = Path(name).suffix.lower()
     if suffix not in _CONTAINERS:
         raise ParamsError(f"{name}: {suffix or 'no ending'} is not one of {', '.join(_CONTAINERS)}")
-    header, _ = Header.taken_from(packets[0].data, codec.magic)
+    header, _ = Header.parse(packets[0].data, codec.magic)
     payloads = [_payload(packet, codec.magic) for packet in packets]
     buffer = io.BytesIO()
     av = load_av()
     with av.open(buffer, "w", format=_CONTAINERS[suffix]) as container:
         try:
-            stream = _stream_of(container, codec, header, payloads[0], frame_rate_hz)
+            stream = _add_stream(container, codec, header, payloads[0], frame_rate_hz)
             _mux(container, stream, packets, payloads, frame_rate_hz)
         except (av.FFmpegError, ValueError) as error:
             raise ParamsError(f"{name}: {suffix} does not take {codec.name}: {error}") from error
@@ -48,13 +48,13 @@ def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_r
 
 
 def _payload(packet: Packet, magic: bytes) -> bytes:
-    return Header.taken_from(packet.data, magic)[1] if packet.data.startswith(magic) else packet.data
+    return Header.parse(packet.data, magic)[1] if packet.data.startswith(magic) else packet.data
 
 
-def _stream_of(container: Any, codec: VideoCodec[Any], header: Header, first: bytes, frame_rate_hz: float) -> Any:
-    """A stream of the container with what a player has to know, found by FFmpeg in the first packet.
+def _add_stream(container: Any, codec: VideoCodec[Any], header: Header, first: bytes, frame_rate_hz: float) -> Any:
+    """Add a stream to the container with the parameters that FFmpeg reads from the first packet.
 
-    FFV1's packets do not have it in them; there it is that of an encoder of the same setting.
+    FFV1's packets do not contain them; they are taken from an encoder with the same parameters.
     """
     traits: Encoder = codec.params.traits
     size = traits.coded_size(header.width, header.height)
@@ -72,7 +72,7 @@ def _stream_of(container: Any, codec: VideoCodec[Any], header: Header, first: by
 
 
 def _ivf(packet: bytes, size: tuple[int, int], rate: Fraction) -> bytes:
-    """A file of one VP9 packet."""
+    """Make a file of one VP9 packet."""
     return (
         _IVF_FILE.pack(b"DKIF", 0, _IVF_FILE.size, b"VP90", *size, rate.numerator, rate.denominator, 1, 0)
         + _IVF_FRAME.pack(len(packet), 0)
@@ -83,16 +83,16 @@ def _ivf(packet: bytes, size: tuple[int, int], rate: Fraction) -> bytes:
 def _mux(
     container: Any, stream: Any, packets: Sequence[Packet], payloads: Sequence[bytes], frame_rate_hz: float
 ) -> None:
-    """Packets are decoded in the order in which they come, and shown in that of their frames, the first at 0.
+    """Mux packets: decoding order is the packets', presentation order that of their frames, the first at 0.
 
-    Where pictures wait for later ones, decoding begins before 0, as FFmpeg's encoders count; what a container does not
-    take of that its muxer turns into what it does, MP4's into an edit list.
+    If frames are reordered, decoding begins before 0, as with FFmpeg's encoders. A muxer adapts that to its container:
+    MP4's writes an edit list.
     """
-    held_back = max(place - packet.frame for place, packet in enumerate(packets))
+    reorder_delay = max(place - packet.frame for place, packet in enumerate(packets))
     interval_s: Fraction = 1 / frame_rate(frame_rate_hz)
     for place, (packet, payload) in enumerate(zip(packets, payloads, strict=True)):
         muxed = packet_for(payload, packet.frame)
-        muxed.dts, muxed.duration = place - held_back, 1
+        muxed.dts, muxed.duration = place - reorder_delay, 1
         muxed.time_base, muxed.stream = interval_s, stream
         muxed.is_keyframe = packet.starts
         container.mux(muxed)

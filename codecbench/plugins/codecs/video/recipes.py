@@ -1,7 +1,7 @@
-"""Video settings for the stacks of robots, made of the options that our own encoder is opened with.
+"""Recipes of video encoders for the stacks of robots, made of our own encoder's options.
 
-FFmpeg's options are `Encoder.settings`, in FFmpeg's command, PyAV and ffmpeg_image_transport alike. GStreamer's
-elements have properties of their own; what they lack goes into their `option-string`.
+FFmpeg's command, PyAV and ffmpeg_image_transport take the options of `Encoder.settings`. GStreamer's elements have
+properties of their own; options without a property go into their `option-string`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from codecbench.plugins.codecs.video.encoders import VideoParams
 
 _TRANSPORT: Final = "ROS 2 ffmpeg_image_transport 3.0"
 _CAMERA_RATE: Final = {"libx264": "x264-params", "libx265": "x265-params"}
-"""The option that tells an encoder of ffmpeg_image_transport the frame rate: that opens it for 100 frames a second."""
+"""Option that sets the frame rate in ffmpeg_image_transport, which opens encoders for 100 frames/s."""
 _GENERIC: Final = ("g", "b", "maxrate", "minrate", "bufsize", "threads", "bf", "keyint_min", "chroma_sample_location",
                    "x265-params", "svtav1-params")  # fmt: skip
-"""Options that it does not take: those that are not the encoder's own, and those with a colon in the value."""
+"""Options that it does not take: generic ones, and those with a colon in the value."""
 _ENDINGS: Final = {
     "libx264": "h264", "libx265": "hevc", "libsvtav1": "obu", "libvpx-vp9": "ivf", "mjpeg": "mjpeg", "ffv1": "mkv",
 }  # fmt: skip
@@ -30,7 +30,7 @@ _HARDWARE: Final = "Not run without this hardware."
 
 
 def recipes(params: VideoParams, scene: Scene) -> Iterator[Recipe]:
-    """The recipes of a setting, those of ROS 2 first."""
+    """Yield the recipes of an operating point, that of ROS 2 first."""
     width, height = params.traits.coded_size(scene.width, scene.height)
     pads = ""
     if (width, height) != (scene.width, scene.height):
@@ -41,8 +41,8 @@ def recipes(params: VideoParams, scene: Scene) -> Iterator[Recipe]:
     yield _pyav(params, scene, (width, height))
 
 
-def _not_transported(params: VideoParams) -> str:
-    """Why ffmpeg_image_transport cannot code so; empty if it can."""
+def _transport_obstacle(params: VideoParams) -> str:
+    """Why ffmpeg_image_transport does not support the parameters; empty if it does."""
     encoder = params.traits
     if not encoder.rates:
         return "It converts frames to limited-range yuv420p, so it is not lossless."
@@ -55,16 +55,16 @@ def _not_transported(params: VideoParams) -> str:
 
 def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
     encoder, settings = params.traits, params.traits.settings(params)
-    if reason := _not_transported(params):
+    if reason := _transport_obstacle(params):
         return Recipe(_TRANSPORT, "yaml", "", reason)
-    own = {name: value for name, value in settings.items() if name not in _GENERIC}
+    options = {name: value for name, value in settings.items() if name not in _GENERIC}
     rate = _CAMERA_RATE.get(encoder.name)
-    own |= {rate: f"fps={scene.rate}"} if rate else {}
-    own |= {"x264opts": "force-cfr=1"} if encoder.name == "libx264" and params.latency == "any" else {}
-    own |= {"svtav1-params": "pred-struct=1"} if encoder.name == "libsvtav1" and params.latency == "low" else {}
+    options |= {rate: f"fps={scene.rate}"} if rate else {}
+    options |= {"x264opts": "force-cfr=1"} if encoder.name == "libx264" and params.latency == "any" else {}
+    options |= {"svtav1-params": "pred-struct=1"} if encoder.name == "libsvtav1" and params.latency == "low" else {}
     keys: dict[str, str | int] = {
         "encoder": encoder.name,
-        "encoder_av_options": f'"{",".join(f"{name}:{value}" for name, value in own.items())}"',
+        "encoder_av_options": f'"{",".join(f"{name}:{value}" for name, value in options.items())}"',
         "gop_size": params.gop,
         "max_b_frames": 0 if params.latency == "low" else 3,
         "pixel_format": f"{'yuvj' if rate else 'yuv'}{params.pixel_format[3:]}",
@@ -155,7 +155,7 @@ def _gstreamer(params: VideoParams, scene: Scene, pads: str) -> Recipe:
     return gstreamer(scene, caps, element, f"out.{_ENDINGS[name]}", sentences(pads, note, gray))
 
 
-def _rounded(params: VideoParams) -> str:
+def _rounding_note(params: VideoParams) -> str:
     whole = params.crf is None or params.crf == round(params.crf)
     return "" if whole else f"crf is a whole number there: {round(params.crf or 0)}."
 
@@ -170,23 +170,23 @@ def _x264(params: VideoParams) -> tuple[str, str]:
         words += ["pass=qual", f"quantizer={min(round(params.crf or 0), 50)}", "vbv-buf-capacity=0"]
     words += ["tune=zerolatency"] if params.latency == "low" else ["mb-tree=false", "bframes=3"]
     words += ["intra-refresh=true"] if params.intra_refresh else []
-    return " ".join([*words, "option-string=scenecut=0"]), sentences(_rounded(params), _OTHER_BUILD)
+    return " ".join([*words, "option-string=scenecut=0"]), sentences(_rounding_note(params), _OTHER_BUILD)
 
 
 def _x265(params: VideoParams) -> tuple[str, str]:
-    own = params.traits.settings(params)["x265-params"]
+    x265_params = params.traits.settings(params)["x265-params"]
     words = ["x265enc", f"speed-preset={params.preset}", f"key-int-max={params.gop}"]
     if params.bitrate_kbps is not None:
         words.append(f"bitrate={params.bitrate_kbps:.0f}")
         buffer = params.bitrate_kbps * params.vbv_ms / 1000
-        own += f":vbv-maxrate={params.bitrate_kbps:.0f}:vbv-bufsize={buffer:.0f}"
+        x265_params += f":vbv-maxrate={params.bitrate_kbps:.0f}:vbv-bufsize={buffer:.0f}"
     elif params.qp is not None:
         words.append(f"qp={params.qp}")
     else:
-        own += f":crf={params.crf:g}"
+        x265_params += f":crf={params.crf:g}"
     tune = "" if params.latency == "low" else "x265enc always has a tune, ssim here."
     words.append("tune=zerolatency" if params.latency == "low" else "tune=ssim")
-    return " ".join([*words, f"option-string={own}"]), sentences(tune, _OTHER_BUILD)
+    return " ".join([*words, f"option-string={x265_params}"]), sentences(tune, _OTHER_BUILD)
 
 
 def _svt_av1(params: VideoParams) -> tuple[str, str]:

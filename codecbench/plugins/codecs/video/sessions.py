@@ -1,8 +1,8 @@
-"""A stream being decoded by one of FFmpeg's decoders, which says of each picture whether it is what was sent.
+"""Encoding and decoding sessions with FFmpeg; the decoder classifies each frame as whole, concealed or missing.
 
-A picture is whole if every packet since the last start came and was decoded, for no other can it refer to; or if it
-follows an exact recovery point. FFmpeg's own marks of damage are believed on top of that. After a loss the next start
-is decoded by a new decoder, so that nothing of the damage is left.
+A frame is whole if every packet since the last keyframe was received and decoded, or if it follows an exact recovery
+point; FFmpeg's own marks of damage override that. After a loss the next keyframe is decoded by a new decoder, so that
+no damage remains.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from codecbench.core.contracts.errors import BitstreamError, ImageError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
 from codecbench.core.contracts.stream import Loss, Packet, Picture, PictureState, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, padded, planes_from_image
+from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, pad_image, planes_from_image
 from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
 from codecbench.plugins.codecs.video.header import MAX_SIDE, Header, frames_to_recovery
 from codecbench.plugins.codecs.video.library import decoding_errors, open_decoder, open_encoder, packet_for, video_frame
 
 
 class VideoEncoder(StreamEncoder):
-    """An encoder is opened for the first picture, whose shape the others share.
+    """An encoding session. The encoder is opened for the first image; the others must have its shape.
 
-    One that looks ahead in threads of its own gives all packets at the end, so that equal pictures give equal sessions.
+    An encoder that looks ahead in its own threads returns all packets at the end, so that sessions are reproducible.
 
-    magic: four bytes that name the codec. sends_extradata: whether the decoder needs a header that the encoder keeps
-    apart from its packets.
+    magic: four bytes that identify the codec. sends_extradata: whether the decoder needs a header that the encoder does
+    not write into its packets.
     """
 
     def __init__(self, params: VideoParams, magic: bytes, frame_rate_hz: float, *, sends_extradata: bool) -> None:
@@ -36,8 +36,8 @@ class VideoEncoder(StreamEncoder):
         self._size = (0, 0)
         self._header = b""
         self._pushed = 0
-        self._keeps_all = params.latency == "any" and params.traits.asynchronous
-        self._kept: list[Packet] = []
+        self._delays_packets = params.latency == "any" and params.traits.asynchronous
+        self._delayed: list[Packet] = []
 
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
         image = check_image(image)
@@ -47,17 +47,17 @@ class VideoEncoder(StreamEncoder):
             raise ImageError(f"a picture of shape {image.shape} in a stream of shape {self._shape}")
         params = self._params
         frame = video_frame(*self._size, params.traits.ffmpeg_format(params))
-        fill_frame(frame, planes_from_image(padded(image, *self._size), params.pixel_format))
+        fill_frame(frame, planes_from_image(pad_image(image, *self._size), params.pixel_format))
         frame.pts = self._pushed
         self._pushed += 1
         packets = self._packets(frame)
-        if not self._keeps_all:
+        if not self._delays_packets:
             return packets
-        self._kept += packets
+        self._delayed += packets
         return []
 
     def flush(self) -> list[Packet]:
-        return [] if self._context is None else self._kept + self._packets(None)
+        return [] if self._context is None else self._delayed + self._packets(None)
 
     def _open(self, image: Image) -> None:
         height, width = image.shape[:2]
@@ -74,21 +74,21 @@ class VideoEncoder(StreamEncoder):
         ).to_bytes()
 
     def _packets(self, frame: Any) -> list[Packet]:
-        found: list[Packet] = []
+        packets: list[Packet] = []
         for packet in self._context.encode(frame):
             data, number = bytes(packet), int(packet.pts)
-            if packet.is_keyframe:  # with intra refresh also where a refresh begins, at which no picture is whole yet
+            if packet.is_keyframe:  # with intra refresh also at the begin of a refresh, when no frame is whole yet
                 data = self._header + data
             refreshes = bool(packet.is_keyframe and self._params.intra_refresh and number)
             recovery = frames_to_recovery(data) if refreshes else None
-            found.append(Packet(data, number, packet.is_keyframe and not refreshes, recovery))
-        return found
+            packets.append(Packet(data, number, packet.is_keyframe and not refreshes, recovery))
+        return packets
 
 
 class VideoDecoder(StreamDecoder):
-    """Pictures leave in the order in which they are shown, numbered without gaps.
+    """A decoding session. Frames leave in presentation order, numbered without gaps.
 
-    encoder: what wrote the stream. magic: four bytes that name the codec.
+    encoder: the stream's encoder. magic: four bytes that identify the codec.
     """
 
     def __init__(self, encoder: Encoder, magic: bytes) -> None:
@@ -96,8 +96,8 @@ class VideoDecoder(StreamDecoder):
         self._context: Any = None
         self._header: Header | None = None
         self._is_intact = False
-        self._lost_since_start = False
-        self._whole_from: int | None = None
+        self._lost_since_keyframe = False
+        self._recovery_frame: int | None = None
         self._states: dict[int, PictureState] = {}
         self._next = 0
         self._arrived = 0
@@ -106,107 +106,107 @@ class VideoDecoder(StreamDecoder):
         self._arrived += 1
         if isinstance(packet, Loss):
             self._lose()
-            return self._missing_before(self._next + 1) if self._answers_at_once else []
-        pictures = self._resumed_at(packet) if packet.starts and not self._is_intact else []
+            return self._missing_pictures(self._next + 1) if self._is_immediate else []
+        pictures = self._close_before(packet) if packet.starts and not self._is_intact else []
         try:
-            data = self._content(packet)
+            data = self._payload(packet)
         except BitstreamError:
             self._give_up(packet.frame)
             raise
-        return pictures + self._pictures(packet.frame, data)
+        return pictures + self._decode(packet.frame, data)
 
     def flush(self) -> list[Picture]:
-        pictures = self._in_order(self._drained())
-        return pictures + self._missing_before(self._arrived)
+        pictures = self._ordered_pictures(self._drain())
+        return pictures + self._missing_pictures(self._arrived)
 
     @property
-    def _answers_at_once(self) -> bool:
-        """Whether each packet gives its picture: always before a start, when all that there is to say is `missing`."""
+    def _is_immediate(self) -> bool:
+        """Whether each packet gives its frame at once; before a keyframe it does, as `missing`."""
         return self._context is None or self._header is None or self._header.is_low_delay
 
     def _lose(self) -> None:
-        self._is_intact, self._lost_since_start, self._whole_from = False, True, None
+        self._is_intact, self._lost_since_keyframe, self._recovery_frame = False, True, None
 
-    def _resumed_at(self, start: Packet) -> list[Picture]:
-        """Take leave of a damaged decoder: what it still holds, and what is missing up to the start."""
-        pictures = self._in_order(self._drained())
+    def _close_before(self, start: Packet) -> list[Picture]:
+        """Close a damaged decoder; returns its remaining frames and the missing ones up to the keyframe."""
+        pictures = self._ordered_pictures(self._drain())
         self._context, self._states = None, {}
-        return pictures + self._missing_before(start.frame)
+        return pictures + self._missing_pictures(start.frame)
 
-    def _content(self, packet: Packet) -> bytes:
-        """The encoder's part of a packet; opens the decoder where one can begin."""
+    def _payload(self, packet: Packet) -> bytes:
+        """Return the encoder's part of a packet; opens the decoder if decoding can begin there."""
         if not packet.starts and not (self._encoder.recovers and packet.data.startswith(self._magic)):
             return packet.data
-        header, data = Header.taken_from(packet.data, self._magic)
+        header, data = Header.parse(packet.data, self._magic)
         if self._context is None or (packet.starts and header != self._header):
             self._context, self._header = open_decoder(self._encoder, header), header
         if packet.starts:
-            self._is_intact, self._lost_since_start = True, False
-        elif not self._is_intact and self._whole_from is None and (frames := frames_to_recovery(data)) is not None:
-            self._whole_from = packet.frame + frames
+            self._is_intact, self._lost_since_keyframe = True, False
+        elif not self._is_intact and self._recovery_frame is None and (frames := frames_to_recovery(data)) is not None:
+            self._recovery_frame = packet.frame + frames
         return data
 
-    def _pictures(self, frame: int, data: bytes) -> list[Picture]:
-        """What comes of a packet's bytes. Raises BitstreamError where they should have given a picture."""
+    def _decode(self, frame: int, data: bytes) -> list[Picture]:
+        """Decode a packet's bytes. Raises BitstreamError if they should have given a frame and did not."""
         if self._context is None:
-            return self._missing_before(frame + 1)
-        if self._whole_from is not None and frame >= self._whole_from:
-            self._is_intact, self._whole_from = True, None
+            return self._missing_pictures(frame + 1)
+        if self._recovery_frame is not None and frame >= self._recovery_frame:
+            self._is_intact, self._recovery_frame = True, None
         self._states[frame] = "whole" if self._is_intact else "concealed"
         try:
             decoded = self._context.decode(packet_for(data, frame))
-            if not decoded and self._lost_since_start and self._encoder.recovers and self._answers_at_once:
-                self._context.flush_buffers()  # a lost frame number that wraps round has it take this for long shown
+            if not decoded and self._lost_since_keyframe and self._encoder.recovers and self._is_immediate:
+                self._context.flush_buffers()  # else a wrapped frame number passes for one already shown
                 decoded = self._context.decode(packet_for(data, frame))
-            pictures = self._in_order(decoded)
+            pictures = self._ordered_pictures(decoded)
         except decoding_errors() as error:
             decoded, pictures = [], []
-            if not self._context.is_open:  # what the header says of the stream was refused, and FFmpeg tries once
+            if not self._context.is_open:  # FFmpeg refused the extradata and does not try again
                 self._context = None
             if self._is_intact:
                 self._give_up(frame)
                 raise BitstreamError(f"the packet of frame {frame} cannot be decoded: {error}") from error
-        if not self._answers_at_once or self._next > frame:
+        if not self._is_immediate or self._next > frame:
             return pictures
-        if not self._lost_since_start:
+        if not self._lost_since_keyframe:
             self._give_up(frame)
             raise BitstreamError(f"the packet of frame {frame} gives no picture")
-        return pictures + self._missing_before(frame + 1)
+        return pictures + self._missing_pictures(frame + 1)
 
     def _give_up(self, frame: int) -> None:
-        """After bytes that were refused: the error has told of the picture where pictures come at once."""
+        """Handle refused bytes; if frames come at once, the error stands for the frame."""
         self._lose()
-        if self._answers_at_once:
+        if self._is_immediate:
             self._next = max(self._next, frame + 1)
 
-    def _drained(self) -> list[Any]:
+    def _drain(self) -> list[Any]:
         try:
             return [] if self._context is None else list(self._context.decode(None))
         except decoding_errors():
             return []
 
-    def _in_order(self, frames: list[Any]) -> list[Picture]:
-        """Decoded frames as pictures, each behind those that never came; doubles and strangers are left out."""
+    def _ordered_pictures(self, frames: list[Any]) -> list[Picture]:
+        """Convert decoded frames to pictures and insert the missing ones; duplicates and unknown frames are dropped."""
         pictures: list[Picture] = []
         for frame in frames:
             number = frame.pts
             if number is None or number < self._next or number not in self._states:
                 continue
-            pictures += self._missing_before(number)
+            pictures += self._missing_pictures(number)
             state, image = self._states.pop(number), self._image(frame)
             state = "concealed" if frame.is_corrupt else state
             pictures.append(Picture(number, "missing" if image is None else state, image))
             self._next = number + 1
         return pictures
 
-    def _missing_before(self, frame: int) -> list[Picture]:
+    def _missing_pictures(self, frame: int) -> list[Picture]:
         missing = [Picture(number, "missing", None) for number in range(self._next, frame)]
         self._next = max(self._next, frame)
         self._states = {number: state for number, state in self._states.items() if number >= self._next}
         return missing
 
     def _image(self, frame: Any) -> Image | None:
-        """The picture without padding, or None where the frame is not of the size that the header tells."""
+        """Convert a frame to an image without padding; None if its size is not the header's."""
         header = self._header
         assert header is not None
         if (frame.width, frame.height) != self._encoder.coded_size(header.width, header.height):

@@ -248,7 +248,7 @@ def plainly_encoded(encoder: str, options: dict[str, str], pictures: list[np.nda
     """What FFmpeg writes and reads by itself: its own conversion of colour, its own demuxer's packets."""
     file = io.BytesIO()
     form = {"libx264": "h264", "libx265": "hevc"}.get(encoder, "ivf")
-    with av.open(file, "w", format=form) as container, library.priority_kept():
+    with av.open(file, "w", format=form) as container, library.preserve_scheduling():
         stream = container.add_stream(encoder, rate=30, options=options)
         stream.width, stream.height = pictures[0].shape[1], pictures[0].shape[0]
         stream.pix_fmt, stream.codec_context.thread_count = "yuv420p", 1

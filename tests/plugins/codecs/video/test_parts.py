@@ -12,7 +12,7 @@ import av
 
 from codecbench import BitstreamError
 from codecbench.plugins.codecs.video.codecs import H264, Ffv1
-from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, padded, planes_from_image
+from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, pad_image, planes_from_image
 from codecbench.plugins.codecs.video.header import Header, frames_to_recovery
 
 
@@ -20,9 +20,9 @@ def test_a_header_is_eleven_bytes_and_comes_back() -> None:
     header = Header(b"TEST", 641, 480, 3, is_low_delay=True)
     sent = header.to_bytes()
     assert sent.hex() == "54455354038102e0010000"
-    assert Header.taken_from(sent + b"rest", b"TEST") == (header, b"rest")
+    assert Header.parse(sent + b"rest", b"TEST") == (header, b"rest")
     apart = Header(b"TEST", 1, 2, 1, is_low_delay=False, extradata=b"xyz")
-    assert Header.taken_from(apart.to_bytes() + b"r", b"TEST") == (apart, b"r")
+    assert Header.parse(apart.to_bytes() + b"r", b"TEST") == (apart, b"r")
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_a_header_is_eleven_bytes_and_comes_back() -> None:
 )
 def test_a_header_that_no_encoder_writes_is_refused(data: bytes, said: str) -> None:
     with pytest.raises(BitstreamError, match=said):
-        Header.taken_from(data, b"TEST")
+        Header.parse(data, b"TEST")
 
 
 def test_recovery_points_are_read_as_the_standard_writes_them() -> None:
@@ -79,8 +79,8 @@ def test_colour_is_full_range_bt601() -> None:
 
 def test_padding_repeats_the_edge() -> None:
     image = np.arange(6, dtype=np.uint8).reshape(2, 3)
-    assert padded(image, 3, 2) is image
-    assert padded(image, 4, 4).tolist() == [[0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]]
+    assert pad_image(image, 3, 2) is image
+    assert pad_image(image, 4, 4).tolist() == [[0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]]
 
 
 def test_results_say_what_becomes_of_colour() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import Image
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.dct.planes import cropped, image_from_planes, padded, planes_from_image
+from codecbench.plugins.codecs.dct.planes import crop_plane, image_from_planes, pad_plane, planes_from_image
 from codecbench.plugins.codecs.dct.tables import Table
 from codecbench.plugins.codecs.multilevel.arithmetic import LOOK_AHEAD
 from codecbench.plugins.codecs.multilevel.bitstream import check_end, filled_up
@@ -65,7 +65,7 @@ def encoded(
     """
     indices = []
     for number, plane in enumerate(planes_from_image(image, header.color, trace)):
-        plane = padded(plane, trace=trace)
+        plane = pad_plane(plane, trace=trace)
         chosen, header.biases[number] = _quantised(plane, _steps(header, number), header.lapped, effort, trace)
         indices.append(chosen)
     return pack(
@@ -130,7 +130,7 @@ def _steps(header: ContextHeader, plane: int) -> NDArray[np.int64]:
 def _quantised(
     plane: NDArray[np.uint8], steps: NDArray[np.int64], lapped: bool, effort: Effort, trace: Trace
 ) -> tuple[Indices, NDArray[np.int32]]:
-    """The indices of a padded plane (n + 1, 64), in natural order, and the biases to reconstruct them with."""
+    """The indices of a pad_plane plane (n + 1, 64), in natural order, and the biases to reconstruct them with."""
     coefficients = np.empty((plane.size // 64, 64), np.int32)
     indices = np.empty((len(coefficients) + 1, 64), np.int32)
     indices[-1] = 0
@@ -210,5 +210,5 @@ def _image(header: ContextHeader, indices: list[Indices], trace: Trace) -> Image
             run(dequantise, indices[number], _steps(header, number), header.biases[number], coefficients)
         with trace.stage("inverse_lapped_transform" if header.lapped else "idct") as run:
             run(inverse_transform, coefficients, int(header.lapped), plane)
-        planes.append(cropped(plane, shape, trace))
+        planes.append(crop_plane(plane, shape, trace))
     return image_from_planes(planes, header.color, header.channels, trace)
