@@ -1,9 +1,9 @@
 """A range coder: arithmetic coding by counts, 48 bits wide, with carry propagation.
 
-The encoder's state is three integers: `low` and `width` of the range, and the `position` of the next byte; the
-decoder's are `code`, where the stream points within the range, `width` and `position`. Symbols are coded by
-their interval among the counts, scaled to a power of two so that the range divides by shifting; the tables'
-values are coded by adaptive bits.
+The encoder's state is three integers: `low` and `width` of the range, and the `position` of the next byte. Those of
+the decoder are `code`, the stream's value in the range, `width` and `position`. Symbols are coded by their interval
+among the counts, scaled to a power of two so that the range divides by shifting. The tables' values are coded by
+adaptive bits.
 
 Source: G. N. N. Martin, "Range encoding: an algorithm for removing redundancy from a digitised message" (1979).
 """
@@ -21,19 +21,19 @@ _BOTTOM = 1 << 40
 _BELOW_BOTTOM = _BOTTOM - 1
 _BELOW_LAST_BYTES = (1 << 32) - 1
 LOOK_AHEAD = 6
-"""Bytes that the decoder reads before the first symbol: 48 bits."""
+"""Number of bytes that the decoder reads before the first symbol: 48 bits."""
 
 UNWRITTEN = 4
-"""Bytes, all zero, that the decoder reads beyond what the encoder wrote."""
+"""Number of zero bytes that the decoder reads beyond the encoder's last byte."""
 
 _SPARE_BITS = 6
 _LOOKUP_BITS = 15
-"""A table of 128 kB: a larger one would leave the cache, a smaller one leave more symbols to try."""
+"""Size of the look-up table, 128 kB: a larger one exceeds the cache, a smaller one leaves more symbols to try."""
 
 
 @kernel(_nrt=False)
 def encode_interval(low: Any, width: Any, position: Any, out: Any, start: Any, count: Any, unit: Any) -> Any:
-    """Narrow the range to `count` units from `start` on; returns the new low, width and position."""
+    """Narrow the range to `count` units from `start`; returns the new low, width and position."""
     low += start * unit
     width = count * unit
     if low >= TOP:
@@ -49,7 +49,7 @@ def encode_interval(low: Any, width: Any, position: Any, out: Any, start: Any, c
 
 @kernel(_nrt=False)
 def _carry(out: Any, position: Any) -> None:
-    """Add one to the number whose last byte stands before `position`."""
+    """Add one to the number that ends before `position`."""
     position -= 1
     while out[position] == 255:
         out[position] = 0
@@ -59,7 +59,7 @@ def _carry(out: Any, position: Any) -> None:
 
 @kernel(_nrt=False)
 def finish_encoder(low: Any, position: Any, out: Any) -> Any:
-    """Write two more bytes, which name a number inside any range; returns the length of the output."""
+    """Write two more bytes, which select a number inside any range; returns the length of the output."""
     low = (low + _BELOW_LAST_BYTES) & ~_BELOW_LAST_BYTES
     if low >= TOP:
         low -= TOP
@@ -71,7 +71,7 @@ def finish_encoder(low: Any, position: Any, out: Any) -> Any:
 
 @kernel(_nrt=False)
 def next_byte(data: Any, position: Any) -> Any:
-    """The byte at a position; bytes after the end of the data are zero."""
+    """Return the byte at a position, zero after the end of the data."""
     if position < data.shape[0]:
         return np.int64(data[position])
     return np.int64(0)
@@ -79,7 +79,7 @@ def next_byte(data: Any, position: Any) -> Any:
 
 @kernel(_nrt=False)
 def first_code(data: Any) -> Any:
-    """The decoder's code at the beginning of `data`; LOOK_AHEAD bytes are then read."""
+    """Read LOOK_AHEAD bytes from the beginning of `data` as the decoder's code."""
     code = np.int64(0)
     for position in range(LOOK_AHEAD):
         code = (code << 8) | next_byte(data, position)
@@ -88,7 +88,7 @@ def first_code(data: Any) -> Any:
 
 @kernel(_nrt=False)
 def decode_interval(code: Any, position: Any, data: Any, start: Any, count: Any, unit: Any) -> Any:
-    """Take the interval of a decoded symbol out of the range; returns the new code, width and position."""
+    """Remove the interval of a decoded symbol from the range; returns the new code, width and position."""
     code -= start * unit
     width = count * unit
     while width < _BOTTOM:
@@ -100,7 +100,7 @@ def decode_interval(code: Any, position: Any, data: Any, start: Any, count: Any,
 
 @kernel
 def quotient_of(code: Any, unit: Any) -> Any:
-    """floor(code / unit) for 0 <= code, 0 < unit, both below 2^48: the rounded quotient is at most one too large."""
+    """Return floor(code / unit) for 0 <= code, 0 < unit, both below 2^48; rounding adds at most 1."""
     quotient = np.int64(code / unit)
     if quotient * unit > code:
         quotient -= 1
@@ -115,7 +115,7 @@ def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, conte
     """
     split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
     _adapt(models, context, bit)
-    # Choices, not branches: which bit comes is what a processor cannot foretell.
+    # Selections, not branches: a processor cannot predict the bit.
     start = 0 if bit else split
     size = split if bit else width - split
     return encode_interval(low + start, width, position, out, 0, 1, size)
@@ -123,7 +123,7 @@ def encode_bit(low: Any, width: Any, position: Any, out: Any, models: Any, conte
 
 @kernel(_nrt=False)
 def decode_bit(code: Any, width: Any, position: Any, data: Any, models: Any, context: Any) -> Any:
-    """The next bit, as `encode_bit` coded it, and the new code, width and position."""
+    """Decode the next bit of `encode_bit`; returns it and the new code, width and position."""
     split = (width >> 16) * ((models[context, 0] + models[context, 1]) >> 1)
     bit = 0
     if code < split:
@@ -147,11 +147,11 @@ def _adapt(models: Any, context: Any, bit: Any) -> None:
 
 
 @kernel
-def share_out(counts: Any, starts: Any) -> Any:
-    """Share 2^bits units out among symbols in proportion to their counts; returns `bits`.
+def distribute_units(counts: Any, starts: Any) -> Any:
+    """Distribute 2^bits units among symbols in proportion to their counts; returns `bits`.
 
-    counts: (U,) int64, each at least 1. starts: (U + 1,) int64, filled: where each symbol's units begin. A count
-    of one gets 64 to 127 units, so that rounding costs less than 1e-4 of the payload.
+    counts: (U,) int64, each at least 1. starts: (U + 1,) int64, filled: the first unit of each symbol. A count of
+    one gets 64 to 127 units, so that rounding costs less than 1e-4 of the payload.
     """
     total = np.int64(0)
     for symbol in range(counts.shape[0]):
@@ -172,10 +172,10 @@ def share_out(counts: Any, starts: Any) -> Any:
 def encode_symbols(symbols: Any, counts: Any, starts: Any, out: Any) -> Any:
     """Code every symbol in proportion to its count; returns the length of the output.
 
-    symbols: (n,) int32 in 0..U-1. counts: (U,) int64, how often each occurs. starts: (U + 1,) int64, filled.
+    symbols: (n,) int32 in 0..U-1. counts: (U,) int64, occurrences of each. starts: (U + 1,) int64, filled.
     out: at least 4 n + 16 bytes.
     """
-    bits = share_out(counts, starts)
+    bits = distribute_units(counts, starts)
     low = np.int64(0)
     width = np.int64(TOP - 1)
     position = 0
@@ -188,12 +188,12 @@ def encode_symbols(symbols: Any, counts: Any, starts: Any, out: Any) -> Any:
 
 @kernel
 def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
-    """Decode `symbols` (n,) int32 from `data`; returns bytes read, or a negative number for damaged data.
+    """Decode `symbols` (n,) int32 from `data`; returns the bytes read, or a negative number for damaged data.
 
-    counts: (U,) int64, each at least 1, with sum n. starts: (U + 1,) int64, filled. The histogram of what is
-    decoded must be the counts themselves (-1), and no code may lie outside all intervals (-2).
+    counts: (U,) int64, each at least 1, with sum n. starts: (U + 1,) int64, filled. Returns -1 if the histogram of the
+    symbols is not the counts, -2 if a code lies outside all intervals.
     """
-    bits = share_out(counts, starts)
+    bits = distribute_units(counts, starts)
     shift = max(bits - _LOOKUP_BITS, 0)
     lookup = np.empty(1 << (bits - shift), np.int32)
     _fill_lookup(starts, shift, lookup)
@@ -207,7 +207,7 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
     position = LOOK_AHEAD
     for i in range(symbols.shape[0]):
         unit = width >> bits
-        # Trying the most frequent symbol first saves a division, and the wait for it, on most symbols.
+        # Trying the most frequent symbol first saves a division on most symbols.
         symbol, start, end = favourite, favourite_start, favourite_end
         if code < start * unit or code >= end * unit:
             target = quotient_of(code, unit)
@@ -227,7 +227,7 @@ def decode_symbols(data: Any, counts: Any, starts: Any, symbols: Any) -> Any:
 
 @kernel
 def _most_frequent(counts: Any) -> Any:
-    """The first symbol of the largest count."""
+    """Return the first symbol of the largest count."""
     favourite = np.int64(0)
     for symbol in range(counts.shape[0]):
         if counts[symbol] > counts[favourite]:
@@ -237,7 +237,7 @@ def _most_frequent(counts: Any) -> Any:
 
 @kernel
 def _fill_lookup(starts: Any, shift: Any, lookup: Any) -> None:
-    """lookup[k]: the symbol whose interval holds k << shift."""
+    """Set lookup[k] to the symbol whose interval contains k << shift."""
     symbol = 0
     for k in range(lookup.shape[0]):
         while starts[symbol + 1] <= k << shift:

@@ -1,13 +1,13 @@
-"""The container: what a multi-level bitstream holds, byte by byte, and the limits that a decoder keeps.
+"""The container of a multi-level bitstream, byte by byte, and the limits that a decoder enforces.
 
 All numbers are little-endian. A bitstream is a header, one section a level, the payload and a checksum:
 
     offset  size  header
          0     4  magic "CBML"
-         4     1  version, 1, or 3 where tables are Rice codes (header mode only)
+         4     1  version, 1, or 3 if tables are Rice codes (header mode only)
          5     1  profile: 0 static, as described here; 1 is reserved for `context`
          6     1  flags: bit 0 search mode, bit 1 coefficient scan, bit 2 three channels; the others 0
-         7     1  colour: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
+         7     1  color: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
          8     1  table: 0 paper, 1 standard, 2 flat, 255 custom
          9     1  levels, 1..16
         10     1  group, 2..16
@@ -15,7 +15,7 @@ All numbers are little-endian. A bitstream is a header, one section a level, the
         12     4  width
         16     4  height
         20     8  qf, float64
-        28     4  offset: the smallest index, or 0 where none is negative; int32
+        28     4  offset: the smallest index, or 0 if none is negative; int32
         32     4  R, the number of digits at level 1
         36   128  custom table only: 64 steps, uint16, natural order
 
@@ -31,8 +31,8 @@ All numbers are little-endian. A bitstream is a header, one section a level, the
 
                4  CRC-32 (IEEE 802.3) of everything before
 
-Work is bounded by what is there: a section that stands for more items than it has bytes to account for is
-filled up with zero bytes by the encoder and refused without them by the decoder.
+The size of a section bounds the decoder's work: the encoder pads a section with zero bytes if it has too few for its
+items, and the decoder refuses a section without them.
 """
 
 from __future__ import annotations
@@ -64,21 +64,23 @@ ITEMS_PER_BYTE = 1 << 10
 _LEVEL = struct.Struct("<II")
 _WORD = struct.Struct("<I")
 _SHORTEST = 28 + _WORD.size
-"""The fixed fields that all versions have, and the checksum."""
+"""Size of the fixed fields of all versions and the checksum."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level's section. keys: int64 (g,), empty in header mode."""
+    """One level's section."""
 
     entries: int
     table: bytes = field(repr=False)
+    """The coded table."""
     keys: NDArray[np.int64]
+    """(g,), empty in header mode."""
 
 
 @dataclass(frozen=True)
 class Bitstream:
-    """A bitstream taken apart."""
+    """The parts of a bitstream."""
 
     header: Header
     levels: list[Level]
@@ -86,17 +88,17 @@ class Bitstream:
 
 
 def least_size(items: int) -> int:
-    """Bytes that a section needs at the least to stand for so many items."""
+    """Smallest size in bytes of a section of so many items."""
     return max(0, -(-(items - FREE_ITEMS) // ITEMS_PER_BYTE))
 
 
-def filled_up(section: bytes, items: int) -> bytes:
-    """The section with zero bytes up to its least size: coders read zeros after its end anyway."""
+def pad_section(section: bytes, items: int) -> bytes:
+    """Pad a section with zero bytes to its smallest size; coders read zeros after its end anyway."""
     return section.ljust(least_size(items), b"\0")
 
 
 def pack(parts: Bitstream) -> bytes:
-    """The bytes of a bitstream."""
+    """Serialize a bitstream."""
     chunks = [pack_header(parts.header)]
     for level in parts.levels:
         chunks += [_LEVEL.pack(level.entries, len(level.table)), level.keys.astype("<i8").tobytes(), level.table]
@@ -106,7 +108,7 @@ def pack(parts: Bitstream) -> bytes:
 
 
 def version_of(bitstream: bytes) -> int:
-    """The version that a bitstream says it has. Raises BitstreamError where it is none of this codec."""
+    """Read the version of a bitstream. Raises BitstreamError if it is not of this codec."""
     data = bytes(bitstream[:_SHORTEST])
     if data[:4] != MAGIC[: len(data)] or not data:
         raise BitstreamError(
@@ -121,21 +123,21 @@ def version_of(bitstream: bytes) -> int:
     return data[4]
 
 
-def checked(bitstream: bytes, *versions: int) -> Reader:
-    """A reader of a bitstream of one of these versions, its checksum right. Raises BitstreamError with the reason."""
+def checked_reader(bitstream: bytes, *versions: int) -> Reader:
+    """Check the version and checksum of a bitstream and return a reader. Raises BitstreamError with the reason."""
     data = bytes(bitstream)
     if version_of(data) not in versions:
         raise BitstreamError(f"version {data[4]} where {' or '.join(map(str, versions))} is expected")
     (expected,) = _WORD.unpack(data[-_WORD.size :])
-    if (found := zlib.crc32(data[: -_WORD.size])) != expected:
-        raise BitstreamError(f"damaged: CRC-32 is {found:08x}, the bitstream says {expected:08x}")
+    if (actual := zlib.crc32(data[: -_WORD.size])) != expected:
+        raise BitstreamError(f"damaged: CRC-32 is {actual:08x}, the bitstream says {expected:08x}")
     return Reader(data)
 
 
 def check_end(section: bytes, read: int, items: int, what: str) -> None:
-    """Refuse a section that is not exactly as long as its encoder would have made it.
+    """Raise BitstreamError if a section is not exactly as long as its encoder would have made it.
 
-    read: bytes that the decoder took, UNWRITTEN of them beyond what is written.
+    read: bytes that the decoder consumed, UNWRITTEN of them beyond the written ones.
     """
     written = read - UNWRITTEN
     if len(section) < written:
@@ -145,11 +147,11 @@ def check_end(section: bytes, read: int, items: int, what: str) -> None:
 
 
 def unpack(bitstream: bytes) -> Bitstream:
-    """Take a bitstream apart and check everything that can be checked without decoding.
+    """Split a bitstream into its parts and check everything that can be checked without decoding.
 
     Raises BitstreamError with the reason.
     """
-    reader = checked(bitstream, VERSION, RICE_VERSION)
+    reader = checked_reader(bitstream, VERSION, RICE_VERSION)
     header = unpack_header(reader)
     levels = _unpack_levels(reader, header)
     (size,) = _WORD.unpack(reader.take(_WORD.size, "payload size"))

@@ -30,8 +30,14 @@ from codecbench.plugins.codecs.multilevel.context import bitstream as context
 from codecbench.plugins.codecs.multilevel.context import profile
 from codecbench.plugins.codecs.multilevel.context.bitstream import CHROMA_UNITS, ContextHeader
 from codecbench.plugins.codecs.multilevel.header import CONTEXT_VERSION, MAX_SAMPLES, TABLES, Header, Picture
-from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked, manual_keys, random_keys
-from codecbench.plugins.codecs.multilevel.levels import KeyMaker, expanded, minimised, scanned, unscanned
+from codecbench.plugins.codecs.multilevel.keys import canonical_keys, check_keys, manual_keys, random_keys
+from codecbench.plugins.codecs.multilevel.levels import (
+    KeyMaker,
+    expand_levels,
+    minimize_levels,
+    scan_blocks,
+    unscan_blocks,
+)
 from codecbench.plugins.codecs.multilevel.params import MultilevelParams
 
 _HERE = "codecbench.plugins.codecs.multilevel"
@@ -39,7 +45,7 @@ _CONTEXT_KERNELS = ("codecbench.plugins.codecs.dct.color", "codecbench.plugins.c
 
 
 def static_kernels(params: MultilevelParams) -> tuple[str, ...]:
-    """What a setting of the profile `static` calls."""
+    """Kernels that parameters of the profile `static` need."""
     names = ["arithmetic", "minimize"]
     if params.scan == "coefficient":
         names += ["levels"]
@@ -54,7 +60,7 @@ class Multilevel(Codec[MultilevelParams]):
     """Multi-level minimisation of quantised DCT coefficients with order-0 arithmetic coding.
 
     Source: Salih & Vasarhelyi, End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust
-    Monocular Visual ORB-SLAM. What the paper leaves open is decided in docs/multilevel.md.
+    Monocular Visual ORB-SLAM. docs/multilevel.md specifies what the paper leaves open.
     """
 
     name: ClassVar[str] = "multilevel"
@@ -78,22 +84,22 @@ class Multilevel(Codec[MultilevelParams]):
         self.kernels = _CONTEXT_KERNELS if params.profile == "context" else static_kernels(params)
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        """The bitstream of one image; a gray image is coded as one plane whatever `color` says.
+        """Encode one image; a gray image is coded as one plane for every `color`.
 
-        Raises KeyCollision for manual keys that cannot tell tuples apart, ParamsError where codes would not
-        fit 62 bits, ImageError for images of too many pixels or too many different tuples.
+        Raises KeyCollision if manual keys give two tuples the same code, ParamsError if codes would not fit 62 bits,
+        ImageError for images of too many pixels or too many different tuples.
         """
         image = check_image(image)
         if self.params.profile == "context":
             context = self._context_header(self._picture(image))
-            return profile.encoded(image, context, self.params.effort, trace, threads=self.params.threads)
+            return profile.encode(image, context, self.params.effort, trace, threads=self.params.threads)
         header = self.header_of(image)
         values = self.values_of(image, header, trace)
-        found = minimised(values, self.params.levels, self._key_maker(), trace)
-        return pack(entropy_coding.encoded(header, found, trace))
+        minimized = minimize_levels(values, self.params.levels, self._key_maker(), trace)
+        return pack(entropy_coding.encode(header, minimized, trace))
 
     def header_of(self, image: Image) -> Header:
-        """The header of an image's bitstream, but for its digits. Raises ImageError for too many pixels."""
+        """Return the header of an image's bitstream without offset and radix. Raises ImageError for too many pixels."""
         params = self.params
         return Header(
             **vars(self._picture(image)),
@@ -107,11 +113,11 @@ class Multilevel(Codec[MultilevelParams]):
         )
 
     def values_of(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
-        """Quantised coefficients (n,) of all planes, in the order in which they are minimised."""
-        return scanned(self._blocks(image, header, trace), self.params.scan, trace)
+        """Quantized coefficients (n,) of all planes, in the order of minimization."""
+        return scan_blocks(self._blocks(image, header, trace), self.params.scan, trace)
 
     def _picture(self, image: Image) -> Picture:
-        """What both profiles say of an image. Raises ImageError for too many pixels."""
+        """Header fields of both profiles. Raises ImageError for too many pixels."""
         chosen = self.params.table
         picture = Picture(
             width=image.shape[1],
@@ -137,73 +143,72 @@ class Multilevel(Codec[MultilevelParams]):
         )
 
     def _blocks(self, image: Image, header: Header, trace: Trace) -> NDArray[np.int32]:
-        """Quantised blocks (b, 64) of all planes, in zigzag order."""
+        """Quantized blocks (b, 64) of all planes, in zigzag order."""
         steps = steps_from_table(header.table, header.qf)
         blocks = np.empty((header.samples // 64, 64), np.int32)
         start = 0
         for number, plane in enumerate(planes_from_image(image, header.color, trace)):
             plane = pad_plane(plane, trace=trace)
             out = blocks[start : start + plane.size // 64]
-            blocks_from_plane(plane, steps, _shift(header.color, number), out=out, trace=trace)
+            blocks_from_plane(plane, steps, _level_shift(header.color, number), out=out, trace=trace)
             start += len(out)
         return blocks
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        """The image of a bitstream; `search` and `threads` alone of this instance matter, and only for speed.
+        """Decode a bitstream; of this instance's parameters only `search` and `threads` matter, for speed.
 
-        Raises BitstreamError for damaged or foreign bytes, ParamsError where `search: sequential` would take
-        too long.
+        Raises BitstreamError for damaged or foreign bytes, ParamsError if `search: sequential` would take too long.
         """
         if version_of(bitstream) == CONTEXT_VERSION:
-            return profile.decoded(bitstream, trace, threads=self.params.threads)
+            return profile.decode(bitstream, trace, threads=self.params.threads)
         parts: Bitstream = unpack(bitstream)
         header = parts.header
-        ranks, tuples = entropy_coding.decoded(parts, self.params.search, trace)
+        ranks, tuples = entropy_coding.decode(parts, self.params.search, trace)
         del parts
-        values = expanded(ranks, tuples, header.offset, header.samples, trace)
+        values = expand_levels(ranks, tuples, header.offset, header.samples, trace)
         del ranks, tuples
         return image_from_values(values, header, trace)
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
-        """The slices that are there, and gray for the others; of settings with `restart`."""
+        """Decode the complete slices, with gray for the others; needs `restart`."""
         if len(fragments) == 1 and fragments[0].offset == 0:
             with suppress(BitstreamError):
                 return PartialImage.of_whole(self.decode(fragments[0].data, trace=trace))
         bitstream = bytearray(fragments[-1].end)
         for fragment in fragments:
             bitstream[fragment.offset : fragment.end] = fragment.data
-        found = profile.salvaged(bytes(bitstream))
-        whole = np.ones(found.image.shape[:2], dtype=bool)
-        for rows in found.lost:
+        partial = profile.salvage(bytes(bitstream))
+        whole = np.ones(partial.image.shape[:2], dtype=bool)
+        for rows in partial.lost:
             whole[max(rows.start - profile.REACH_ROWS, 0) : rows.stop + profile.REACH_ROWS] = False
         if not whole.any():
             raise BitstreamError("multilevel: no slice is there whole")
-        return PartialImage(found.image, whole)
+        return PartialImage(partial.image, whole)
 
     def _key_maker(self) -> KeyMaker:
         keys, group = self.params.keys, self.params.group
         if keys == "canonical":
-            return lambda level, radix: checked(canonical_keys(radix, group), radix, level)
+            return lambda level, radix: check_keys(canonical_keys(radix, group), radix, level)
         if keys == "random":
             rng = np.random.default_rng(self.params.seed)
-            return lambda level, radix: checked(random_keys(radix, group, rng), radix, level)
-        return lambda level, radix: checked(manual_keys(keys), radix, level)
+            return lambda level, radix: check_keys(random_keys(radix, group, rng), radix, level)
+        return lambda level, radix: check_keys(manual_keys(keys), radix, level)
 
 
-def _shift(color: Color, plane: int) -> float:
+def _level_shift(color: Color, plane: int) -> float:
     """Level shift: 128 for chroma, none for luma, RGB and gray."""
     return 128.0 if color.startswith("ycbcr") and plane > 0 else 0.0
 
 
 def image_from_values(values: NDArray[np.int32], header: Header, trace: Trace) -> Image:
-    """The image of quantised coefficients (n,) in the order in which they were minimised."""
-    blocks = unscanned(values, "coefficient" if header.coefficient_scan else "block", trace)
+    """Reconstruct an image from quantized coefficients (n,) in the order of minimization."""
+    blocks = unscan_blocks(values, "coefficient" if header.coefficient_scan else "block", trace)
     steps = steps_from_table(header.table, header.qf)
     planes = []
     start = 0
     for number, (shape, padded_shape) in enumerate(zip(header.plane_shapes, header.padded_shapes, strict=True)):
         stop = start + padded_shape[0] * padded_shape[1] // 64
-        shift = _shift(header.color, number)
+        shift = _level_shift(header.color, number)
         plane = plane_from_blocks(blocks[start:stop], padded_shape, steps, shift, trace=trace)
         planes.append(crop_plane(plane, shape, trace))
         start = stop
@@ -212,13 +217,17 @@ def image_from_values(values: NDArray[np.int32], header: Header, trace: Trace) -
 
 @dataclass(frozen=True)
 class Sizes:
-    """Where the bytes of a bitstream go. header: fixed fields, custom table, section sizes, checksum."""
+    """Sizes in bytes of a bitstream's parts."""
 
     header: int
+    """Fixed fields, custom table, section sizes and checksum."""
     tables: tuple[int, ...]
+    """By level."""
     keys: tuple[int, ...]
+    """By level."""
     payload: int
     entries: tuple[int, ...]
+    """Number of table entries by level."""
 
     @property
     def total(self) -> int:
@@ -226,7 +235,7 @@ class Sizes:
 
 
 def describe(bitstream: bytes) -> Sizes:
-    """Bytes of header, tables and keys by level, and payload; raises BitstreamError as decoding would."""
+    """Measure the parts of a bitstream of either profile. Raises BitstreamError as decoding would."""
     if version_of(bitstream) == CONTEXT_VERSION:
         payload = sum(map(len, context.unpack(bitstream)[1]))
         return Sizes(len(bitstream) - payload, (), (), payload, ())

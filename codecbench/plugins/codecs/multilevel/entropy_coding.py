@@ -1,4 +1,4 @@
-"""Entropy coding: the tables and the payload of a bitstream, coded and decoded."""
+"""Entropy coder of a bitstream's tables and payload."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from codecbench.core.contracts.errors import BitstreamError, KeyCollision, ParamsError
 from codecbench.core.counting.trace import Trace
 from codecbench.plugins.codecs.multilevel.arithmetic import decode_symbols, encode_symbols
-from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, check_end, filled_up
+from codecbench.plugins.codecs.multilevel.bitstream import Bitstream, Level, check_end, pad_section
 from codecbench.plugins.codecs.multilevel.header import Header
 from codecbench.plugins.codecs.multilevel.keys import (
     FREE_PRUNED_TESTS,
@@ -27,7 +27,7 @@ from codecbench.plugins.codecs.multilevel.keys import (
     pruned_search,
     sequential_search,
 )
-from codecbench.plugins.codecs.multilevel.levels import LevelTable, Minimised
+from codecbench.plugins.codecs.multilevel.levels import LevelTable, MinimizedIndices
 from codecbench.plugins.codecs.multilevel.rice import decode_ordered_tuples, encode_ordered_tuples
 from codecbench.plugins.codecs.multilevel.tables import (
     BAD_COUNTS,
@@ -49,24 +49,24 @@ _REASONS = {
 _NO_COUNTS = np.zeros(0, np.int64)
 
 
-def encoded(header: Header, minimised: Minimised, trace: Trace) -> Bitstream:
-    """The parts of a bitstream. Raises KeyCollision in search mode where any two tuples share a code."""
-    header = replace(header, offset=minimised.offset, radix=minimised.tables[0].radix)
+def encode(header: Header, minimized: MinimizedIndices, trace: Trace) -> Bitstream:
+    """Encode the parts of a bitstream. Raises KeyCollision in search mode if any two tuples share a code."""
+    header = replace(header, offset=minimized.offset, radix=minimized.tables[0].radix)
     levels = []
-    for number, table in enumerate(minimised.tables, start=1):
+    for number, table in enumerate(minimized.tables, start=1):
         counts = table.counts if number == header.levels else _NO_COUNTS
-        data = filled_up(_encoded_table(table, counts, header, trace), len(table.codes))
+        data = pad_section(_encode_table(table, counts, header, trace), len(table.codes))
         if header.search:
             _check_searchable(table, len(data), number)
         levels.append(Level(len(table.codes), data, table.keys if header.search else _NO_COUNTS))
-    counts = minimised.tables[-1].counts
-    out = np.empty(4 * len(minimised.ranks) + 16, np.uint8)
+    counts = minimized.tables[-1].counts
+    out = np.empty(4 * len(minimized.ranks) + 16, np.uint8)
     with trace.stage("arithmetic_coding") as run:
-        size = run(encode_symbols, minimised.ranks, counts, np.empty(len(counts) + 1, np.int64), out)
-    return Bitstream(header, levels, filled_up(out[:size].tobytes(), header.samples))
+        size = run(encode_symbols, minimized.ranks, counts, np.empty(len(counts) + 1, np.int64), out)
+    return Bitstream(header, levels, pad_section(out[:size].tobytes(), header.samples))
 
 
-def _encoded_table(table: LevelTable, counts: NDArray[np.int64], header: Header, trace: Trace) -> bytes:
+def _encode_table(table: LevelTable, counts: NDArray[np.int64], header: Header, trace: Trace) -> bytes:
     room = 4096 + 8 * table.tuples.size
     with trace.stage("table_coding") as run:
         while True:
@@ -97,15 +97,15 @@ def _check_searchable(table: LevelTable, size: int, level: int) -> None:
 
 
 def _is_affordable(keys: Keys, radix: int, entries: int, size: int) -> bool:
-    """Whether a decoder may be asked to search a table of so many bytes."""
+    """Whether searching a table of so many bytes is cheap enough for a decoder."""
     tests: int = entries * radix ** (len(keys) - 1)
     return is_super_increasing(keys, radix) or tests <= FREE_PRUNED_TESTS + PRUNED_TESTS_PER_BYTE * size
 
 
-def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.int32], list[NDArray[np.int32]]]:
-    """The last level's ranks, and the tuples of every level.
+def decode(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.int32], list[NDArray[np.int32]]]:
+    """Decode the last level's ranks and the tuples of every level.
 
-    Raises BitstreamError with the reason. Every rank is within its table and every digit within its alphabet.
+    Every rank is within its table and every digit within its alphabet; else raises BitstreamError with the reason.
     """
     header = parts.header
     groups, radix = header.samples, header.radix
@@ -115,9 +115,9 @@ def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.
         groups = -(-groups // header.group)
         counts = np.empty(level.entries if number == header.levels else 0, np.int64)
         if header.search:
-            tuples.append(_searched_tuples(level, number, radix, groups, counts, search, trace))
+            tuples.append(_search_tuples(level, number, radix, groups, counts, search, trace))
         else:
-            tuples.append(_sent_tuples(level, number, radix, groups, counts, header, trace))
+            tuples.append(_decode_tuples(level, number, radix, groups, counts, header, trace))
         radix = level.entries
     ranks = np.empty(groups, np.int32)
     with trace.stage("arithmetic_decoding") as run:
@@ -129,7 +129,7 @@ def decoded(parts: Bitstream, search: Search, trace: Trace) -> tuple[NDArray[np.
     return ranks, tuples
 
 
-def _sent_tuples(
+def _decode_tuples(
     level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], header: Header, trace: Trace
 ) -> NDArray[np.int32]:
     tuples = np.empty((level.entries, header.group), np.int32)
@@ -144,7 +144,7 @@ def _sent_tuples(
     return tuples
 
 
-def _searched_tuples(
+def _search_tuples(
     level: Level, number: int, radix: int, groups: int, counts: NDArray[np.int64], search: Search, trace: Trace
 ) -> NDArray[np.int32]:
     _check_keys(level, number, radix)
@@ -160,7 +160,7 @@ def _searched_tuples(
 
 
 def _check_keys(level: Level, number: int, radix: int) -> None:
-    """Refuse keys under which a search is ambiguous, overflows or takes too long."""
+    """Raise BitstreamError for keys under which a search is ambiguous, overflows or takes too long."""
     keys: list[int] = level.keys.tolist()
     if sum(keys) * (radix - 1) > MAX_CODE:
         raise BitstreamError(f"level {number}: codes exceed 62 bits")

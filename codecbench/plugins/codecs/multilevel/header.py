@@ -1,4 +1,4 @@
-"""The header of a multi-level bitstream: its fields and their limits; `bitstream` has its bytes."""
+"""The header of a multi-level bitstream: fields and limits. The layout is in `bitstream`."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ RICE_VERSION = 3
 """The static profile with tables by Rice codes: `effort: fast`."""
 STATIC_PROFILE = 0
 CONTEXT_PROFILE = 1
-"""Adaptive contexts in place of tables: `context`."""
+"""The profile `context`: adaptive contexts instead of tables."""
 
 MAX_LEVELS = 16
 MIN_GROUP, MAX_GROUP = 2, 16
 MIN_QF, MAX_QF = 1e-3, 1e6
 MAX_SAMPLES = MAX_PIXELS
-"""Samples of all planes with their padding."""
+"""Of all planes with their padding."""
 MAX_SYMBOLS = 1 << 22
-"""Digits of an alphabet, and entries of a table."""
+"""Largest number of digits of an alphabet and of entries of a table."""
 
 COLORS: tuple[Color, ...] = get_args(Color)
 TABLES: dict[str, tuple[int, Table]] = {"paper": (0, PAPER), "standard": (1, LUMINANCE), "flat": (2, FLAT)}
@@ -39,13 +39,13 @@ _SEARCH, _COEFFICIENT, _THREE_CHANNELS = 1, 2, 4
 _FIXED = struct.Struct("<4sBBBBBBBxIIdiI")
 _CUSTOM = struct.Struct("<64H")
 HEADER_SIZE = _FIXED.size
-"""Bytes of a header without a custom table."""
+"""Size of a header without a custom table."""
 _CHECKSUM_SIZE = 4
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What is coded, in either profile. table: (8, 8) int32."""
+    """Header fields of both profiles."""
 
     width: int
     height: int
@@ -53,6 +53,7 @@ class Picture:
     color: Color
     qf: float
     table: Table = field(repr=False)
+    """(8, 8) int32."""
 
     @property
     def plane_shapes(self) -> list[tuple[int, int]]:
@@ -61,16 +62,16 @@ class Picture:
 
     @property
     def padded_shapes(self) -> list[tuple[int, int]]:
-        """The same with the padding to multiples of 8."""
+        """(height, width) of every plane with the padding to multiples of 8."""
         return [((height + 7) // 8 * 8, (width + 7) // 8 * 8) for height, width in self.plane_shapes]
 
     @property
     def samples(self) -> int:
-        """Samples of all planes with their padding."""
+        """Number of samples of all planes with their padding."""
         return sum(height * width for height, width in self.padded_shapes)
 
-    def require_room(self) -> None:
-        """Raise BitstreamError for more samples than a decoder allows."""
+    def check_samples(self) -> None:
+        """Raise BitstreamError if there are more samples than a decoder allows."""
         if self.samples > MAX_SAMPLES:
             size = f"{self.width}x{self.height}"
             raise BitstreamError(f"header: {size} pixels are more than the {MAX_SAMPLES} samples allowed")
@@ -78,7 +79,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Header(Picture):
-    """What stands before the tables. offset, radix: indices are offset..offset+radix-1. rice: how tables are coded."""
+    """The header of the static profile; indices are offset..offset+radix-1."""
 
     levels: int
     group: int
@@ -87,10 +88,11 @@ class Header(Picture):
     offset: int
     radix: int
     rice: bool = False
+    """Whether tables are Rice codes."""
 
 
 class Reader:
-    """Takes pieces off a bitstream; never beyond its checksum."""
+    """Reads a bitstream piece by piece, up to its checksum."""
 
     def __init__(self, bitstream: bytes) -> None:
         self.data = bitstream
@@ -98,7 +100,7 @@ class Reader:
         self.end = len(bitstream) - _CHECKSUM_SIZE
 
     def take(self, size: int, what: str) -> bytes:
-        """The next `size` bytes. Raises BitstreamError where there are fewer; `what` names them in it."""
+        """Return the next `size` bytes. Raises BitstreamError, with `what` they are, if there are fewer."""
         if size > self.end - self.position:
             raise BitstreamError(f"truncated: {what} of {size} bytes at byte {self.position} of {len(self.data)}")
         self.position += size
@@ -106,7 +108,7 @@ class Reader:
 
 
 def pack_header(header: Header) -> bytes:
-    """The bytes of a header, with its table where that is a custom one."""
+    """Serialize a header, with its table if that is a custom one."""
     number = table_number(header.table)
     flags = _SEARCH * header.search + _COEFFICIENT * header.coefficient_scan + _THREE_CHANNELS * (header.channels == 3)
     fixed = _FIXED.pack(
@@ -128,20 +130,20 @@ def pack_header(header: Header) -> bytes:
 
 
 def table_number(table: Table) -> int:
-    """The number by which a header names a table."""
+    """Return the number of a table in headers."""
     return next((number for number, known in TABLES.values() if np.array_equal(table, known)), CUSTOM_TABLE)
 
 
 def pack_table(table: Table) -> bytes:
-    """The steps of a custom table; nothing for those that have a number."""
+    """Serialize the steps of a custom table; empty for tables with a number."""
     return _CUSTOM.pack(*table.reshape(64).tolist()) if table_number(table) == CUSTOM_TABLE else b""
 
 
 def unpack_header(reader: Reader) -> Header:
-    """The header that comes next, checked. Raises BitstreamError with the field that is not allowed."""
+    """Read and check the next header. Raises BitstreamError with the field that is not allowed."""
     fields = _FIXED.unpack(reader.take(HEADER_SIZE, "header"))
     _, version, profile, flags, color, number, levels, group, width, height, qf, offset, radix = fields
-    require_fields(
+    check_fields(
         ("profile", profile, profile == STATIC_PROFILE),
         ("flags", flags, flags < 8 and not (version == RICE_VERSION and flags & _SEARCH)),
         ("levels", levels, 1 <= levels <= MAX_LEVELS),
@@ -160,12 +162,12 @@ def unpack_header(reader: Reader) -> Header:
         radix=radix,
         rice=version == RICE_VERSION,
     )
-    header.require_room()
+    header.check_samples()
     return header
 
 
-def require_fields(*fields: tuple[str, float, bool]) -> None:
-    """Raise BitstreamError for the first field, given by name and value, that is not allowed."""
+def check_fields(*fields: tuple[str, float, bool]) -> None:
+    """Raise BitstreamError for the first field, of name, value and validity, that is not allowed."""
     for what, value, allowed in fields:
         if not allowed:
             raise BitstreamError(f"header: {what} {value} is not allowed")
@@ -174,8 +176,8 @@ def require_fields(*fields: tuple[str, float, bool]) -> None:
 def picture_fields(
     reader: Reader, three_channels: int, color: int, number: int, width: int, height: int, qf: float
 ) -> dict[str, Any]:
-    """What every profile says of the picture, checked; a table of its own comes next in the bitstream."""
-    require_fields(
+    """Check the fields of both profiles; a custom table is read next from the bitstream."""
+    check_fields(
         ("colour", color, color < len(COLORS)),
         ("table", number, number == CUSTOM_TABLE or number < len(TABLES)),
         ("width", width, width >= 1),
@@ -192,7 +194,7 @@ def picture_fields(
 
 
 def unpack_table(reader: Reader, number: int) -> Table:
-    """The table of a number, or the custom one that comes next. Raises BitstreamError for a step of 0."""
+    """Return the table of a number, or read a custom one. Raises BitstreamError for a step of 0."""
     if number != CUSTOM_TABLE:
         return next(table for known, table in TABLES.values() if known == number)
     steps = np.array(_CUSTOM.unpack(reader.take(_CUSTOM.size, "custom table")), dtype=np.int32)

@@ -1,8 +1,9 @@
-"""Keys: what they are, and whether codes under them can be told apart.
+"""Keys, whether codes under them are unique, and the search for the tuple of a code.
 
-The user sees k in (0, 1); the arithmetic is exact in integers K = k * 2^p, since floating-point keys collide.
-Keys are super-increasing when each exceeds the largest code of all smaller ones together: every tuple then has
-its own code and is found by division.
+Users give k in (0, 1); the arithmetic is exact in integers K = k * 2^p, since floating-point keys collide. Keys are
+super-increasing if each exceeds the largest code of all smaller ones together: every tuple then has its own code, and
+division recovers it. Codes are one-to-one, so all three search strategies of header-less decoding return the same
+tuples.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ AutomaticKeys = Literal["canonical", "random"]
 MAX_CODE = (1 << 62) - 1
 MANUAL_BITS = 30
 MAX_CHECKS = 1 << 22
-"""Combinations of digit differences that `colliding_digits` tries before it gives up."""
+"""Most combinations of digit differences that `colliding_digits` tries."""
 
 
 def canonical_keys(radix: int, group: int) -> list[int]:
-    """1, R, R^2, ...: the smallest super-increasing keys for digits 0..R-1."""
+    """Return 1, R, R^2, ...: the smallest super-increasing keys for digits 0..R-1."""
     return [radix**place for place in range(group)]
 
 
 def random_keys(radix: int, group: int, rng: np.random.Generator) -> list[int]:
-    """Super-increasing keys, each up to twice as large as it has to be."""
+    """Draw super-increasing keys, each up to twice as large as necessary."""
     keys: list[int] = []
     for _ in range(group):
         smallest = (radix - 1) * sum(keys) + 1
@@ -40,12 +41,12 @@ def random_keys(radix: int, group: int, rng: np.random.Generator) -> list[int]:
 
 
 def manual_keys(fractions: Iterable[float]) -> list[int]:
-    """round(k * 2^30) for keys k in (0, 1)."""
+    """Return round(k * 2^30) for keys k in (0, 1)."""
     return [max(round(fraction * 2**MANUAL_BITS), 1) for fraction in fractions]
 
 
-def checked(keys: list[int], radix: int, level: int) -> Keys:
-    """The keys as an array. Raises ParamsError where a code could exceed 62 bits."""
+def check_keys(keys: list[int], radix: int, level: int) -> Keys:
+    """Return the keys as an array. Raises ParamsError if a code could exceed 62 bits."""
     largest = sum(keys) * (radix - 1)
     if largest > MAX_CODE:
         raise ParamsError(
@@ -56,7 +57,7 @@ def checked(keys: list[int], radix: int, level: int) -> Keys:
 
 
 def is_super_increasing(keys: Keys, radix: int) -> bool:
-    """Whether each key exceeds every code of the smaller keys, in whatever order they stand."""
+    """Whether each key exceeds every code of the smaller keys, in any order."""
     reach = 0
     for key in sorted(keys.tolist()):
         if key <= reach:
@@ -66,10 +67,10 @@ def is_super_increasing(keys: Keys, radix: int) -> bool:
 
 
 def colliding_digits(keys: Keys, radix: int) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
-    """Two tuples of digits 0..radix-1 with the same code, or None where all codes differ.
+    """Return two tuples of digits 0..radix-1 with the same code, or None if all codes differ.
 
-    Meet in the middle: every combination of differences of all digits but two is met by the two that solve
-    the remaining equation, found by Bezout's identity. Raises ParamsError beyond MAX_CHECKS combinations.
+    Meet in the middle: for every combination of differences of all digits but two, Bezout's identity gives the two that
+    solve the remaining equation. Raises ParamsError beyond MAX_CHECKS combinations.
     """
     if is_super_increasing(keys, radix):
         return None
@@ -89,7 +90,7 @@ def colliding_digits(keys: Keys, radix: int) -> tuple[tuple[int, ...], tuple[int
 
 
 def _bezout(a: int, b: int) -> tuple[int, int]:
-    """gcd(a, b), and the inverse of a / gcd modulo b / gcd."""
+    """Return gcd(a, b), and the inverse of a / gcd modulo b / gcd."""
     divisor = int(np.gcd(a, b))
     modulus = b // divisor
     return divisor, pow(a // divisor, -1, modulus) if modulus > 1 else 0
@@ -97,10 +98,10 @@ def _bezout(a: int, b: int) -> tuple[int, int]:
 
 @kernel
 def find_difference(keys: Any, radix: Any, divisor: Any, inverse: Any, differences: Any) -> Any:
-    """Digit differences in -(R-1)..R-1, not all zero, that leave the code as it is; whether there are any.
+    """Find digit differences in -(R-1)..R-1, not all zero, that do not change the code; returns whether there are any.
 
     keys: (g,) int64, each at most 2^30. divisor: gcd of the first two keys; inverse: of keys[0] / divisor
-    modulo keys[1] / divisor. differences: (g,) int64, filled where True is returned.
+    modulo keys[1] / divisor. differences: (g,) int64, filled if True is returned.
     """
     group = keys.shape[0]
     reach = radix - 1
@@ -143,16 +144,16 @@ def find_difference(keys: Any, radix: Any, divisor: Any, inverse: Any, differenc
 Search = Literal["sequential", "pruned", "greedy"]
 
 MAX_SEQUENTIAL_TESTS = 1 << 36
-"""A minute or two: beyond it the exhaustive search is refused."""
+"""Limit of the exhaustive search, a minute or two."""
 
 FREE_PRUNED_TESTS = 1 << 24
 PRUNED_TESTS_PER_BYTE = 1 << 17
-"""What a bitstream may ask of the pruned search, by the size of its table."""
+"""Limit of the pruned search per byte of the table, beyond the free tests."""
 
 
 @kernel
 def sequential_search(codes: Any, keys: Any, radix: Any, tuples: Any) -> Any:
-    """Try all R^g tuples in turn for every code, as the paper does; whether every code has a tuple.
+    """Try all R^g tuples in turn for every code, as the paper does; returns whether every code has a tuple.
 
     codes: (U,) int64. keys: (g,) int64. radix: digits are 0..radix-1. tuples: (U, g) int32, filled.
     """
@@ -179,9 +180,9 @@ def sequential_search(codes: Any, keys: Any, radix: Any, tuples: Any) -> Any:
 
 @kernel
 def pruned_search(codes: Any, keys: Any, order: Any, radix: Any, tuples: Any) -> Any:
-    """Try the digits of all keys but the smallest, within the bounds that the smaller keys leave; divide for it.
+    """Try the digits of all keys but the smallest, within the bounds of the smaller keys; divide by the smallest.
 
-    order: (g,) int64, positions of the keys from the smallest to the largest. The rest as above.
+    order: (g,) int64, positions of the keys from the smallest to the largest. The rest is as in `sequential_search`.
     """
     group = keys.shape[0]
     reach = np.zeros(group + 1, np.int64)
@@ -219,7 +220,7 @@ def _highest_digit(rest: Any, key: Any, radix: Any) -> Any:
 
 @kernel
 def greedy_search(codes: Any, keys: Any, order: Any, radix: Any, tuples: Any) -> Any:
-    """Divide by one key after another, the largest first: right for super-increasing keys only."""
+    """Divide by one key after another, the largest first; correct for super-increasing keys only."""
     group = keys.shape[0]
     for row in range(codes.shape[0]):
         rest = codes[row]

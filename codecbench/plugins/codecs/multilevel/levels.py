@@ -1,4 +1,8 @@
-"""The chain of levels: indices to ranks and tables, and back."""
+"""The chain of levels: indices to ranks and tables, and back.
+
+The scan `block` orders coefficients block after block, each in zigzag order; `coefficient` takes the DC of all blocks,
+then the first AC of all blocks, and so on. Blocks of all planes follow one another.
+"""
 
 from __future__ import annotations
 
@@ -29,39 +33,41 @@ from codecbench.plugins.codecs.multilevel.minimize import (
 _FIRST_SLOTS = 1 << 16
 
 KeyMaker = Callable[[int, int], Keys]
-"""Keys for a level, counted from 1, and its number of digits."""
+"""Returns the keys of a level, counted from 1, by its number of digits."""
 
 
 @dataclass(frozen=True)
 class LevelTable:
-    """A level's distinct codes, sorted.
-
-    radix: digits are 0..radix-1. filler: the digit that fills up the last group, that of a zero coefficient, or above
-    level 1 rank 0. codes: (U,) int64. counts: (U,) int64, how often each occurs. tuples: (U, g) int32, the digits of
-    each.
-    """
+    """A level's distinct codes, sorted."""
 
     radix: int
+    """Digits are 0..radix-1."""
     filler: int
+    """Digit that pads the last group: that of a zero coefficient, or rank 0 above level 1."""
     keys: Keys
     codes: NDArray[np.int64]
+    """(U,)."""
     counts: NDArray[np.int64]
+    """(U,): occurrences of each code."""
     tuples: NDArray[np.int32]
+    """(U, g): digits of each code."""
 
 
 @dataclass(frozen=True)
-class Minimised:
-    """What is left of a sequence of indices. offset: index of digit 0 at level 1. ranks: (n,) int32 at the top."""
+class MinimizedIndices:
+    """A sequence of indices as tables and ranks."""
 
     offset: int
+    """Index of digit 0 at level 1."""
     tables: list[LevelTable]
     ranks: NDArray[np.int32]
+    """(n,) of the last level."""
 
 
-def minimised(values: NDArray[np.int32], levels: int, make_keys: KeyMaker, trace: Trace) -> Minimised:
-    """Minimise indices (n,) int32 level by level.
+def minimize_levels(values: NDArray[np.int32], levels: int, make_keys: KeyMaker, trace: Trace) -> MinimizedIndices:
+    """Minimize indices (n,) int32 level by level.
 
-    Raises KeyCollision where two tuples that occur get the same code, ImageError for too many distinct ones.
+    Raises KeyCollision if two occurring tuples get the same code, ImageError for too many distinct ones.
     """
     with trace.stage("digits") as run:
         smallest, largest = (int(value) for value in run(extremes, values))
@@ -69,10 +75,10 @@ def minimised(values: NDArray[np.int32], levels: int, make_keys: KeyMaker, trace
     tables: list[LevelTable] = []
     offset, radix = smallest, largest - smallest + 1
     for level in range(1, levels + 1):
-        table, values = _minimised_once(values, offset, radix, make_keys(level, radix), level, trace)
+        table, values = _minimize_level(values, offset, radix, make_keys(level, radix), level, trace)
         tables.append(table)
         offset, radix = 0, len(table.codes)
-    return Minimised(smallest, tables, values)
+    return MinimizedIndices(smallest, tables, values)
 
 
 def _check_alphabet(size: int, what: str) -> None:
@@ -80,7 +86,7 @@ def _check_alphabet(size: int, what: str) -> None:
         raise ImageError(f"{size} different {what} are more than the {MAX_SYMBOLS} that fit: raise `qf`")
 
 
-def _minimised_once(
+def _minimize_level(
     values: NDArray[np.int32], offset: int, radix: int, keys: Keys, level: int, trace: Trace
 ) -> tuple[LevelTable, NDArray[np.int32]]:
     group = len(keys)
@@ -91,31 +97,31 @@ def _minimised_once(
         run(minimise, values, offset, filler, keys, codes)
     numbers = np.empty(groups, np.int32)
     with trace.stage("table") as run:
-        found, slots = -1, _FIRST_SLOTS
-        while found < 0:
+        size, slots = -1, _FIRST_SLOTS
+        while size < 0:
             distinct, counts = np.empty(slots // 2, np.int64), np.empty(slots // 2, np.int64)
             first = np.empty(slots // 2, np.int32)
-            found = run(find_distinct, codes, np.zeros(slots, np.int32), distinct, counts, first, numbers)
+            size = run(find_distinct, codes, np.zeros(slots, np.int32), distinct, counts, first, numbers)
             slots *= 4
-        _check_alphabet(found, f"tuples at level {level}")
-        order = np.empty(found, np.int32)
-        run(sort_order, distinct[:found], order)
+        _check_alphabet(size, f"tuples at level {level}")
+        order = np.empty(size, np.int32)
+        run(sort_order, distinct[:size], order)
         table = LevelTable(
             radix,
             filler,
             keys,
-            codes=np.empty(found, np.int64),
-            counts=np.empty(found, np.int64),
-            tuples=np.empty((found, group), np.int32),
+            codes=np.empty(size, np.int64),
+            counts=np.empty(size, np.int64),
+            tuples=np.empty((size, group), np.int32),
         )
-        rank_of = np.empty(found, np.int32)
+        rank_of = np.empty(size, np.int32)
         run(gather_table, order, distinct, counts, table.codes, table.counts, rank_of)
         run(gather_tuples, values, offset, filler, first, order, table.tuples)
         if not is_super_increasing(keys, radix):
             where = run(find_collision, values, offset, filler, group, first, numbers)
             if where >= 0:
                 other = table.tuples[rank_of[numbers[where]]].tolist()
-                _refuse_collision(level, _group_at(values, offset, filler, group, where), other)
+                _raise_collision(level, _group_at(values, offset, filler, group, where), other)
         run(replace_by_ranks, numbers, rank_of)
     return table, numbers
 
@@ -125,17 +131,17 @@ def _group_at(values: NDArray[np.int32], offset: int, filler: int, group: int, i
     return digits + [filler] * (group - len(digits))
 
 
-def _refuse_collision(level: int, first: list[int], second: list[int]) -> None:
+def _raise_collision(level: int, first: list[int], second: list[int]) -> None:
     raise KeyCollision(
         f"level {level}: the digits {tuple(first)} and {tuple(second)} get the same code under these keys; "
         f"take other keys, or `keys: canonical`"
     )
 
 
-def expanded(
+def expand_levels(
     ranks: NDArray[np.int32], tuples: list[NDArray[np.int32]], offset: int, count: int, trace: Trace
 ) -> NDArray[np.int32]:
-    """The (count,) int32 indices that ranks stand for; `tuples` from level 1 up, every rank within its table."""
+    """Expand ranks to (count,) int32 indices; `tuples` from level 1 up, every rank within its table."""
     group = tuples[0].shape[1]
     counts = [count]
     for _ in tuples[1:]:
@@ -151,8 +157,8 @@ def expanded(
 Scan = Literal["block", "coefficient"]
 
 
-def scanned(blocks: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.int32]:
-    """One sequence (64 b,) of blocks (b, 64) in zigzag order; for `block` a view of them."""
+def scan_blocks(blocks: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.int32]:
+    """Order blocks (b, 64) of zigzag order as one sequence (64 b,); for `block` a view of them."""
     if scan == "block":
         return blocks.reshape(-1)
     values = np.empty((64, blocks.shape[0]), np.int32)
@@ -161,8 +167,8 @@ def scanned(blocks: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.i
     return values.reshape(-1)
 
 
-def unscanned(values: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.int32]:
-    """Blocks (b, 64) in zigzag order from what `scanned` returned."""
+def unscan_blocks(values: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.int32]:
+    """Restore blocks (b, 64) in zigzag order from the sequence of `scan_blocks`."""
     if scan == "block":
         return values.reshape(-1, 64)
     blocks = np.empty((values.size // 64, 64), np.int32)
@@ -173,7 +179,7 @@ def unscanned(values: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np
 
 @kernel
 def _transpose(source: Any, target: Any) -> None:
-    """target[j, i] = source[i, j], in tiles that stay in the first-level cache."""
+    """Set target[j, i] = source[i, j], in tiles that fit the first-level cache."""
     rows, columns = source.shape
     for top in range(0, rows, 64):
         for left in range(0, columns, 64):

@@ -1,7 +1,7 @@
-"""Minimisation: groups of digits become codes, codes become ranks in the table of distinct codes.
+"""Minimization: groups of digits become codes, codes become ranks in the table of distinct codes.
 
-y = K_1 v_1 + ... + K_g v_g over consecutive groups of g digits (Salih & Vasarhelyi, figures 3 and 4), the
-last group filled up; the table holds every y that occurs once, sorted; the stream becomes ranks in it.
+y = K_1 v_1 + ... + K_g v_g over consecutive groups of g digits (Salih & Vasarhelyi, figures 3 and 4); the last group is
+padded. The table lists every y that occurs, once and sorted; the stream becomes ranks in it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _RADIX = 1 << _RADIX_BITS
 
 @kernel
 def extremes(values: Any) -> Any:
-    """Smallest and largest of 0 and all values (n,) int32."""
+    """Return the smallest and largest of 0 and all values (n,) int32."""
     smallest = np.int32(0)
     largest = np.int32(0)
     for i in range(values.shape[0]):
@@ -29,10 +29,10 @@ def extremes(values: Any) -> Any:
 
 @kernel
 def minimise(values: Any, offset: Any, filler: Any, keys: Any, codes: Any) -> None:
-    """One code a group: the sum of key times digit, where digit = value - offset.
+    """Compute the code of each group: the sum of key times digit, with digit = value - offset.
 
-    values: (n,) int32. filler: digit that fills up the last group. keys: (g,) int64. codes: (ceil n/g,) int64,
-    filled; the caller has made sure that no code exceeds 62 bits.
+    values: (n,) int32. filler: digit that pads the last group. keys: (g,) int64. codes: (ceil n/g,) int64, filled. The
+    caller ensures that no code exceeds 62 bits.
     """
     group = keys.shape[0]
     start = np.int64(0)
@@ -56,7 +56,7 @@ def minimise(values: Any, offset: Any, filler: Any, keys: Any, codes: Any) -> No
 
 @kernel
 def _minimise_threes(values: Any, start: Any, keys: Any, codes: Any) -> None:
-    """The usual group without an inner loop: three times as fast."""
+    """Minimize groups of three without an inner loop, three times as fast."""
     key_0, key_1, key_2 = keys[0], keys[1], keys[2]
     for i in range(codes.shape[0]):
         codes[i] = start + key_0 * values[3 * i] + key_1 * values[3 * i + 1] + key_2 * values[3 * i + 2]
@@ -74,11 +74,11 @@ def find_distinct(codes: Any, slots: Any, distinct: Any, counts: Any, first: Any
     """Number the distinct codes in order of appearance, with a hash table of open addressing.
 
     codes: (n,) int64, non-negative. slots: (2^k,) int32, all zero. distinct, counts: int64, and first: int32, each
-    (2^(k-1),): the u-th new code, how often it occurs, where first. numbers: (n,) int32, the u of codes[i].
-    Returns how many there are, or -1 where the slots would be over half full.
+    (2^(k-1),): the u-th new code, its occurrences, its first position. numbers: (n,) int32, the u of codes[i].
+    Returns the number of distinct codes, or -1 if the slots would be over half full.
     """
     mask = slots.shape[0] - 1
-    found = 0
+    count = 0
     previous = np.int64(-1)
     number = 0
     for i in range(codes.shape[0]):
@@ -88,25 +88,25 @@ def find_distinct(codes: Any, slots: Any, distinct: Any, counts: Any, first: Any
             while slots[slot] > 0 and distinct[slots[slot] - 1] != code:
                 slot = (slot + 1) & mask
             if slots[slot] == 0:
-                if found == distinct.shape[0]:
+                if count == distinct.shape[0]:
                     return -1
-                distinct[found] = code
-                counts[found] = 0
-                first[found] = i
-                found += 1
-                slots[slot] = found
+                distinct[count] = code
+                counts[count] = 0
+                first[count] = i
+                count += 1
+                slots[slot] = count
             number = slots[slot] - 1
             previous = code
         counts[number] += 1
         numbers[i] = number
-    return found
+    return count
 
 
 @kernel
 def sort_order(codes: Any, order: Any) -> None:
-    """order (m,) int32, filled: positions of codes (m,) int64, non-negative, from the smallest to the largest.
+    """Fill order (m,) int32 with the positions of codes (m,) int64, non-negative, from smallest to largest.
 
-    A least-significant-digit radix sort.
+    This is a least-significant-digit radix sort.
     """
     count = codes.shape[0]
     largest = np.int64(0)
@@ -134,7 +134,7 @@ def sort_order(codes: Any, order: Any) -> None:
 
 @kernel
 def gather_table(order: Any, distinct: Any, counts: Any, table_codes: Any, table_counts: Any, rank_of: Any) -> None:
-    """Put the table in order: codes and counts by rank, and the rank of every number. All (m,)."""
+    """Sort the table: codes and counts by rank, and the rank of every number. All are (m,)."""
     for rank in range(order.shape[0]):
         number = order[rank]
         table_codes[rank] = distinct[number]
@@ -144,7 +144,7 @@ def gather_table(order: Any, distinct: Any, counts: Any, table_codes: Any, table
 
 @kernel
 def gather_tuples(values: Any, offset: Any, filler: Any, first: Any, order: Any, tuples: Any) -> None:
-    """Digits of the group where each code of the table first occurred. tuples: (m, g) int32, filled."""
+    """Collect the digits of each code's first group. tuples: (m, g) int32, filled."""
     group = tuples.shape[1]
     for rank in range(order.shape[0]):
         start = np.int64(first[order[rank]]) * group
@@ -154,14 +154,14 @@ def gather_tuples(values: Any, offset: Any, filler: Any, first: Any, order: Any,
 
 @kernel
 def replace_by_ranks(numbers: Any, rank_of: Any) -> None:
-    """numbers (n,) int32 become ranks, in place."""
+    """Replace numbers (n,) int32 by ranks, in place."""
     for i in range(numbers.shape[0]):
         numbers[i] = rank_of[numbers[i]]
 
 
 @kernel
 def find_collision(values: Any, offset: Any, filler: Any, group: Any, first: Any, numbers: Any) -> Any:
-    """The first group whose digits differ from those that got the same code before, or -1."""
+    """Return the first group whose digits differ from those of the first group with its code, or -1."""
     for i in range(numbers.shape[0]):
         start = np.int64(first[numbers[i]]) * group
         for j in range(group):
@@ -173,7 +173,7 @@ def find_collision(values: Any, offset: Any, filler: Any, group: Any, first: Any
 
 @kernel
 def expand(ranks: Any, tuples: Any, offset: Any, values: Any) -> None:
-    """The digits that ranks stand for, plus `offset`; what filled up the last group is dropped.
+    """Expand ranks to digits plus `offset`, without the padding of the last group.
 
     ranks: (ceil n/g,) int32 in 0..m-1. tuples: (m, g) int32. values: (n,) int32, filled.
     """

@@ -1,11 +1,11 @@
-"""Coding of a level's table in a hurry: tuples and counts as Rice codes, which take about a third more bytes.
+"""Fast coding of a level's table: tuples and counts as Rice codes, which take about a third more bytes.
 
-Under ascending keys tuples are sorted by their last digit, then by the one before it, and so on. So a digit after equal
-ones is as large as the one above it, or larger; after one that differs it has no such bound, and is told by how far it
-is from the digit of a zero coefficient.
+Under ascending keys tuples are sorted by their last digit, then by the one before it, and so on. So if all later digits
+equal those of the row above, a digit is at least the one above it. Otherwise it has no such bound, and its difference
+from the digit of a zero coefficient is coded.
 
 A number n is coded as n >> k ones, a zero, and its k lower bits; k follows the mean of the last numbers of its kind, as
-in LOCO-I (Weinberger, Seroussi and Sapiro, 2000). Instead of 24 ones or more, 24 ones and all bits of the number.
+in LOCO-I (Weinberger, Seroussi and Sapiro, 2000). Numbers of 24 ones or more are coded as 24 ones and all their bits.
 """
 
 from __future__ import annotations
@@ -26,29 +26,28 @@ from codecbench.plugins.codecs.multilevel.tables import (
 
 _MOST_ONES = 24
 _NUMBER_BITS = 26
-"""Of the largest number, a count."""
+"""Size of the largest number, a count."""
 _LONGEST = _MOST_ONES + _NUMBER_BITS
 _ROOM = 8
-"""Bytes that no single number can exceed."""
+"""Upper bound of a number's size in bytes."""
 _FIRST_SUM = 8
 _MEMORY = 32
-"""A mean is taken over the last 16 to 32 numbers."""
+"""Means are over the last 16 to 32 numbers."""
 
 
 @kernel
 def encode_ordered_tuples(tuples: Any, counts: Any, usual: Any, out: Any) -> Any:
     """Code a table by its tuples.
 
-    tuples: (U, g) int32, ascending, the last digit the most significant. counts: (U,) int64, or (0,) where a level
-    above follows. usual: the digit of a zero coefficient. Returns the length of the output, or -1 where `out` is too
-    short.
+    tuples: (U, g) int32, ascending, the last digit the most significant. counts: (U,) int64, or (0,) if a level
+    above follows. usual: the digit of a zero coefficient. Returns the length of the output, or -1 if `out` is short.
     """
     size, group = tuples.shape
     sums, seen = _new_means(group)
-    previous = _before_the_first(group)
+    previous = _lowest_tuple(group)
     before = np.int64(0)
     buffer = np.int64(0)
-    held = 0
+    bits = 0
     position = 0
     for row in range(size):
         if position + (group + 2) * _ROOM > out.shape[0]:
@@ -58,19 +57,19 @@ def encode_ordered_tuples(tuples: Any, counts: Any, usual: Any, out: Any) -> Any
             digit = np.int64(tuples[row, j])
             kind = 2 * j + changed
             if changed == 1:
-                number = _folded(digit - usual)
+                number = _fold(digit - usual)
             else:
-                number = digit - _least(previous, j)
+                number = digit - _smallest_digit(previous, j)
                 if digit != previous[j]:
                     changed = 1
             previous[j] = digit
-            buffer, held, position = _put(buffer, held, position, out, sums, seen, kind, number)
+            buffer, bits, position = _encode_number(buffer, bits, position, out, sums, seen, kind, number)
         if counts.shape[0] > 0:
             kind = 2 * group + magnitude(before, COUNT_KINDS)
             before = counts[row] - 1
-            buffer, held, position = _put(buffer, held, position, out, sums, seen, kind, before)
-    if held > 0:
-        out[position] = np.uint8(buffer << (8 - held))
+            buffer, bits, position = _encode_number(buffer, bits, position, out, sums, seen, kind, before)
+    if bits > 0:
+        out[position] = np.uint8(buffer << (8 - bits))
         position += 1
     return position
 
@@ -79,17 +78,17 @@ def encode_ordered_tuples(tuples: Any, counts: Any, usual: Any, out: Any) -> Any
 def decode_ordered_tuples(data: Any, radix: Any, total: Any, usual: Any, tuples: Any, counts: Any) -> Any:
     """Decode what `encode_ordered_tuples` wrote into tuples (U, g) int32 and counts (U,) or (0,) int64.
 
-    Returns bytes read, with UNWRITTEN more as the other tables have them, or OVERRUN, OUT_OF_RANGE (a digit not in
+    Returns bytes read plus UNWRITTEN, as for the other tables, or OVERRUN, OUT_OF_RANGE (a digit not in
     0..radix-1, or bits that no encoder writes) or BAD_COUNTS (counts that do not sum to `total`). Tuples ascend by
     construction.
     """
     size, group = tuples.shape
     sums, seen = _new_means(group)
-    previous = _before_the_first(group)
+    previous = _lowest_tuple(group)
     before = np.int64(0)
     left = total
     buffer = np.int64(0)
-    held = 0
+    bits = 0
     position = 0
     for row in range(size):
         if position > data.shape[0] + _ROOM:
@@ -97,13 +96,13 @@ def decode_ordered_tuples(data: Any, radix: Any, total: Any, usual: Any, tuples:
         changed = 0
         for j in range(group - 1, -1, -1):
             kind = 2 * j + changed
-            number, buffer, held, position = _take(buffer, held, position, data, sums, seen, kind)
+            number, buffer, bits, position = _decode_number(buffer, bits, position, data, sums, seen, kind)
             if number < 0:
                 return OUT_OF_RANGE
             if changed == 1:
-                digit = usual + _unfolded(number)
+                digit = usual + _unfold(number)
             else:
-                digit = number + _least(previous, j)
+                digit = number + _smallest_digit(previous, j)
                 if digit != previous[j]:
                     changed = 1
             if digit < 0 or digit >= radix:
@@ -112,21 +111,21 @@ def decode_ordered_tuples(data: Any, radix: Any, total: Any, usual: Any, tuples:
             tuples[row, j] = digit
         if counts.shape[0] > 0:
             kind = 2 * group + magnitude(before, COUNT_KINDS)
-            before, buffer, held, position = _take(buffer, held, position, data, sums, seen, kind)
+            before, buffer, bits, position = _decode_number(buffer, bits, position, data, sums, seen, kind)
             if before < 0 or before >= left:
                 return BAD_COUNTS
             counts[row] = before + 1
             left -= before + 1
     if counts.shape[0] > 0 and left != 0:
         return BAD_COUNTS
-    if buffer >> (held & ~7):  # what fills up the last byte
+    if buffer >> (bits & ~7):  # the padding of the last byte
         return OUT_OF_RANGE
-    return position - (held >> 3) + UNWRITTEN
+    return position - (bits >> 3) + UNWRITTEN
 
 
 @kernel
 def _new_means(group: Any) -> Any:
-    """Sum and number of the last numbers of every kind: of digits, after equal ones or not, and of counts."""
+    """Return initial sums and counts of numbers by kind: digits, after equal ones or not, and counts."""
     kinds = 2 * group + COUNT_KINDS
     sums = np.full(kinds, _FIRST_SUM, np.int64)
     seen = np.ones(kinds, np.int64)
@@ -134,33 +133,33 @@ def _new_means(group: Any) -> Any:
 
 
 @kernel
-def _before_the_first(group: Any) -> Any:
-    """The tuple below all others."""
+def _lowest_tuple(group: Any) -> Any:
+    """Return a tuple below all others."""
     previous = np.zeros(group, np.int64)
     previous[0] = -1
     return previous
 
 
 @kernel
-def _least(previous: Any, place: Any) -> Any:
-    """The smallest digit after equal ones: no tuple equals the one before it."""
+def _smallest_digit(previous: Any, place: Any) -> Any:
+    """Return the smallest digit after equal ones: no tuple equals the one before it."""
     return previous[place] + (1 if place == 0 else 0)
 
 
 @kernel
-def _folded(difference: Any) -> Any:
-    """0, 1, -1, 2, -2 ... as 0, 1, 2, 3, 4 ..."""
+def _fold(difference: Any) -> Any:
+    """Map 0, 1, -1, 2, -2 ... to 0, 1, 2, 3, 4 ..."""
     return 2 * difference - 1 if difference > 0 else -2 * difference
 
 
 @kernel
-def _unfolded(number: Any) -> Any:
+def _unfold(number: Any) -> Any:
     return (number + 1) >> 1 if number & 1 else -(number >> 1)
 
 
 @kernel(_nrt=False)
 def _parameter(sums: Any, seen: Any, kind: Any) -> Any:
-    """k, so that 2^k is about the mean of a kind."""
+    """Return k so that 2^k is about the mean of a kind."""
     k = 0
     while (seen[kind] << k) < sums[kind]:
         k += 1
@@ -168,7 +167,7 @@ def _parameter(sums: Any, seen: Any, kind: Any) -> Any:
 
 
 @kernel(_nrt=False)
-def _remember(sums: Any, seen: Any, kind: Any, number: Any) -> None:
+def _update_mean(sums: Any, seen: Any, kind: Any, number: Any) -> None:
     sums[kind] += number
     seen[kind] += 1
     if seen[kind] == _MEMORY:
@@ -176,12 +175,14 @@ def _remember(sums: Any, seen: Any, kind: Any, number: Any) -> None:
         seen[kind] >>= 1
 
 
-# In line, as the numbers of `tables` are, and for the same reason.
+# Inline for the same reason as in `tables`.
 @kernel(_nrt=False, forceinline=True)
-def _put(buffer: Any, held: Any, position: Any, out: Any, sums: Any, seen: Any, kind: Any, number: Any) -> Any:
-    """Code one number; returns the new buffer, the bits that it holds (at most 7), and the position."""
+def _encode_number(
+    buffer: Any, bits: Any, position: Any, out: Any, sums: Any, seen: Any, kind: Any, number: Any
+) -> Any:
+    """Code one number; returns the new buffer, its number of bits (at most 7), and the position."""
     k = _parameter(sums, seen, kind)
-    _remember(sums, seen, kind, number)
+    _update_mean(sums, seen, kind, number)
     ones = number >> k
     if ones < _MOST_ONES:
         code = (((1 << ones) - 1) << (k + 1)) | (number & ((1 << k) - 1))
@@ -190,32 +191,32 @@ def _put(buffer: Any, held: Any, position: Any, out: Any, sums: Any, seen: Any, 
         code = (((1 << _MOST_ONES) - 1) << _NUMBER_BITS) | number
         length = _LONGEST
     buffer = (buffer << length) | code
-    held += length
-    while held >= 8:
-        held -= 8
-        out[position] = np.uint8((buffer >> held) & 255)
+    bits += length
+    while bits >= 8:
+        bits -= 8
+        out[position] = np.uint8((buffer >> bits) & 255)
         position += 1
-    return buffer & ((1 << held) - 1), held, position
+    return buffer & ((1 << bits) - 1), bits, position
 
 
 @kernel(_nrt=False, forceinline=True)
-def _take(buffer: Any, held: Any, position: Any, data: Any, sums: Any, seen: Any, kind: Any) -> Any:
-    """The next number, or -1 for a code that no encoder writes; and the new buffer, bits in it, and position."""
-    while held < _LONGEST:
+def _decode_number(buffer: Any, bits: Any, position: Any, data: Any, sums: Any, seen: Any, kind: Any) -> Any:
+    """Decode a number, or -1 for a code that no encoder writes; returns the new buffer, its bits, and position too."""
+    while bits < _LONGEST:
         buffer = (buffer << 8) | next_byte(data, position)
-        held += 8
+        bits += 8
         position += 1
     k = _parameter(sums, seen, kind)
     ones = 0
-    while ones < _MOST_ONES and (buffer >> (held - 1 - ones)) & 1:
+    while ones < _MOST_ONES and (buffer >> (bits - 1 - ones)) & 1:
         ones += 1
     if ones < _MOST_ONES:
-        held -= ones + 1 + k
-        number = (ones << k) | ((buffer >> held) & ((1 << k) - 1))
+        bits -= ones + 1 + k
+        number = (ones << k) | ((buffer >> bits) & ((1 << k) - 1))
     else:
-        held -= _LONGEST
-        number = (buffer >> held) & ((1 << _NUMBER_BITS) - 1)
+        bits -= _LONGEST
+        number = (buffer >> bits) & ((1 << _NUMBER_BITS) - 1)
         if (number >> k) < _MOST_ONES:
             number = np.int64(-1)
-    _remember(sums, seen, kind, max(number, 0))
-    return number, buffer & ((1 << held) - 1), held, position
+    _update_mean(sums, seen, kind, max(number, 0))
+    return number, buffer & ((1 << bits) - 1), bits, position

@@ -1,4 +1,22 @@
-"""The multi-level codec as a stream, whose one memory is the table of codes and how often each occurred."""
+"""The multi-level codec as an inter-frame codec: only the difference from the last frame's table is sent.
+
+A keyframe is a bitstream of `multilevel`. Other packets are little-endian:
+
+    offset  bytes  content
+         0      4  `CBMM`
+         4      4  index of digit 0, int32
+         8      4  R, number of digits
+        12      4  entries that are kept from the table before
+        16      4  sum of the coded changes of their counts
+        20      4  bytes of the kept entries
+        24      4  new entries
+        28      4  bytes of the new entries
+        32         the kept entries, the new entries, the payload
+    last 4         CRC-32 of all before, continued from that of the packet before, so that another memory is detected
+
+Kept entries are places in the table before, the most frequent first, coded as `multilevel` codes codes; each comes with
+the change of its count. New entries are coded as `multilevel` codes tuples.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +41,12 @@ from codecbench.plugins.codecs.multilevel.arithmetic import decode_symbols, enco
 from codecbench.plugins.codecs.multilevel.bitstream import unpack
 from codecbench.plugins.codecs.multilevel.codec import Multilevel, image_from_values
 from codecbench.plugins.codecs.multilevel.header import MAX_GROUP, MAX_QF, MAX_SYMBOLS, MIN_GROUP, MIN_QF, Header
-from codecbench.plugins.codecs.multilevel.keys import canonical_keys, checked
-from codecbench.plugins.codecs.multilevel.levels import Scan, expanded, minimised
+from codecbench.plugins.codecs.multilevel.keys import canonical_keys, check_keys
+from codecbench.plugins.codecs.multilevel.levels import Scan, expand_levels, minimize_levels
 from codecbench.plugins.codecs.multilevel.tables import decode_codes, decode_tuples, encode_codes, encode_tuples
 
 _MAGIC: Final = b"CBMM"
-_HEAD: Final = struct.Struct("<4siIIIIII")
+_HEADER: Final = struct.Struct("<4siIIIIII")
 _CRC: Final = struct.Struct("<I")
 _ROOM: Final = 4096
 
@@ -38,112 +56,112 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Memory:
-    """What both ends know after a picture.
-
-    header: of the last start. tuples: (U, g) int32, values of the quantised coefficients, in the order of the codes.
-    counts: (U,) int64, how often each occurred. checksum: of the last packet.
-    """
+    """State of encoder and decoder after a frame."""
 
     header: Header
+    """Header of the last keyframe."""
     tuples: Tuples
+    """(U, g): values of the quantized coefficients, in the order of the codes."""
     counts: Counts
+    """(U,): occurrences of each tuple."""
     checksum: int
+    """CRC-32 of the last packet."""
 
     @classmethod
-    def after_start(cls, bitstream: bytes) -> Self:
-        """What a bitstream of `multilevel` leaves behind. Raises BitstreamError for what is none of one level."""
+    def after_keyframe(cls, bitstream: bytes) -> Self:
+        """Return the state after a keyframe. Raises BitstreamError if it is no bitstream of one level."""
         parts = unpack(bitstream)
         if parts.header.levels != 1 or parts.header.search:
             raise BitstreamError("a stream starts with a picture of one level, with its tuples in the header")
-        ranks, tuples = entropy_coding.decoded(parts, "greedy", NULL_TRACE)
+        ranks, tuples = entropy_coding.decode(parts, "greedy", NULL_TRACE)
         counts = np.bincount(ranks, minlength=len(tuples[0])).astype(np.int64)
         return cls(parts.header, tuples[0] + np.int32(parts.header.offset), counts, zlib.crc32(bitstream))
 
-    def followed_by(self, tuples: Tuples, counts: Counts, packet: bytes) -> Self:
-        """What a packet of that table leaves behind."""
+    def after_packet(self, tuples: Tuples, counts: Counts, packet: bytes) -> Self:
+        """Return the state after a packet of this table."""
         return replace(self, tuples=tuples, counts=counts, checksum=zlib.crc32(packet[: -_CRC.size], self.checksum))
 
-    def by_frequency(self) -> NDArray[np.int64]:
-        """Places in the table, the most frequent entry first."""
+    def frequency_order(self) -> NDArray[np.int64]:
+        """Order the entries of the table by frequency, the most frequent first."""
         return np.argsort(-self.counts, kind="stable").astype(np.int64)
 
-    def encoded(self, tuples: Tuples, counts: Counts, ranks: NDArray[np.int32], offset: int, radix: int) -> bytes:
-        """A packet of a picture with this table, ranks in it, and digits `offset` to `offset + radix - 1`."""
-        order = self.by_frequency()
+    def encode(self, tuples: Tuples, counts: Counts, ranks: NDArray[np.int32], offset: int, radix: int) -> bytes:
+        """Encode a frame with this table, ranks in it, and digits `offset` to `offset + radix - 1`."""
+        order = self.frequency_order()
         known = {entry: place for place, entry in enumerate(_rows(self.tuples[order]))}
         places = np.array([known.get(entry, -1) for entry in _rows(tuples)], np.int64)
         is_new = places < 0
-        kept = np.argsort(places[~is_new], kind="stable")
-        kept_places = places[~is_new][kept]
-        changes = _folded(counts[~is_new][kept] - self.counts[order][kept_places])
-        kept_data = _coded(encode_codes, kept_places, changes) if len(kept_places) else b""
+        by_place = np.argsort(places[~is_new], kind="stable")
+        kept_places = places[~is_new][by_place]
+        changes = _fold(counts[~is_new][by_place] - self.counts[order][kept_places])
+        kept_data = _encode_with(encode_codes, kept_places, changes) if len(kept_places) else b""
         new = np.ascontiguousarray(tuples[is_new] - np.int32(offset))
-        new_data = _coded(encode_tuples, new, np.ascontiguousarray(counts[is_new])) if len(new) else b""
+        new_data = _encode_with(encode_tuples, new, np.ascontiguousarray(counts[is_new])) if len(new) else b""
         payload = np.empty(4 * len(ranks) + 16, np.uint8)
         size = encode_symbols(ranks, counts, np.empty(len(counts) + 1, np.int64), payload)
-        head = _HEAD.pack(
+        head = _HEADER.pack(
             _MAGIC, offset, radix, len(kept_places), int(changes.sum()), len(kept_data), len(new), len(new_data)
         )
         content = head + kept_data + new_data + payload[:size].tobytes()
         return content + _CRC.pack(zlib.crc32(content, self.checksum))
 
-    def decoded(self, packet: bytes) -> tuple[Self, NDArray[np.int32]]:
-        """The memory after a packet, and the ranks that it holds. Raises BitstreamError for what it does not follow."""
+    def decode(self, packet: bytes) -> tuple[Self, NDArray[np.int32]]:
+        """Decode a packet; returns the next state and the ranks. Raises BitstreamError if it follows another state."""
         content = packet[: -_CRC.size]
-        if len(content) < _HEAD.size or not content.startswith(_MAGIC):
+        if len(content) < _HEADER.size or not content.startswith(_MAGIC):
             raise BitstreamError("not a packet of this codec")
         checksum = zlib.crc32(content, self.checksum)
         if packet[-_CRC.size :] != _CRC.pack(checksum):
             raise BitstreamError("damaged, or it follows another packet than the one before it")
-        _, offset, radix, kept, changed, kept_size, new, new_size = _HEAD.unpack_from(content)
+        _, offset, radix, kept, changed, kept_size, new, new_size = _HEADER.unpack_from(content)
         groups = -(-self.header.samples // self.header.group)
         if kept > len(self.counts) or not 1 <= kept + new <= groups or not 1 <= radix <= MAX_SYMBOLS:
             raise BitstreamError(f"{kept} kept and {new} new entries of {radix} digits are not allowed")
-        middle = _HEAD.size + kept_size
-        tuples, counts = self._kept(content[_HEAD.size : middle], kept, changed)
+        middle = _HEADER.size + kept_size
+        tuples, counts = self._read_kept(content[_HEADER.size : middle], kept, changed)
         new_data = content[middle : middle + new_size]
-        fresh, fresh_counts = _new(new_data, new, radix, groups - int(counts.sum()), self.header.group)
+        fresh, fresh_counts = _read_new(new_data, new, radix, groups - int(counts.sum()), self.header.group)
         tuples, counts = np.vstack([tuples, fresh + np.int32(offset)]), np.concatenate([counts, fresh_counts])
         order = np.lexsort(tuples.T)  # by the last digit, then the one before it: the order of canonical codes
         memory = replace(self, tuples=np.ascontiguousarray(tuples[order]), counts=counts[order], checksum=checksum)
-        return memory, memory._ranks(content[middle + new_size :], groups)
+        return memory, memory._read_ranks(content[middle + new_size :], groups)
 
-    def _kept(self, data: bytes, entries: int, changed: int) -> tuple[Tuples, Counts]:
-        order = self.by_frequency()
+    def _read_kept(self, data: bytes, entries: int, changed: int) -> tuple[Tuples, Counts]:
+        order = self.frequency_order()
         places, changes = np.empty(entries, np.int64), np.empty(entries, np.int64)
-        if entries and _read(decode_codes, data, len(order) - 1, changed, places, changes) < 0:
+        if entries and _decode_with(decode_codes, data, len(order) - 1, changed, places, changes) < 0:
             raise BitstreamError("the kept entries are damaged")
-        counts = self.counts[order[places]] + _unfolded(changes)
+        counts = self.counts[order[places]] + _unfold(changes)
         if entries and counts.min() < 1:
             raise BitstreamError("a kept entry that does not occur")
         return self.tuples[order[places]], counts
 
-    def _ranks(self, payload: bytes, groups: int) -> NDArray[np.int32]:
+    def _read_ranks(self, payload: bytes, groups: int) -> NDArray[np.int32]:
         ranks = np.empty(groups, np.int32)
         starts = np.empty(len(self.counts) + 1, np.int64)
-        if int(self.counts.sum()) != groups or _read(decode_symbols, payload, self.counts, starts, ranks) < 0:
+        if int(self.counts.sum()) != groups or _decode_with(decode_symbols, payload, self.counts, starts, ranks) < 0:
             raise BitstreamError("the payload is damaged")
         return ranks
 
 
 def _rows(tuples: Tuples) -> list[bytes]:
-    """Each row as something that can be looked up."""
+    """Convert each row to a dictionary key."""
     size = tuples.shape[1] * tuples.itemsize
     data = np.ascontiguousarray(tuples).tobytes()
     return [data[start : start + size] for start in range(0, len(data), size)]
 
 
-def _folded(changes: Counts) -> Counts:
-    """0, -1, 1, -2, 2 ... as 1, 2, 3, 4, 5 ..."""
+def _fold(changes: Counts) -> Counts:
+    """Map 0, -1, 1, -2, 2 ... to 1, 2, 3, 4, 5 ..."""
     return np.where(changes >= 0, 2 * changes + 1, -2 * changes).astype(np.int64)
 
 
-def _unfolded(numbers: Counts) -> Counts:
+def _unfold(numbers: Counts) -> Counts:
     return np.where(numbers % 2 == 1, numbers // 2, -(numbers // 2)).astype(np.int64)
 
 
-def _coded(kernel: object, entries: NDArray[np.generic], counts: Counts) -> bytes:
-    """What a kernel of `tables` writes, with as much room as it needs."""
+def _encode_with(kernel: object, entries: NDArray[np.generic], counts: Counts) -> bytes:
+    """Encode with a kernel of `tables`, with as much room as it needs."""
     room = _ROOM + 8 * entries.size
     while True:
         out = np.empty(room, np.uint8)
@@ -153,14 +171,14 @@ def _coded(kernel: object, entries: NDArray[np.generic], counts: Counts) -> byte
         room *= 4
 
 
-def _new(data: bytes, entries: int, radix: int, total: int, group: int) -> tuple[Tuples, Counts]:
+def _read_new(data: bytes, entries: int, radix: int, total: int, group: int) -> tuple[Tuples, Counts]:
     tuples, counts = np.empty((entries, group), np.int32), np.empty(entries, np.int64)
-    if entries and _read(decode_tuples, data, radix, total, tuples, counts) < 0:
+    if entries and _decode_with(decode_tuples, data, radix, total, tuples, counts) < 0:
         raise BitstreamError("the new entries are damaged")
     return tuples, counts
 
 
-def _read(kernel: object, data: bytes, *arguments: object) -> int:
+def _decode_with(kernel: object, data: bytes, *arguments: object) -> int:
     return int(kernel(np.frombuffer(data, np.uint8), *arguments))  # type: ignore[operator]
 
 
@@ -175,9 +193,9 @@ class MultilevelStreamParams(Params):
 
 
 class MultilevelStream(StreamCodec[MultilevelStreamParams]):
-    """`multilevel` with a memory: its pictures, bit by bit, and tables that build on the one before.
+    """`multilevel` with memory: the same decoded frames to the bit, and tables that build on the one before.
 
-    Nothing is predicted but the table, so the difference in size from `multilevel` is what memory alone is worth.
+    Only the table is predicted, so the difference in size from `multilevel` shows what this memory is worth.
     """
 
     name: ClassVar[str] = "multilevel_stream"
@@ -189,7 +207,7 @@ class MultilevelStream(StreamCodec[MultilevelStreamParams]):
 
     def __init__(self, params: MultilevelStreamParams) -> None:
         super().__init__(params)
-        self.kernels = (*_still(params).kernels, "codecbench.plugins.codecs.multilevel.tables")
+        self.kernels = (*_intra_codec(params).kernels, "codecbench.plugins.codecs.multilevel.tables")
 
     def encoder(self, frame_rate_hz: float) -> StreamEncoder:
         return MultilevelEncoder(self.params)
@@ -198,17 +216,17 @@ class MultilevelStream(StreamCodec[MultilevelStreamParams]):
         return MultilevelDecoder()
 
 
-def _still(params: MultilevelStreamParams) -> Multilevel:
-    """The codec of pictures that depend on no other."""
+def _intra_codec(params: MultilevelStreamParams) -> Multilevel:
+    """The codec of keyframes."""
     return Multilevel.create(**params.model_dump(exclude={"gop"}))
 
 
 class MultilevelEncoder(StreamEncoder):
-    """One sequence being encoded."""
+    """An encoding session."""
 
     def __init__(self, params: MultilevelStreamParams) -> None:
         self._gop, self._group = params.gop, params.group
-        self._still = _still(params)
+        self._intra_codec = _intra_codec(params)
         self._memory: Memory | None = None
         self._shape: tuple[int, ...] = ()
         self._pushed = 0
@@ -219,50 +237,50 @@ class MultilevelEncoder(StreamEncoder):
             raise ImageError(f"a picture of shape {image.shape} in a stream of shape {self._shape}")
         frame = self._pushed
         if self._memory is None or frame % self._gop == 0:
-            data = self._still.encode(image)
-            self._memory, self._shape = Memory.after_start(data), image.shape
+            data = self._intra_codec.encode(image)
+            self._memory, self._shape = Memory.after_keyframe(data), image.shape
         else:
-            data = self._coded_from(self._memory, image)
+            data = self._encode_after(self._memory, image)
         self._pushed += 1
         return [Packet(data, frame, starts=frame % self._gop == 0)]
 
     def flush(self) -> list[Packet]:
         return []
 
-    def _coded_from(self, memory: Memory, image: Image) -> bytes:
-        values = self._still.values_of(image, memory.header, NULL_TRACE)
-        found = minimised(
-            values, 1, lambda level, radix: checked(canonical_keys(radix, self._group), radix, level), NULL_TRACE
+    def _encode_after(self, memory: Memory, image: Image) -> bytes:
+        values = self._intra_codec.values_of(image, memory.header, NULL_TRACE)
+        minimized = minimize_levels(
+            values, 1, lambda level, radix: check_keys(canonical_keys(radix, self._group), radix, level), NULL_TRACE
         )
-        (table,) = found.tables
-        tuples = table.tuples + np.int32(found.offset)
-        data = memory.encoded(tuples, table.counts, found.ranks, found.offset, table.radix)
-        self._memory = memory.followed_by(tuples, table.counts, data)
+        (table,) = minimized.tables
+        tuples = table.tuples + np.int32(minimized.offset)
+        data = memory.encode(tuples, table.counts, minimized.ranks, minimized.offset, table.radix)
+        self._memory = memory.after_packet(tuples, table.counts, data)
         return data
 
 
 class MultilevelDecoder(StreamDecoder):
-    """One stream being decoded: pictures are whole, or missing from a loss to the next start."""
+    """A decoding session: frames are whole, or missing from a loss to the next keyframe."""
 
     def __init__(self) -> None:
-        self._still = Multilevel.create()
+        self._intra_codec = Multilevel.create()
         self._memory: Memory | None = None
         self._next = 0
 
     def push(self, packet: Packet | Loss, *, trace: Trace = NULL_TRACE) -> list[Picture]:
         frame = self._next if isinstance(packet, Loss) else packet.frame
         self._next = frame + 1
-        memory, self._memory = self._memory, None  # what raises, or is lost, leaves none
+        memory, self._memory = self._memory, None  # None after a loss or an error
         if isinstance(packet, Loss):
             return [Picture(frame, "missing", None)]
         if packet.starts:
-            self._memory = Memory.after_start(packet.data)
-            return [Picture(frame, "whole", self._still.decode(packet.data))]
+            self._memory = Memory.after_keyframe(packet.data)
+            return [Picture(frame, "whole", self._intra_codec.decode(packet.data))]
         if memory is None:
             return [Picture(frame, "missing", None)]
-        self._memory, ranks = memory.decoded(packet.data)
+        self._memory, ranks = memory.decode(packet.data)
         header = memory.header
-        values = expanded(ranks, [self._memory.tuples], 0, header.samples, NULL_TRACE)
+        values = expand_levels(ranks, [self._memory.tuples], 0, header.samples, NULL_TRACE)
         return [Picture(frame, "whole", image_from_values(values, header, NULL_TRACE))]
 
     def flush(self) -> list[Picture]:

@@ -1,7 +1,7 @@
 """Coding of a level's table: the tuples (header mode) or the codes (search mode), and the counts.
 
-Numbers are coded in the manner of Elias' gamma code, each bit with an adaptive probability: n + 1 has `length`
-bits after its leading one; `length` in unary, the bit after the leading one, the rest plain.
+Numbers are coded like Elias' gamma code: n + 1 has `length` bits after its leading one. `length` is coded in unary and
+the bit after the leading one with adaptive probabilities; the other bits are coded as they are.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from codecbench.plugins.codecs.multilevel.arithmetic import (
 )
 
 _NUMBER = 128
-"""Contexts of one kind of number: 64 for its length, 64 for the bit after the leading one."""
+"""Number of contexts per kind of number: 64 for its length, 64 for the bit after the leading one."""
 
 COUNT_KINDS = 4
 _GAP_KINDS = 4
 _LONGEST = 62
 _ROOM = 192
-"""Bytes that no single number can exceed."""
+"""Upper bound of a number's size in bytes."""
 
 _EVEN_CHANCE = 32768
 
@@ -41,7 +41,7 @@ BAD_COUNTS = -3
 REPEATED = -4
 
 
-# In line, for a call would hand over the fields of two arrays, some twenty values, with every number.
+# Inline, because a call would pass the fields of two arrays, some twenty values, with every number.
 @kernel(_nrt=False, forceinline=True)
 def _encode_number(low: Any, width: Any, position: Any, out: Any, models: Any, kind: Any, number: Any) -> Any:
     """Code one number; returns the new low, width and position."""
@@ -66,7 +66,7 @@ def _encode_number(low: Any, width: Any, position: Any, out: Any, models: Any, k
 
 @kernel(_nrt=False, forceinline=True)
 def _decode_number(code: Any, width: Any, position: Any, data: Any, models: Any, kind: Any) -> Any:
-    """The next number, or -1 where it has more than 62 bits; and the new code, width and position."""
+    """Decode a number, or -1 if it has more than 62 bits; returns the new code, width and position too."""
     context = kind * _NUMBER
     bit, code, width, position = decode_bit(code, width, position, data, models, context)
     length = 0
@@ -84,7 +84,7 @@ def _decode_number(code: Any, width: Any, position: Any, data: Any, models: Any,
         part = min(bits, 16)
         bits -= part
         unit = width >> part
-        # Beyond the last interval lies a sliver that no encoder uses; a damaged stream may point there.
+        # A damaged stream may point beyond the last interval, into a sliver that no encoder uses.
         digit = min(quotient_of(code, unit), (1 << part) - 1)
         code, width, position = decode_interval(code, position, data, digit, 1, unit)
         number = (number << part) | digit
@@ -93,7 +93,7 @@ def _decode_number(code: Any, width: Any, position: Any, data: Any, models: Any,
 
 @kernel
 def magnitude(number: Any, kinds: Any) -> Any:
-    """How large a number is: 0 for 0, then one more for every two bits, below `kinds`."""
+    """Classify a number by size: 0 for 0, then one more for every two bits, below `kinds`."""
     kind = 0
     while number > 0 and kind < kinds - 1:
         number >>= 2
@@ -106,8 +106,8 @@ def encode_tuples(tuples: Any, counts: Any, out: Any) -> Any:
     """Code a table by its tuples, each digit as the difference from the row above.
 
     tuples: (U, g) int32, distinct rows in order of their codes; the last digit is the most significant under
-    ascending keys, so it comes first. counts: (U,) int64, or (0,) where a level above follows. Returns the
-    length of the output, or -1 where `out` is too short.
+    ascending keys, so it comes first. counts: (U,) int64, or (0,) if a level above follows. Returns the length
+    of the output, or -1 if `out` is too short.
     """
     size, group = tuples.shape
     models = np.full((_tuple_contexts(group), 2), _EVEN_CHANCE, np.int32)
@@ -225,7 +225,7 @@ def encode_codes(codes: Any, counts: Any, out: Any) -> Any:
 
 @kernel
 def decode_codes(data: Any, largest: Any, total: Any, codes: Any, counts: Any) -> Any:
-    """Decode what `encode_codes` wrote. Returns as `decode_tuples`; OUT_OF_RANGE is a code above `largest`.
+    """Decode what `encode_codes` wrote. Returns as `decode_tuples`; OUT_OF_RANGE means a code above `largest`.
 
     Codes increase by construction: a gap is never negative.
     """

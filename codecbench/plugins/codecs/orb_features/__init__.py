@@ -1,1 +1,1 @@
-"""ORB features sent in the place of pictures."""
+"""ORB features sent instead of frames."""

@@ -52,8 +52,8 @@ MAX_LIKE = 80
 
 _MAGIC = b"CBOF"
 _VERSION = 3
-_VERSION_OF_PIXELS = 2  # has no parts; read as ever
-_STARTS, _CODED, _PARTS = 1, 2, 4
+_PIXEL_VERSION = 2  # without parts; still read
+_KEYFRAME, _CODED, _PARTS = 1, 2, 4
 _FIXED = struct.Struct("<4sBBHHBBBBI")
 _WORD = struct.Struct("<I")
 _WORD_BYTES = WORD_BITS // 8
@@ -63,19 +63,22 @@ _REASONS = {OUTSIDE: "a place is outside its level", NO_CANDIDATE: "a reference 
 
 @dataclass
 class Memory:
-    """What a session keeps of the sets before: contexts, the last set with its places, and its packet's CRC-32."""
+    """State of a session after a packet: the contexts and the last set."""
 
     model: NDArray[np.int32]
+    """Context model, as `coding.new_model`."""
     octave_starts: NDArray[np.int64]
     places: NDArray[np.int64]
+    """(N, 2): x and y of each keypoint in 1/PLACE_UNIT pixels of the image."""
     angles: NDArray[np.int64]
     descriptors: NDArray[np.uint64]
     angle_bits: int = 0
     checksum: int = 0
+    """CRC-32 of the last packet."""
 
     @classmethod
     def empty(cls) -> Memory:
-        """What a packet that starts is coded with."""
+        """Return the state before a keyframe."""
         return cls(
             new_model(), np.zeros(1, np.int64), np.zeros((0, 2), np.int64), np.zeros(0, np.int64),
             np.zeros((0, 4), np.uint64),
@@ -83,40 +86,43 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class Unpacked:
-    """What a packet holds, and what is remembered after it; starts: it needed nothing from before."""
+class UnpackedSet:
+    """Content of a packet."""
 
     coded: CodedKeypoints
     memory: Memory
+    """State after the packet."""
     starts: bool
+    """Whether the packet is a keyframe."""
 
 
-def pack(found: CodedKeypoints, memory: Memory | None, coded: bool, like: int) -> tuple[bytes, Memory]:
-    """The packet of a set, after those in `memory`; None for one that starts. Returns what is then remembered.
+def pack(keypoints: CodedKeypoints, memory: Memory | None, coded: bool, like: int) -> tuple[bytes, Memory]:
+    """Encode a set after `memory`, None for a keyframe; returns the packet and the state after it.
 
-    coded: descriptors are coded, not raw. like: those that differ from a reference in so few bits become it.
+    coded: whether descriptors are coded, not raw. like: descriptors that differ from a reference in at most so many
+    bits become equal to it.
     """
     starts = memory is None
     memory = memory or Memory.empty()
-    coder, data = new_coder(True, 0), np.empty(MOST_BYTES * (len(found) + LANES + 1), np.uint8)
-    work = _Work(memory, found.descriptors, coded, like)
-    work.code_set(coder, data, found)
-    lanes = work.encode_lanes(coder, data) if coded else found.descriptors.astype("<u8").tobytes()
+    coder, data = new_coder(True, 0), np.empty(MOST_BYTES * (len(keypoints) + LANES + 1), np.uint8)
+    work = _SetCoder(memory, keypoints.descriptors, coded, like)
+    work.code_set(coder, data, keypoints)
+    lanes = work.encode_lanes(coder, data) if coded else keypoints.descriptors.astype("<u8").tobytes()
     payload = data[: finish(coder, data)].tobytes() + lanes
-    grid = found.grid
-    flags = (_STARTS if starts else 0) | (_CODED if coded else 0) | (_PARTS if grid.parts > 1 else 0)
+    grid = keypoints.grid
+    flags = (_KEYFRAME if starts else 0) | (_CODED if coded else 0) | (_PARTS if grid.parts > 1 else 0)
     header = _FIXED.pack(
-        _MAGIC, _VERSION, flags, grid.width, grid.height, grid.levels, grid.step, found.angle_bits, like,
+        _MAGIC, _VERSION, flags, grid.width, grid.height, grid.levels, grid.step, keypoints.angle_bits, like,
         memory.checksum,
     )  # fmt: skip
-    counts = np.diff(found.octave_starts).astype("<u2").tobytes()
+    counts = np.diff(keypoints.octave_starts).astype("<u2").tobytes()
     content = header + counts + payload
     checksum = zlib.crc32(content)
-    return content + _WORD.pack(checksum), work.memory_after(found, checksum)
+    return content + _WORD.pack(checksum), work.memory_after(keypoints, checksum)
 
 
-def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
-    """The set of a packet; None where it needs another set before than that of `memory`, which is used up.
+def unpack(packet: bytes, memory: Memory | None) -> UnpackedSet | None:
+    """Decode a packet; None if it follows another set than that of `memory`, which is modified.
 
     Raises BitstreamError for damaged or foreign bytes.
     """
@@ -127,8 +133,8 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
         raise BitstreamError("orb_features: damaged: the CRC-32 is wrong")
     _, version, flags, width, height, levels, step, angle_bits, like, before = _FIXED.unpack_from(content)
     for name, value, is_allowed in (
-        ("version", version, version in (_VERSION_OF_PIXELS, _VERSION)),
-        ("flags", flags, flags & ~(_STARTS | _CODED | (_PARTS if version == _VERSION else 0)) == 0),
+        ("version", version, version in (_PIXEL_VERSION, _VERSION)),
+        ("flags", flags, flags & ~(_KEYFRAME | _CODED | (_PARTS if version == _VERSION else 0)) == 0),
         ("size", (width, height), 0 < width * height <= MAX_PIXELS),
         ("levels", levels, 1 <= levels <= MAX_LEVELS),
         ("step", step, 1 <= step <= MAX_STEP),
@@ -137,7 +143,7 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
     ):
         if not is_allowed:
             raise BitstreamError(f"orb_features: header: {name} {value} is not allowed")
-    starts, coded = bool(flags & _STARTS), bool(flags & _CODED)
+    starts, coded = bool(flags & _KEYFRAME), bool(flags & _CODED)
     if not starts and (memory is None or memory.checksum != before or memory.angle_bits != angle_bits):
         return None
     memory = Memory.empty() if starts or memory is None else memory
@@ -149,24 +155,24 @@ def unpack(packet: bytes, memory: Memory | None) -> Unpacked | None:
         raise BitstreamError(f"orb_features: header: {total} keypoints; at most {MAX_KEYPOINTS} are allowed")
     coder, data = new_coder(True, 0), np.frombuffer(bytearray(content[_FIXED.size + 2 * levels :]), np.uint8)
     start_decoding(coder, data)
-    work = _Work(memory, np.zeros((total, 4), np.uint64), coded, like)
-    found = CodedKeypoints(
+    work = _SetCoder(memory, np.zeros((total, 4), np.uint64), coded, like)
+    keypoints = CodedKeypoints(
         grid_of(width, height, levels, step, PARTS if flags & _PARTS else 1), angle_bits,
         np.concatenate([[0], np.cumsum(counts)]), np.zeros(total, np.int64), np.zeros(total, np.int64),
         np.zeros(total, np.int64), work.descriptors,
     )  # fmt: skip
-    wrong = work.code_set(coder, data, found)
-    if wrong:
-        raise BitstreamError(f"orb_features: damaged: {_REASONS[wrong]}")
+    fault = work.code_set(coder, data, keypoints)
+    if fault:
+        raise BitstreamError(f"orb_features: damaged: {_REASONS[fault]}")
     if not (work.decode_lanes(coder, data) if coded else work.read_raw(coder, data)):
         raise BitstreamError("orb_features: damaged: the payload does not end where its keypoints do")
-    return Unpacked(found, work.memory_after(found, checksum), starts)
+    return UnpackedSet(keypoints, work.memory_after(keypoints, checksum), starts)
 
 
-class _Work:
-    """A set being coded.
+class _SetCoder:
+    """Encodes or decodes one set.
 
-    known: (M + N + 1, 4): descriptors of the set before, of this one, and one of ones; see `code_descriptors`.
+    _known (M + N + 1, 4) are the descriptors of the last set, of this one, and one of all ones; see `code_descriptors`.
     """
 
     def __init__(self, memory: Memory, descriptors: NDArray[np.uint64], coded: bool, like: int) -> None:
@@ -179,33 +185,37 @@ class _Work:
 
     @property
     def descriptors(self) -> NDArray[np.uint64]:
-        """(N, 4): of this set, as a decoder has them."""
+        """Descriptors (N, 4) of this set, as decoded."""
         return self._known[self._before : -1]
 
-    def memory_after(self, found: CodedKeypoints, checksum: int) -> Memory:
-        """What is remembered of the set."""
+    def memory_after(self, keypoints: CodedKeypoints, checksum: int) -> Memory:
+        """Return the state after the set."""
         return Memory(
-            self._memory.model, found.octave_starts, self._places, found.angles, self.descriptors, found.angle_bits,
-            checksum,
+            self._memory.model, keypoints.octave_starts, self._places, keypoints.angles, self.descriptors,
+            keypoints.angle_bits, checksum,
         )  # fmt: skip
 
-    def code_set(self, coder: NDArray[np.int64], data: NDArray[np.uint8], found: CodedKeypoints) -> int:
-        """All but the descriptors; returns as the kernel."""
+    def code_set(self, coder: NDArray[np.int64], data: NDArray[np.uint8], keypoints: CodedKeypoints) -> int:
+        """Code all but the descriptors; returns the result of `coding.code_set`."""
         last = self._memory
-        cells, angles = (found.cells.copy(), found.angles.copy()) if coder[ENCODING] else (found.cells, found.angles)
-        wrong = int(
+        cells, angles = (
+            (keypoints.cells.copy(), keypoints.angles.copy())
+            if coder[ENCODING]
+            else (keypoints.cells, keypoints.angles)
+        )
+        fault = int(
             code_set(
-                coder, data, last.model, found.grid.level_units, found.octave_starts, cells, self._places, angles,
-                self._known, self._sources, self._copied, found.angle_bits, self._mode, self._like,
+                coder, data, last.model, keypoints.grid.level_units, keypoints.octave_starts, cells, self._places,
+                angles, self._known, self._sources, self._copied, keypoints.angle_bits, self._mode, self._like,
                 last.octave_starts, last.places, last.angles,
             )
         )  # fmt: skip
-        if found.grid.parts > 1 and not wrong:
-            code_parts(coder, data, last.model, found.parts.copy() if coder[ENCODING] else found.parts)
-        return wrong
+        if keypoints.grid.parts > 1 and not fault:
+            code_parts(coder, data, last.model, keypoints.parts.copy() if coder[ENCODING] else keypoints.parts)
+        return fault
 
     def encode_lanes(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bytes:
-        """The words of all lanes; their lengths are coded."""
+        """Encode the descriptors and the lanes' lengths; returns the words of all lanes."""
         lanes, room = new_lanes(), MOST_WORDS * (len(self._sources) + 1)
         starts = np.arange(LANES) * room
         words = np.empty(LANES * room, np.uint32)
@@ -218,7 +228,7 @@ class _Work:
         return written.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :_WORD_BYTES].tobytes()
 
     def decode_lanes(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bool:
-        """Whether every lane, and with the last the payload, ends where its descriptors do."""
+        """Decode the descriptors; returns whether every lane and the payload end with them."""
         lengths = np.zeros(LANES, np.int64)
         code_lengths(coder, data, self._memory.model, lengths)
         written = data[max(int(coder[POSITION]) - UNWRITTEN, 0) :]
@@ -239,7 +249,7 @@ class _Work:
         )
 
     def read_raw(self, coder: NDArray[np.int64], data: NDArray[np.uint8]) -> bool:
-        """Whether the payload ends with descriptors as they are, which are then in place."""
+        """Read raw descriptors; returns whether the payload ends with them."""
         written = data[max(int(coder[POSITION]) - UNWRITTEN, 0) :]
         if len(written) != self.descriptors.nbytes:
             return False

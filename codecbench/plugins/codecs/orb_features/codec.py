@@ -1,4 +1,4 @@
-"""`orb_features`: ORB features to packets and back, alone or after the set before."""
+"""`orb_features`: ORB features to packets and back, intra or inter frame."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from codecbench.slam.options import Options
 
 LEVELS = 8
 COPIED_BITS = 32
-"""With `lossy`, a descriptor that differs from its reference in at most so many bits becomes it."""
+"""With `lossy`, a descriptor that differs from its reference in at most so many bits becomes equal to it."""
 FINEST_STEP_PX = 1.0 / PARTS
 _MAX_SIDE = 0xFFFF
 
 
-def _checked_step(value: float) -> float:
+def _check_step(value: float) -> float:
     if value != FINEST_STEP_PX and value != int(value):
         raise ValueError(f"{value:g} is neither {FINEST_STEP_PX:g}, which loses nothing, nor a whole number of pixels")
     return value
@@ -48,7 +48,7 @@ class OrbFeaturesParams(Params):
     """
 
     features: Annotated[int, Field(ge=100, le=MAX_KEYPOINTS)] = 1000
-    position_step_px: Annotated[float, Field(gt=0.0, le=MAX_STEP), AfterValidator(_checked_step)] = FINEST_STEP_PX
+    position_step_px: Annotated[float, Field(gt=0.0, le=MAX_STEP), AfterValidator(_check_step)] = FINEST_STEP_PX
     angle_bits: Annotated[int, Field(ge=1, le=MAX_ANGLE_BITS)] = MAX_ANGLE_BITS
     descriptor: Literal["raw", "coded", "lossy"] = "coded"
     mode: Literal["intra", "inter"] = "intra"
@@ -56,10 +56,10 @@ class OrbFeaturesParams(Params):
 
 
 class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
-    """Finds features as our SLAM does, and sends what this reads of them, which is all but the response.
+    """Extracts the features of our SLAM and sends all that it reads: everything except the response.
 
-    Pixels, octaves and descriptors come back to the bit where position_step_px is 0.25 and the descriptor not `lossy`,
-    and angles rounded to `angle_bits`; by level, in reading order of pixels within each.
+    Pixels, octaves and descriptors are decoded to the bit if position_step_px is 0.25 and the descriptor not `lossy`;
+    angles are rounded to `angle_bits`. Features are ordered by level, in reading order of pixels within each.
     """
 
     name = "orb_features"
@@ -100,7 +100,7 @@ class OrbFeatures(FeatureCodec[OrbFeaturesParams]):
 
 
 class OrbFeatureEncoder(FeatureEncoder):
-    """One sequence of sets being encoded."""
+    """An encoding session."""
 
     def __init__(self, params: OrbFeaturesParams) -> None:
         self._params = params
@@ -108,18 +108,17 @@ class OrbFeatureEncoder(FeatureEncoder):
         self._pushed = 0
 
     def push(self, features: Features) -> Packet:
-        """The packet of a set.
+        """Encode a set.
 
-        Raises ValueError for more than MAX_KEYPOINTS features, and for those of an image or a pyramid that cannot be
-        coded.
+        Raises ValueError for more than MAX_KEYPOINTS features, or an image size or a pyramid that cannot be coded.
         """
-        found = keypoints_of(features)
-        _check(found)
+        keypoints = keypoints_of(features)
+        _check_codable(keypoints)
         params = self._params
         starts = params.mode == "intra" or self._pushed % params.gop == 0
         finest = params.position_step_px == FINEST_STEP_PX
         step, parts = (1, PARTS) if finest else (int(params.position_step_px), 1)
-        coded = CodedKeypoints.of(found, LEVELS, step, parts, params.angle_bits)
+        coded = CodedKeypoints.from_keypoints(keypoints, LEVELS, step, parts, params.angle_bits)
         like = COPIED_BITS if params.descriptor == "lossy" else 0
         data, self._memory = pack(coded, None if starts else self._memory, params.descriptor != "raw", like)
         self._pushed += 1
@@ -127,41 +126,41 @@ class OrbFeatureEncoder(FeatureEncoder):
 
 
 class OrbFeatureDecoder(FeatureDecoder):
-    """One stream being decoded, from any packet that `starts` on."""
+    """A decoding session, from any keyframe on."""
 
     def __init__(self) -> None:
         self._memory: Memory | None = None
         self._next = 0
 
     def push(self, packet: Packet | Loss) -> FeatureSet:
-        """The set of a packet; missing where it, or one that it builds on, never came.
+        """Decode a packet; the set is missing if the packet, or one that it refers to, was lost.
 
-        Raises BitstreamError for damaged or foreign bytes; the session goes on with the next packet that starts.
+        Raises BitstreamError for damaged or foreign bytes; the session continues with the next keyframe.
         """
         memory, self._memory = self._memory, None
         frame = self._next if isinstance(packet, Loss) else packet.frame
         self._next = frame + 1
         if isinstance(packet, Loss):
             return FeatureSet(frame, None)
-        found = unpack(packet.data, memory)
-        if found is None:
+        unpacked = unpack(packet.data, memory)
+        if unpacked is None:
             return FeatureSet(frame, None)
-        if packet.starts != found.starts:
+        if packet.starts != unpacked.starts:
             raise BitstreamError(f"orb_features: packet {frame} does not start where it says so")
-        self._memory = found.memory
-        return FeatureSet(frame, features_of(found.coded.keypoints()))
+        self._memory = unpacked.memory
+        return FeatureSet(frame, features_of(unpacked.coded.keypoints()))
 
 
-def _check(found: Keypoints) -> None:
-    width, height = found.size
-    if len(found) > MAX_KEYPOINTS or max(width, height) > _MAX_SIDE or not 0 < width * height <= MAX_PIXELS:
+def _check_codable(keypoints: Keypoints) -> None:
+    width, height = keypoints.size
+    if len(keypoints) > MAX_KEYPOINTS or max(width, height) > _MAX_SIDE or not 0 < width * height <= MAX_PIXELS:
         raise ValueError(
-            f"orb_features: {len(found)} keypoints of {width}x{height} pixels; at most {MAX_KEYPOINTS} of an image of "
-            f"at most {_MAX_SIDE} a side and {MAX_PIXELS} pixels can be coded"
+            f"orb_features: {len(keypoints)} keypoints of {width}x{height} pixels; at most {MAX_KEYPOINTS} of an image "
+            f"of at most {_MAX_SIDE} a side and {MAX_PIXELS} pixels can be coded"
         )
-    if len(found) and not 0 <= int(found.octaves.min()) <= int(found.octaves.max()) < LEVELS:
-        levels = f"{found.octaves.min()} to {found.octaves.max()}"
+    if len(keypoints) and not 0 <= int(keypoints.octaves.min()) <= int(keypoints.octaves.max()) < LEVELS:
+        levels = f"{keypoints.octaves.min()} to {keypoints.octaves.max()}"
         raise ValueError(f"orb_features: keypoints of levels {levels}; a pyramid of {LEVELS} levels can be coded")
-    low, high = found.pixels.min(initial=0.0), (found.pixels - found.size).max(initial=-1.0)
+    low, high = keypoints.pixels.min(initial=0.0), (keypoints.pixels - keypoints.size).max(initial=-1.0)
     if low < 0.0 or high > -1.0 + 1e-9:
         raise ValueError("orb_features: a position is not between the middles of the first and the last pixel")

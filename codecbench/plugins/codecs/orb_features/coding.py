@@ -1,8 +1,8 @@
-"""A set of keypoints coded by adaptive binary decisions, all but their descriptors: places, references, angles.
+"""A set of keypoints without descriptors coded by adaptive binary decisions: places, references, angles.
 
-One source codes and decodes, as in `multilevel.context.binary`, whose coder this is. All arithmetic is on integers.
-A *reference* is a keypoint near another's place, of the set before or of a finer level of this one, that looks like it:
-its angle and its descriptor are foretold by it.
+The coder is that of `multilevel.context.binary`; the same functions encode and decode, on integers. A *reference* is a
+similar keypoint near another's place, of the last set or of a finer level of this one. It predicts the angle and the
+descriptor.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from codecbench.plugins.codecs.orb_features.keypoints import (
 from codecbench.slam.features.hamming import hamming
 
 NO_REFERENCE, LAST, HERE = 0, 1, 2
-"""Kinds of reference: none, of the set before, of this set."""
+"""Kinds of reference: none, in the last set, in this set."""
 
 RAW, CODED = 0, 1
-"""How descriptors are coded."""
+"""Modes of descriptors."""
 
 OUTSIDE, NO_CANDIDATE = -1, -2
-"""What `code_set` returns for damaged data: a place outside its level, a reference that is not there."""
+"""Results of `code_set` for damaged data: a place outside its level, a reference that does not exist."""
 
 MAX_LEVELS: Final = 16
 MOST_BYTES: Final = 48
-"""That one keypoint, or one length, takes at the very worst."""
+"""Upper bound of a keypoint's or a length's size in bytes."""
 MOST_DIFFERING: Final = 84
-"""Bits: beyond, a reference says no more than the bits before."""
+"""Largest distance of a useful reference in bits: beyond it the earlier bits predict as well."""
 
 _LAST_RADIUS: Final = 24 * PLACE_UNIT
 _HERE_RADIUS: Final = 6 * PLACE_UNIT
 
-# Contexts, by what they are of.
+# First context of each kind.
 _GAPS = 0  # level, then a tree of 32 leaves
 _KINDS = _GAPS + 32 * MAX_LEVELS  # kind of the keypoint before, then two decisions
 _RANKS = _KINDS + 9  # kind, then 31 decisions
@@ -60,21 +60,21 @@ _CONTEXTS = _PARTS + 16
 
 
 def new_model() -> NDArray[np.int32]:
-    """Contexts that have seen nothing; see `binary`."""
+    """Return an untrained context model; see `binary`."""
     return np.full(_CONTEXTS, 1 << 29, np.int32)
 
 
 @compiled
-def _code_plainly(coder: Any, data: Any, value: Any, bits: int) -> Any:
-    """Code or decode a number of so many bits, all equally likely."""
+def _code_uniform(coder: Any, data: Any, value: Any, bits: int) -> Any:
+    """Code or decode a number of `bits` bits, all equally likely."""
     if bits <= 24:
-        return _code_plainly_short(coder, data, value, bits)
-    upper = _code_plainly_short(coder, data, value >> 24, bits - 24)
-    return (upper << 24) | _code_plainly_short(coder, data, value & 0xFFFFFF, 24)
+        return _code_uniform_short(coder, data, value, bits)
+    upper = _code_uniform_short(coder, data, value >> 24, bits - 24)
+    return (upper << 24) | _code_uniform_short(coder, data, value & 0xFFFFFF, 24)
 
 
 @compiled
-def _code_plainly_short(coder: Any, data: Any, value: Any, bits: int) -> Any:
+def _code_uniform_short(coder: Any, data: Any, value: Any, bits: int) -> Any:
     unit = coder[WIDTH] >> bits
     if coder[ENCODING]:
         coder[LOW], coder[WIDTH], coder[POSITION] = encode_interval(
@@ -88,7 +88,7 @@ def _code_plainly_short(coder: Any, data: Any, value: Any, bits: int) -> Any:
 
 @compiled
 def _code_tree(coder: Any, data: Any, model: Any, first: int, value: int, bits: int) -> int:
-    """Code or decode a number of so many bits, each in a context of those above it."""
+    """Code or decode a number of `bits` bits, each in a context of the higher bits."""
     node = 1
     for place in range(bits - 1, -1, -1):
         node = (node << 1) | code_adaptive(coder, data, model, first + node, (value >> place) & 1)
@@ -97,7 +97,7 @@ def _code_tree(coder: Any, data: Any, model: Any, first: int, value: int, bits: 
 
 @compiled
 def _code_length(coder: Any, data: Any, model: Any, first: int, number: int) -> Any:
-    """Code or decode a number below 2^31: how many bits it has adaptively, the others plainly."""
+    """Code or decode a number below 2^31: its length adaptively, its bits as equally likely."""
     length = 0
     while number >> length > 0:
         length += 1
@@ -106,7 +106,7 @@ def _code_length(coder: Any, data: Any, model: Any, first: int, number: int) -> 
 
 @compiled
 def _code_short_length(coder: Any, data: Any, model: Any, first: int, number: int) -> Any:
-    """As `_code_length`, for numbers that mostly are 0 or 1: one decision for each bit that it has."""
+    """As `_code_length`, for numbers that mostly are 0 or 1: the length is coded in unary."""
     length = 0
     while length < 31 and code_adaptive(coder, data, model, first + length, 1 if number >> length > 0 else 0):
         length += 1
@@ -115,16 +115,16 @@ def _code_short_length(coder: Any, data: Any, model: Any, first: int, number: in
 
 @compiled
 def _code_below(coder: Any, data: Any, number: int, length: int) -> Any:
-    """Code or decode what follows the highest bit of a number of so many bits."""
+    """Code or decode the bits below the highest one of a number of `length` bits."""
     if length < 2:
         return length
     top = 1 << (length - 1)
-    return top | _code_plainly(coder, data, number & (top - 1), length - 1)
+    return top | _code_uniform(coder, data, number & (top - 1), length - 1)
 
 
 @compiled
 def _nearest(descriptors: Any, i: int, first: int, candidates: Any, count: int) -> Any:
-    """How many bits differ between row i and the most like of the candidates, rows from `first` on; and which it is."""
+    """Return the distance in bits from row i to the nearest candidate, rows from `first` on, and its index."""
     best, chosen = 512, -1
     for k in range(count):
         distance = hamming(descriptors, i, descriptors, first + candidates[k])
@@ -139,17 +139,17 @@ def code_set(
     descriptors: Any, sources: Any, copied: Any, angle_bits: int, mode: int, like: int,
     last_starts: Any, last_places: Any, last_angles: Any,
 ) -> int:  # fmt: skip
-    """Code a set but for its descriptors, or decode it into the arrays given; returns 0, or what is wrong with it.
+    """Code a set without its descriptors, or decode it into the given arrays; returns 0 or the kind of damage.
 
-    level_units: (levels, 4) int64: columns and rows of a level's cells, and the size of one in the image in 1/16 of the
-    unit of places. octave_starts: (levels + 1,) where each begins. cells: (N,) int64 row * columns + column, ascending
-    within a level. places: (N, 2) int64, filled. angles: (N,) int64 of `angle_bits`. descriptors: (M + N + 1, 4) uint64
-    as `descriptors.code_descriptors` has them, M of the set before; read, and those that are copied written, by an
-    encoder only. sources, copied: (N,) filled, as there; copied are those that differ from their reference in at most
-    `like` bits. last_*: of the set before.
+    level_units: (levels, 4) int64: columns and rows of a level's cells, and a cell's size in the image in 1/16 of the
+    unit of places. octave_starts: (levels + 1,) first index of each. cells: (N,) int64 row * columns + column,
+    ascending within a level. places: (N, 2) int64, filled. angles: (N,) int64 of `angle_bits`. descriptors: (M + N + 1, 4) uint64
+    as in `descriptors.code_descriptors`, M of the last set; an encoder reads them and overwrites the copied ones.
+    sources, copied: (N,) filled, as there; copied are those that differ from their reference in at most `like` bits.
+    last_*: of the last set.
     """
-    found_last, keys_last = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)
-    found_here, keys_here = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)
+    candidates_last, keys_last = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)
+    candidates_here, keys_here = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)
     firsts_last, firsts_here = last_starts.copy(), octave_starts.copy()
     encoding = coder[ENCODING]
     mask = (1 << angle_bits) - 1
@@ -169,16 +169,16 @@ def code_set(
             places[i, 0], places[i, 1] = x, y
             sources[i], copied[i] = -1, False
             if mode == RAW:
-                angles[i] = _code_plainly(coder, data, angles[i], angle_bits)
+                angles[i] = _code_uniform(coder, data, angles[i], angle_bits)
                 continue
 
             kind, rank, chosen, near, count_last, count_here = NO_REFERENCE, 0, -1, 512, 0, 0
             if encoding:
                 count_last = find_candidates(
                     last_places, last_starts, firsts_last, octave - 1, octave + 1, x - moved_x, y - moved_y,
-                    _LAST_RADIUS, found_last, keys_last,
+                    _LAST_RADIUS, candidates_last, keys_last,
                 )  # fmt: skip
-                near, chosen = _nearest(descriptors, lasts + i, 0, found_last, count_last)
+                near, chosen = _nearest(descriptors, lasts + i, 0, candidates_last, count_last)
                 kind = LAST
                 count_here = find_candidates(
                     places,
@@ -189,10 +189,10 @@ def code_set(
                     x,
                     y,
                     _HERE_RADIUS,
-                    found_here,
+                    candidates_here,
                     keys_here,
                 )
-                distance, other = _nearest(descriptors, lasts + i, lasts, found_here, count_here)
+                distance, other = _nearest(descriptors, lasts + i, lasts, candidates_here, count_here)
                 if distance < near:
                     near, chosen, kind = distance, other, HERE
                 if near > MOST_DIFFERING:
@@ -200,7 +200,7 @@ def code_set(
             kind = _code_kind(coder, data, model, before, kind)
             before = kind
             if kind == NO_REFERENCE:
-                angles[i] = _code_plainly(coder, data, angles[i], angle_bits)
+                angles[i] = _code_uniform(coder, data, angles[i], angle_bits)
                 continue
             if encoding:
                 rank = rank_of(
@@ -211,12 +211,12 @@ def code_set(
                 if not encoding:
                     count_last = find_candidates(
                         last_places, last_starts, firsts_last, octave - 1, octave + 1, x - moved_x, y - moved_y,
-                        _LAST_RADIUS, found_last, keys_last,
+                        _LAST_RADIUS, candidates_last, keys_last,
                     )  # fmt: skip
                     chosen = candidate_of(rank, keys_last, count_last)
                 if chosen < 0:
                     return NO_CANDIDATE
-                reference = found_last[chosen]
+                reference = candidates_last[chosen]
                 moved_x += (x - last_places[reference, 0] - moved_x) >> 2
                 moved_y += (y - last_places[reference, 1] - moved_y) >> 2
                 angle = last_angles[reference]
@@ -224,13 +224,13 @@ def code_set(
             else:
                 if not encoding:
                     count_here = find_candidates(
-                        places, octave_starts, firsts_here, octave - 2, octave - 1, x, y, _HERE_RADIUS, found_here,
+                        places, octave_starts, firsts_here, octave - 2, octave - 1, x, y, _HERE_RADIUS, candidates_here,
                         keys_here,
                     )  # fmt: skip
                     chosen = candidate_of(rank, keys_here, count_here)
                 if chosen < 0:
                     return NO_CANDIDATE
-                reference = found_here[chosen]
+                reference = candidates_here[chosen]
                 angle = angles[reference]
                 sources[i] = sources[reference] if copied[reference] else lasts + reference
             turn = ((angles[i] - angle + half) & mask) - half
@@ -247,7 +247,7 @@ def code_set(
 
 @compiled
 def code_parts(coder: Any, data: Any, model: Any, parts: Any) -> None:
-    """Code or decode in which of 16 parts of its cell each keypoint lies (N,)."""
+    """Code or decode the part of its cell, of 16, in which each keypoint lies (N,)."""
     for i in range(parts.shape[0]):
         parts[i] = _code_tree(coder, data, model, _PARTS, parts[i], 4)
 

@@ -1,11 +1,11 @@
-"""Descriptors coded four at a time, each in a stream of its own, by what `prediction` says of their bits.
+"""Descriptors coded four at a time, each in its own stream (*lane*), with the probabilities of `prediction`.
 
-A descriptor is coded in blocks of bits that are predicted together. The arithmetic of one bit waits for that of the bit
-before; a processor fills the wait with the bits of the three other *lanes*. Chances are as trained and stay so, because
-learning would wait too. All arithmetic is on integers.
+A descriptor is coded in blocks of bits that are predicted together. The arithmetic of a bit depends on that of the bit
+before, so a processor interleaves the four lanes. Probabilities are trained and fixed, because adapting them would add
+a dependency too. All arithmetic is on integers.
 
-The coder is the range coder of `multilevel.arithmetic` with words of 24 bits instead of bytes: which bit ends a word
-cannot be foreseen, so the fewer words, the faster.
+The coder is the range coder of `multilevel.arithmetic` with words of 24 bits instead of bytes. The bit that ends a word
+is unpredictable for a processor, so fewer words are faster.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from codecbench.slam.features.hamming import count_bits
 
 LANES: Final = 4
 END = 3
-"""In a lane (4,) int64, beside LOW, WIDTH and POSITION of a coder: where its words end. Positions count words."""
+"""Index of the end of a lane's words, beside LOW, WIDTH and POSITION of a coder; positions count words."""
 MOST_WORDS: Final = 124
-"""That one descriptor takes at the very worst."""
+"""Upper bound of a descriptor's size in words."""
 _LOOK_AHEAD = 2
 UNWRITTEN_WORDS: Final = 1
-"""Zeros that the decoder reads beyond what the encoder wrote."""
+"""Number of zero words that the decoder reads beyond the encoder's last word."""
 
 WORD_BITS: Final = 24
 _TOP = 1 << (2 * WORD_BITS)
@@ -48,7 +48,7 @@ _NIBBLES = BLOCK // 4
 
 @compiled(_nrt=False)
 def _carry(data: Any, position: int) -> None:
-    """Add one to the number whose last word stands before `position`."""
+    """Add one to the number that ends before `position`."""
     position -= 1
     while data[position] == _BELOW_BOTTOM:
         data[position] = 0
@@ -61,7 +61,7 @@ def _encode(low: Any, width: Any, position: Any, data: Any, chance: Any, bit: An
     """Code a bit; returns low, width and position. chance: of 1, in 1/2^16."""
     ones = (width >> 16) * chance
     zeros = width - ones
-    mask = -bit  # no branch: which way it goes is what cannot be foreseen
+    mask = -bit  # no branch, because it would be unpredictable
     low += ones & ~mask
     width = zeros ^ ((zeros ^ ones) & mask)
     if width < _BOTTOM:
@@ -77,7 +77,7 @@ def _encode(low: Any, width: Any, position: Any, data: Any, chance: Any, bit: An
 
 @compiled(_nrt=False, forceinline=True)
 def _decode(code: Any, width: Any, position: Any, data: Any, end: Any, chance: Any) -> Any:
-    """Code, width, position, and the next bit as `_encode` coded it, but -1 where it is 1."""
+    """Decode a bit; returns code, width, position, and -1 for a bit of 1, else 0."""
     ones = (width >> 16) * chance
     zeros = width - ones
     mask = (code - ones) >> 63
@@ -94,7 +94,7 @@ def _decode(code: Any, width: Any, position: Any, data: Any, end: Any, chance: A
 
 @compiled
 def finish_lanes(lanes: Any, data: Any) -> None:
-    """Write each lane's last word, which names a number inside its range when zeros follow."""
+    """Write each lane's last word, which selects a number inside its range if zeros follow."""
     for lane in range(LANES):
         low = lanes[lane, LOW] + _BELOW_BOTTOM
         if low >= _TOP:
@@ -118,15 +118,15 @@ def start_lanes(lanes: Any, data: Any) -> None:
 
 @compiled
 def new_lanes() -> Any:
-    """Lanes (LANES, 4) that have coded nothing."""
+    """Return the initial lanes (LANES, 4)."""
     lanes = np.zeros((LANES, 4), np.int64)
     lanes[:, WIDTH] = _TOP - 1
     return lanes
 
 
 @compiled(_nrt=False, forceinline=True)
-def _foresee(odds: Any, lane: Any, start: Any, first: Any, known: Any, chances: Any) -> None:
-    """Fill the lane's `chances` (LANES, BLOCK) of a block whose class begins at `first` in CHANCES."""
+def _predict_block(odds: Any, lane: Any, start: Any, first: Any, known: Any, chances: Any) -> None:
+    """Fill the lane's `chances` (LANES, BLOCK) of a block whose class starts at `first` in CHANCES."""
     for k in range(np.uint64(BLOCK)):
         expected = np.int64((known >> k) & np.uint64(1))
         step = first + expected * STEPS + (np.int64(odds[lane, start + k]) >> STEP_SHIFT)
@@ -134,14 +134,14 @@ def _foresee(odds: Any, lane: Any, start: Any, first: Any, known: Any, chances: 
 
 
 @compiled(_nrt=False, forceinline=True)
-def _learn(odds: Any, lane: Any, nibbles: Any, start: Any, block: Any, bits: Any) -> None:
-    """Add to the lane's odds (LANES, BITS), from bit `start` on, what the bits of a block say."""
+def _update_odds(odds: Any, lane: Any, nibbles: Any, start: Any, block: Any, bits: Any) -> None:
+    """Add the weights of a block's bits to the lane's odds (LANES, BITS), from bit `start` on."""
     row = np.uint64(16 * _NIBBLES) * block
     a = row + (bits & np.uint64(15))
     b = row + np.uint64(16) + ((bits >> np.uint64(4)) & np.uint64(15))
     c = row + np.uint64(32) + ((bits >> np.uint64(8)) & np.uint64(15))
     d = row + np.uint64(48) + (bits >> np.uint64(12))
-    for word in range(start >> np.uint64(6), np.uint64(BITS // 64)):  # whole ones, weights before `start` are 0: faster
+    for word in range(start >> np.uint64(6), np.uint64(BITS // 64)):  # whole words: faster, weights before are 0
         for place in range(np.uint64(64)):
             k = (word << np.uint64(6)) + place
             first = np.int16(np.int16(nibbles[a, k]) + np.int16(nibbles[b, k]))
@@ -154,9 +154,9 @@ def _code_four(
     encoding: Any, lanes: Any, data: Any, nibbles: Any, biases: Any, descriptors: Any, rows: Any, references: Any,
     odds: Any, chances: Any, blocks: Any, known: Any, wrong: Any,
 ) -> None:  # fmt: skip
-    """Code one row of `descriptors` in each lane; the last of them stands for none and is all ones.
+    """Code one row of `descriptors` in each lane; the last row, of all ones, means none.
 
-    The others are scratch: odds (LANES, BITS) int16, chances (LANES, BLOCK) uint16, the rest (LANES,).
+    The other arrays are scratch: odds (LANES, BITS) int16, chances (LANES, BLOCK) uint16, the rest (LANES,).
     """
     none = descriptors.shape[0] - 1
     low_0, low_1, low_2, low_3 = lanes[0, LOW], lanes[1, LOW], lanes[2, LOW], lanes[3, LOW]
@@ -183,7 +183,7 @@ def _code_four(
                     expected = (descriptors[np.uint64(reference), word] >> shift) & _FULL
                     first = CLASS_STARTS[block, np.uint64(wrong[lane])] + _MIDDLE
                 known[lane] = expected
-                _foresee(odds, lane, start, first, expected, chances)
+                _predict_block(odds, lane, start, first, expected, chances)
         bits_0, bits_1, bits_2, bits_3 = blocks[0], blocks[1], blocks[2], blocks[3]
         if encoding:
             for k in range(np.uint64(BLOCK)):
@@ -212,7 +212,7 @@ def _code_four(
                 blocks[lane] = np.int64((descriptors[row, word] >> shift) & _FULL)
             bits = np.uint64(blocks[lane])
             wrong[lane] += np.int64(count_bits(bits ^ known[lane]))
-            _learn(odds, lane, nibbles, start + np.uint64(BLOCK), block, bits)
+            _update_odds(odds, lane, nibbles, start + np.uint64(BLOCK), block, bits)
     lanes[0, LOW], lanes[1, LOW], lanes[2, LOW], lanes[3, LOW] = low_0, low_1, low_2, low_3
     lanes[0, WIDTH], lanes[1, WIDTH], lanes[2, WIDTH], lanes[3, WIDTH] = width_0, width_1, width_2, width_3
     lanes[0, POSITION], lanes[1, POSITION], lanes[2, POSITION], lanes[3, POSITION] = at_0, at_1, at_2, at_3
@@ -223,11 +223,11 @@ def code_descriptors(
     encoding: bool, lanes: Any, data: Any, nibbles: Any, biases: Any, descriptors: Any, first: int, sources: Any,
     copied: Any,
 ) -> None:  # fmt: skip
-    """Code the rows of `descriptors` from `first` on, but for the last, or decode them: they are then zeros.
+    """Code the rows of `descriptors` from `first` on except the last, or decode them; a decoder needs zeros there.
 
-    descriptors: (first + N + 1, 4) uint64, those that may be references before those that are coded, then all ones.
-    sources: (N,) int64, the row that is the reference of each, an earlier one, or -1. copied: (N,) bool: those that are
-    their reference; none of these is a reference itself. nibbles, biases: of `prediction`. data: uint32, the words.
+    descriptors: (first + N + 1, 4) uint64: possible references, then those to code, then all ones. sources: (N,) int64,
+    the row of each one's reference, an earlier one, or -1. copied: (N,) bool: those equal to their reference; none of
+    them is a reference itself. nibbles, biases: of `prediction`. data: uint32, the words.
     """
     none = descriptors.shape[0] - 1
     rows, references = np.empty(LANES, np.int64), np.empty(LANES, np.int64)

@@ -2,8 +2,8 @@
 
     python -m codecbench.plugins.codecs.orb_features.train_prediction [OUTPUT.npz]
 
-Training set: the descriptors of 200 composed pictures of codecbench.slam.places.train_vocabulary, none of them from a
-sequence that the benchmark runs on. The result depends on the seed alone.
+Training set: the descriptors of 200 composed images of codecbench.slam.places.train_vocabulary, none of them from a
+sequence of the benchmark. The result depends only on the seed.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ PICTURES = 200
 SEED = 1
 _RIDGE = 0.002
 _PRIOR = 400.0
-"""How many bits the smooth curve of a class counts for, beside those that were counted."""
+"""Weight of a class's smooth curve, in counted bits."""
 
 
 def train(descriptors: NDArray[np.uint64]) -> tuple[NDArray[np.int8], NDArray[np.int16]]:
-    """Weights (256, 256) and biases (256,), as `prediction` has them, from descriptors (N, 4).
+    """Train weights (256, 256) and biases (256,) of `prediction` from descriptors (N, 4).
 
-    With bits as -1 and 1, the best linear prediction of a block from all bits before it. Each bit's is divided by the
-    variance that is left, so that all speak of log odds alike.
+    With bits as -1 and 1, this is the best linear prediction of a block from all bits before it. Each bit's is divided
+    by its residual variance, so that all are log odds.
     """
     signs = _bits(descriptors) * 2.0 - 1.0
     means = signs.mean(axis=0)
@@ -62,20 +62,20 @@ def train(descriptors: NDArray[np.uint64]) -> tuple[NDArray[np.int8], NDArray[np
 def train_chances(
     descriptors: NDArray[np.uint64], pictures: NDArray[np.int64], weights: NDArray[np.int8], biases: NDArray[np.int16]
 ) -> NDArray[np.uint16]:
-    """(CLASSES, STEPS), as `prediction` has them: what became of bits, by class and by what was predicted.
+    """Measure the probabilities (CLASSES, STEPS) of `prediction` by class and predicted step.
 
-    A descriptor's reference is the one of the same picture that is most like it.
+    A descriptor's reference is the nearest one of the same image.
     """
     counts = np.zeros((CLASSES, STEPS, 2))
     for picture in np.unique(pictures):
-        found = descriptors[pictures == picture]
-        bits = _bits(found).astype(np.int64)
+        rows = descriptors[pictures == picture]
+        bits = _bits(rows).astype(np.int64)
         odds = bits @ weights.astype(np.int64) + biases
         _count(counts, np.zeros_like(bits), odds, bits)
-        apart = np.bitwise_count(found[:, None] ^ found).sum(axis=2)
-        np.fill_diagonal(apart, BITS)
-        aimed = apart.min(axis=1) <= MOST_DIFFERING
-        bits, odds, expected = bits[aimed], odds[aimed], bits[apart.argmin(axis=1)[aimed]]
+        distances = np.bitwise_count(rows[:, None] ^ rows).sum(axis=2)
+        np.fill_diagonal(distances, BITS)
+        has_reference = distances.min(axis=1) <= MOST_DIFFERING
+        bits, odds, expected = bits[has_reference], odds[has_reference], bits[distances.argmin(axis=1)[has_reference]]
         differing = bits ^ expected
         before = np.arange(BITS) // BLOCK * BLOCK
         wrong = np.concatenate([np.zeros((len(bits), 1), np.int64), differing.cumsum(axis=1)], axis=1)[:, before]
@@ -95,7 +95,7 @@ def _count(
 
 
 def _chances(counts: NDArray[np.float64]) -> NDArray[np.uint16]:
-    """(STEPS,): P(1) in 1/2^16 of counts (STEPS, 2) of zeros and ones, with a straight line of log odds where few."""
+    """Return P(1) in 1/2^16, (STEPS,), of counts (STEPS, 2) of zeros and ones, smoothed by a line of log odds."""
     steps, seen = np.arange(STEPS) - (STEPS - 1) / 2, counts.sum(axis=1)
     odds = np.log((counts[:, 1] + 0.5) / (counts[:, 0] + 0.5))
     slope, at_zero = np.polyfit(steps, odds, 1, w=np.sqrt(seen))

@@ -14,7 +14,7 @@ from codecbench import BitstreamError, Image
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.multilevel import Multilevel, MultilevelParams
-from codecbench.plugins.codecs.multilevel.context.profile import salvaged
+from codecbench.plugins.codecs.multilevel.context.profile import salvage
 from codecbench.plugins.evaluators.quality.psnr import psnr_db
 
 
@@ -82,12 +82,12 @@ def test_a_lost_slice_leaves_the_others(color: str, lapped: bool, beyond: int) -
     ours = codec(restart=2, color=color, lapped=lapped, qf=1)
     stream = bytearray(ours.encode(image))
     whole = ours.decode(bytes(stream))
-    assert salvaged(bytes(stream)).lost == []
-    assert np.array_equal(salvaged(bytes(stream)).image, whole)
+    assert salvage(bytes(stream)).lost == []
+    assert np.array_equal(salvage(bytes(stream)).image, whole)
     sizes = struct.unpack_from("<4I", stream, 55)
     start = 55 + 20 + sizes[0] + 4
     stream[start : start + sizes[1]] = bytes(sizes[1])
-    result = salvaged(bytes(stream))
+    result = salvage(bytes(stream))
     assert result.lost == [range(32, 64)]
     assert np.array_equal(result.image[: 32 - beyond], whole[: 32 - beyond])
     assert np.array_equal(result.image[64 + beyond :], whole[64 + beyond :])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.plugins.codecs.multilevel.keys import (
     canonical_keys,
-    checked,
+    check_keys,
     colliding_digits,
     greedy_search,
     is_super_increasing,
@@ -62,7 +62,7 @@ def test_two_decimal_keys_collide_at_the_papers_alphabets() -> None:
 
 def test_codes_beyond_62_bits_are_refused() -> None:
     with pytest.raises(ParamsError, match="at most 62 fit"):
-        checked(canonical_keys(500, 8), 500, 1)
+        check_keys(canonical_keys(500, 8), 500, 1)
 
 
 def test_keys_that_cannot_be_checked_are_refused() -> None:

@@ -40,7 +40,7 @@ def test_a_still_scene_sends_no_table() -> None:
     picture = gliding_pictures(1, 96, 128, 1)[0]
     packets = packets_of(MultilevelStream.create(), [picture] * 3)
     saved_bits = 8 * (len(packets[0].data) - len(packets[1].data))
-    entries = len(Memory.after_start(packets[0].data).counts)
+    entries = len(Memory.after_keyframe(packets[0].data).counts)
     assert packets[1].data[:-4] == packets[2].data[:-4]
     assert saved_bits > 6 * entries, "an entry costs some bits, which the second picture does not pay"
 
@@ -48,10 +48,10 @@ def test_a_still_scene_sends_no_table() -> None:
 def test_memory_after_a_packet_is_that_of_the_encoder() -> None:
     pictures = gliding_pictures(4, 64, 80, 3)
     packets = packets_of(MultilevelStream.create(qf=10), pictures)
-    memory = Memory.after_start(packets[0].data)
+    memory = Memory.after_keyframe(packets[0].data)
     for packet, picture in zip(packets[1:], pictures[1:], strict=True):
-        memory, _ = memory.decoded(packet.data)
-        alone = Memory.after_start(Multilevel.create(qf=10).encode(picture))
+        memory, _ = memory.decode(packet.data)
+        alone = Memory.after_keyframe(Multilevel.create(qf=10).encode(picture))
         assert np.array_equal(memory.tuples, alone.tuples)
         assert np.array_equal(memory.counts, alone.counts)
 

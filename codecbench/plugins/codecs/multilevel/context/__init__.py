@@ -1,4 +1,4 @@
-"""The profile `context`: quantised coefficients coded as binary decisions with adaptive, mixed contexts.
+"""The profile `context`: quantized coefficients coded as binary decisions in adaptive, mixed contexts.
 
-All arithmetic is on integers, so that a bitstream is decoded to the same pixels by any machine and any compiler.
+All arithmetic is on integers, so that a bitstream decodes to the same pixels with any machine and compiler.
 """

@@ -1,17 +1,17 @@
-"""Binary decisions coded by adaptive probabilities, of one context or mixed from three, and numbers made of them.
+"""Binary decisions coded by adaptive probabilities, of one context or mixed from three, and numbers of such decisions.
 
-One source codes and decodes. Four arrays stand for a coder; functions take all of them:
+The same functions encode and decode. Four arrays are the state of a coder; functions take all of them:
 
 - `coder` (6,) int64: LOW (encoding) or code (decoding), WIDTH, POSITION, ENCODING, MIXING, LIMIT;
 - `data` uint8: the bytes written or read;
-- `model` (contexts,) int32: P(bit = 1) in 1/2^22 times 2^8, plus how many bits the context has seen, up to MAX_SEEN;
-- `weights` (sets, 3) int32: of the three contexts' log odds, in 1/2^16.
+- `model` (contexts,) int32: P(bit = 1) in 1/2^22 times 2^8, plus the number of bits seen, up to MAX_SEEN;
+- `weights` (sets, 3) int32: weights of the three contexts' log odds, in 1/2^16.
 
-Kernels that are called for every decision are compiled without counts of references to arrays (`_nrt`): keeping these
-would take longer than the arithmetic.
+Kernels that are called for every decision are compiled without reference counts (`_nrt`), which would take longer than
+the arithmetic.
 
 Source of the mixing: Mahoney, "Adaptive weighing of context models for lossless data compression" (2005). The tables
-are computed from integers, so that there is no rounding to disagree on.
+are computed from integers, so that rounding does not differ between machines.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PROBABILITY_BITS, SEEN_BITS = 22, 8
 UNARY_LENGTH = 14
 _MAX_EXPONENT = 17
 TOO_LARGE = -1
-"""What a number comes to whose code is longer than an encoder's."""
+"""Result for a number whose code is longer than any encoder's."""
 
 _RAW = 1 << 15
 _LEARNING_RATE = 3
@@ -49,7 +49,7 @@ _FINE_STEPS = 16 * _ODDS_PER_NAT
 
 
 def _logistic() -> NDArray[np.int64]:
-    """1 / (1 + e^-x) in 1/2^32 for x = 0, 1/1024, ..., 16: powers of e^(-1/1024) in 64 fractional bits."""
+    """Return 1 / (1 + e^-x) in 1/2^32 for x = 0, 1/1024, ..., 16: powers of e^(-1/1024) in 64 fractional bits."""
     step = 18428738468430479223
     power, values = 1 << 64, []
     for _ in range(_FINE_STEPS + 1):
@@ -59,13 +59,13 @@ def _logistic() -> NDArray[np.int64]:
 
 
 def _probabilities(logistic: NDArray[np.int64]) -> NDArray[np.int32]:
-    """P(bit = 1) in 1/2^16 of log odds -16 + (i + 1/2) / 128, never nearer to 0 or 1 than 24 / 2^16."""
+    """Return P(bit = 1) in 1/2^16 of log odds -16 + (i + 1/2) / 128, at least 24 / 2^16 away from 0 and 1."""
     upper = logistic[4:_FINE_STEPS:8] + (1 << 15) >> 16
     return np.asarray(np.clip(np.concatenate([65536 - upper[::-1], upper]), 24, 65512), np.int32)
 
 
 def _log_odds(logistic: NDArray[np.int64]) -> NDArray[np.int32]:
-    """ln(p / (1 - p)) in 1/1024 of p = (i + 1/2) / 4096."""
+    """Return ln(p / (1 - p)) in 1/1024 of p = (i + 1/2) / 4096."""
     upper = np.searchsorted(logistic, (2 * np.arange(2048, 4096) + 1) << 19)
     return np.concatenate([-upper[::-1], upper]).astype(np.int32)
 
@@ -74,25 +74,25 @@ _LOGISTIC = _logistic()
 PROBABILITIES = _probabilities(_LOGISTIC)
 LOG_ODDS = _log_odds(_LOGISTIC)
 RATES = np.array([655360 // (10 * seen + 16) for seen in range(MAX_SEEN + 1)], np.int32)
-"""How far a context moves toward a bit when it has seen so many, in 1/2^16: 1 / (seen + 1.6)."""
+"""Learning rate of a context by the number of bits seen, in 1/2^16: 1 / (seen + 1.6)."""
 
 
 def new_coder(mixing: bool, limit: int) -> NDArray[np.int64]:
-    """A coder that encodes. limit: of the position."""
+    """Make an encoding coder. limit: upper bound of the position."""
     coder = np.zeros(6, np.int64)
     coder[[WIDTH, ENCODING, MIXING, LIMIT]] = TOP - 1, 1, mixing, limit
     return coder
 
 
 def probabilities_from_odds(odds: NDArray[np.int64]) -> NDArray[np.int64]:
-    """P(bit = 1) in 1/2^22 of log odds in 1/16."""
+    """Convert log odds in 1/16 to P(bit = 1) in 1/2^22."""
     upper = _LOGISTIC[64 * np.abs(odds)] >> (32 - PROBABILITY_BITS)
     return np.asarray(np.where(odds < 0, (1 << PROBABILITY_BITS) - upper, upper), np.int64)
 
 
 @kernel(_nrt=False)
 def start_decoding(coder: Any, data: Any) -> None:
-    """Read the decoder's first code."""
+    """Read the first code; the coder decodes from then on."""
     coder[LOW] = first_code(data)
     coder[WIDTH] = TOP - 1
     coder[POSITION] = LOOK_AHEAD
@@ -140,7 +140,7 @@ def code_adaptive(coder: Any, data: Any, model: Any, context: Any, bit: Any) -> 
 def code_mixed(
     coder: Any, data: Any, model: Any, weights: Any, chosen: Any, first: Any, second: Any, third: Any, bit: Any
 ) -> Any:
-    """Code or decode a bit by three contexts, weighed by the set `chosen`; without mixing, by the second alone."""
+    """Code or decode a bit by three contexts with the weights of set `chosen`; without mixing, by the second only."""
     if not coder[MIXING]:
         return code_adaptive(coder, data, model, second, bit)
     odds_1 = np.int64(LOG_ODDS[model[first] >> 18])
@@ -164,8 +164,10 @@ def code_mixed(
 def code_number(
     coder: Any, data: Any, model: Any, weights: Any, chosen: Any, first: Any, second: Any, third: Any, number: Any
 ) -> Any:
-    """Code or decode a number of 0 or more, or return TOO_LARGE: so many ones and a zero, each in contexts and a set of
-    weights of its own; from UNARY_LENGTH on by an exponential Golomb code of even bits.
+    """Code or decode a number of 0 or more, or return TOO_LARGE.
+
+    The code is unary, each bit with its own contexts and set of weights; from UNARY_LENGTH on it is an exponential
+    Golomb code of equally likely bits.
     """
     count = 0
     while count < UNARY_LENGTH:
@@ -189,5 +191,5 @@ def code_number(
 
 @kernel(_nrt=False)
 def finish(coder: Any, data: Any) -> Any:
-    """Write the last bytes; returns how many there are."""
+    """Write the last bytes; returns the length of the output."""
     return finish_encoder(coder[LOW], coder[POSITION], data)

@@ -1,4 +1,4 @@
-"""The container of the profile `context`, byte by byte, and the limits that a decoder keeps.
+"""The container of the profile `context`, byte by byte, and the limits that a decoder enforces.
 
 All numbers are little-endian:
 
@@ -7,7 +7,7 @@ All numbers are little-endian:
          4     1  version, 2
          5     1  profile, 1
          6     1  flags: bit 2 three channels, bit 3 lapped, bit 4 mixing; the others 0
-         7     1  colour: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
+         7     1  color: 0 gray, 1 rgb, 2 ycbcr444, 3 ycbcr420
          8     1  table: 0 paper, 1 standard, 2 flat, 255 custom
          9     1  steps of every plane after the first, in 1/16 of its steps, 1..255
         10     2  restart: rows of 16 pixels in a slice, 0 for a single slice
@@ -20,8 +20,8 @@ All numbers are little-endian:
                -  the slices' payloads, in order; with restart, each followed by its own CRC-32
                4  CRC-32 (IEEE 802.3) of everything before
 
-Work is bounded as in the static profile: a payload that stands for more samples than it has bytes to account for is
-filled up with zero bytes by the encoder and refused without them by the decoder.
+Work is bounded as in the static profile: the encoder pads a payload with zero bytes if it has too few for its samples,
+and the decoder refuses a payload without them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.plugins.codecs.multilevel.bitstream import checked, least_size
+from codecbench.plugins.codecs.multilevel.bitstream import checked_reader, least_size
 from codecbench.plugins.codecs.multilevel.context.quantization import BIAS_SIZES, BIAS_ZONES, MAX_BIAS, MIN_BIAS
 from codecbench.plugins.codecs.multilevel.header import (
     COLORS,
@@ -43,17 +43,17 @@ from codecbench.plugins.codecs.multilevel.header import (
     MAGIC,
     Picture,
     Reader,
+    check_fields,
     pack_table,
     picture_fields,
-    require_fields,
     table_number,
 )
 
 CHROMA_UNITS = 16
-"""In which the factor of the other planes' steps is told."""
+"""Units per 1 of the factor on the other planes' steps."""
 MAX_RESTART = (1 << 16) - 1
 SLICE_ROWS = 16
-"""Rows of pixels in one unit of `restart`."""
+"""Rows of pixels per unit of `restart`."""
 
 _THREE_CHANNELS, _LAPPED, _MIXING = 4, 8, 16
 _FIXED = struct.Struct("<4sBBBBBBHIId")
@@ -63,24 +63,24 @@ _BIASES = BIAS_ZONES * BIAS_SIZES
 
 @dataclass(frozen=True)
 class ContextHeader(Picture):
-    """What stands before the payloads. chroma: the other planes' steps, in 1/16 of the first's.
-
-    restart: rows of 16 pixels in a slice, or 0. biases: (planes, 3, 3) int32, in 1/128.
-    """
+    """The header of the profile `context`."""
 
     lapped: bool
     mixing: bool
     chroma: int
+    """Steps of the other planes in 1/16 of the first plane's."""
     restart: int
+    """Rows of 16 pixels in a slice, 0 for a single slice."""
     biases: NDArray[np.int32] = field(repr=False)
+    """(planes, 3, 3), in 1/128."""
 
     @property
     def slices(self) -> int:
-        """How many slices there are."""
+        """Number of slices."""
         return -(-self.height // (SLICE_ROWS * self.restart)) if self.restart else 1
 
     def block_rows(self, plane: int, number: int) -> range:
-        """The rows of blocks of a plane that are in a slice; it may have none."""
+        """Rows of blocks of a plane in a slice; there may be none."""
         rows = self.padded_shapes[plane][0] // 8
         if not self.restart:
             return range(rows)
@@ -89,12 +89,12 @@ class ContextHeader(Picture):
         return range(min(number * step, rows), min((number + 1) * step, rows))
 
     def slice_samples(self, number: int) -> int:
-        """Samples of all planes in a slice."""
+        """Number of samples of all planes in a slice."""
         return sum(8 * len(self.block_rows(plane, number)) * shape[1] for plane, shape in enumerate(self.padded_shapes))
 
 
 def pack(header: ContextHeader, payloads: list[bytes]) -> bytes:
-    """The bytes of a bitstream."""
+    """Serialize a bitstream."""
     flags = _THREE_CHANNELS * (header.channels == 3) + _LAPPED * header.lapped + _MIXING * header.mixing
     body = _FIXED.pack(
         MAGIC,
@@ -119,16 +119,16 @@ def pack(header: ContextHeader, payloads: list[bytes]) -> bytes:
 
 
 def unpack(bitstream: bytes) -> tuple[ContextHeader, list[bytes]]:
-    """The header and the slices' payloads, with everything checked that can be without decoding.
+    """Read the header and the slices' payloads, and check everything that can be checked without decoding.
 
     Raises BitstreamError with the reason.
     """
-    reader = checked(bitstream, CONTEXT_VERSION)
+    reader = checked_reader(bitstream, CONTEXT_VERSION)
     header, sizes = unpack_header(reader)
     payloads = []
     for number, size in enumerate(sizes):
         payload = reader.take(size, f"slice {number}")
-        if header.restart and zlib.crc32(payload) != _word(reader, f"CRC-32 of slice {number}"):
+        if header.restart and zlib.crc32(payload) != _take_word(reader, f"CRC-32 of slice {number}"):
             raise BitstreamError(f"damaged: CRC-32 of slice {number} is wrong")
         if size < least_size(header.slice_samples(number)):
             raise BitstreamError(f"slice {number}: {header.width}x{header.height} pixels cannot come from {size} bytes")
@@ -139,9 +139,9 @@ def unpack(bitstream: bytes) -> tuple[ContextHeader, list[bytes]]:
 
 
 def unpack_intact(bitstream: bytes) -> tuple[ContextHeader, list[bytes | None]]:
-    """The header and the payloads whose own checksums are right, None for the others: what damage has left.
+    """Read the header and the payloads of a damaged bitstream; None for payloads with a wrong checksum.
 
-    Raises BitstreamError where the header is damaged, and where there are no restart points.
+    Raises BitstreamError if the header is damaged, or there are no restart points.
     """
     reader = Reader(bytes(bitstream))
     header, sizes = unpack_header(reader)
@@ -152,16 +152,16 @@ def unpack_intact(bitstream: bytes) -> tuple[ContextHeader, list[bytes | None]]:
         data = reader.data[reader.position : reader.position + size + _WORD.size]
         reader.position += size + _WORD.size
         payload, checksum = data[:size], data[size:]
-        intact = len(checksum) == _WORD.size and zlib.crc32(payload) == _WORD.unpack(checksum)[0]
-        payloads.append(payload if intact and size >= least_size(header.slice_samples(number)) else None)
+        is_intact = len(checksum) == _WORD.size and zlib.crc32(payload) == _WORD.unpack(checksum)[0]
+        payloads.append(payload if is_intact and size >= least_size(header.slice_samples(number)) else None)
     return header, payloads
 
 
 def unpack_header(reader: Reader) -> tuple[ContextHeader, list[int]]:
-    """The header that comes next, checked, and the sizes of the slices' payloads."""
+    """Read and check the next header; returns it and the sizes of the slices' payloads."""
     fields = _FIXED.unpack(reader.take(_FIXED.size, "header"))
     magic, version, profile, flags, color, number, chroma, restart, width, height, qf = fields
-    require_fields(
+    check_fields(
         ("magic", magic, magic == MAGIC),
         ("version", version, version == CONTEXT_VERSION),
         ("profile", profile, profile == CONTEXT_PROFILE),
@@ -176,7 +176,7 @@ def unpack_header(reader: Reader) -> tuple[ContextHeader, list[int]]:
         restart=restart,
         biases=_unpack_biases(reader, 1 if COLORS[color] == "gray" else 3),
     )
-    header.require_room()
+    header.check_samples()
     return header, _unpack_sizes(reader, header)
 
 
@@ -191,12 +191,12 @@ def _unpack_sizes(reader: Reader, header: ContextHeader) -> list[int]:
     if not header.restart:
         return [reader.end - reader.position]
     sizes = list(struct.unpack(f"<{header.slices}I", reader.take(header.slices * _WORD.size, "sizes of slices")))
-    found = zlib.crc32(reader.data[: reader.position])
-    if (expected := _word(reader, "CRC-32 of the header")) != found:
-        raise BitstreamError(f"damaged: CRC-32 of the header is {found:08x}, the bitstream says {expected:08x}")
+    actual = zlib.crc32(reader.data[: reader.position])
+    if (expected := _take_word(reader, "CRC-32 of the header")) != actual:
+        raise BitstreamError(f"damaged: CRC-32 of the header is {actual:08x}, the bitstream says {expected:08x}")
     return sizes
 
 
-def _word(reader: Reader, what: str) -> int:
+def _take_word(reader: Reader, what: str) -> int:
     (value,) = _WORD.unpack(reader.take(_WORD.size, what))
     return int(value)

@@ -1,9 +1,8 @@
 """The indices of blocks as binary decisions: the inner 7x7 first, then the first row and the first column, then DC.
 
-How many indices of a part are not zero comes before the part, so that what is left of them is known at each; their
-contexts are the magnitudes around, those already coded in the block, and what is left. The first row, the first column
-and DC are predicted linearly from the blocks above and to the left and from what is coded of the block.
-
+The number of nonzero indices of a part is coded before the part, so the number of those left is known at each index.
+Contexts are the magnitudes around, those already coded in the block, and the number left. The first row, the first
+column and DC are predicted linearly from the blocks above and to the left and from the coded part of the block.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from codecbench.plugins.codecs.multilevel.context.outer import code_dc, code_edg
 TRUNCATED = -1
 BAD_INDEX = -2
 MAX_BLOCK_BYTES = 4096
-"""More than any block takes."""
+"""Upper bound of a block's size."""
 
 
 @kernel(nogil=True)
@@ -40,8 +39,8 @@ def code_blocks(
     """Code blocks in raster order, or decode them; returns 0, TRUNCATED beyond the coder's limit or BAD_INDEX.
 
     indices: (n + 1, 64) int32 in natural order, the last row zeros; coded, or filled where the coder decodes.
-    first, count: the blocks, as if there were none before. columns: blocks in a row. edge_weights, dc_weights: as
-    `predictors` has them.
+    first, count: the blocks; those before `first` are not used. columns: blocks in a row. edge_weights, dc_weights: of
+    `outer.predictors`.
     """
     outside = indices.shape[0] - 1
     counts = np.empty((outside + 1, 4), np.int32)

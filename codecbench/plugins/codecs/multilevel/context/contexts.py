@@ -1,4 +1,8 @@
-"""Contexts of the decisions of a block: where each kind begins, and the classes that they are made of."""
+"""Contexts of a block's decisions: offsets of each kind, the classes that they consist of, and their initial state.
+
+`docs/context_training.py` makes `priors.npz`, the initial state, from photographs of scikit-image and rendered frames,
+luma and chroma apart.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +20,10 @@ from codecbench.plugins.codecs.multilevel.context.binary import SEEN_BITS, proba
 INNER = np.array([place for place in ZIGZAG.tolist() if place % 8 and place // 8], np.int32)
 """The 49 places of the inner part, in zigzag order."""
 ZONES = np.array([0] * 3 + [1] * 7 + [2] * 15 + [3] * 24, np.int32)
-"""Of the inner part's places, by their rank."""
+"""Zone of frequency of the inner part's places, by rank."""
 MAX_INDEX = (1 << 17) - 1
 DC_RESIDUAL = 3
-"""What is kept of each coded block: numbers of nonzero indices inside, in the first row and column; |DC residual|."""
+"""Column of |DC residual| in the counts of a block, after the nonzero counts inside, in the first row and column."""
 
 
 def classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
@@ -29,9 +33,9 @@ def classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
 _LAST_MAGNITUDE = 63
 _MAGNITUDES = classes((1, 2, 3, 5, 7, 10, 15, 23, 41), 1 + _LAST_MAGNITUDE)
 SHARES = np.array([[min(12 * missing // (49 - rank), 11) for rank in range(49)] for missing in range(50)], np.int32)
-"""How many twelfths of the places from a rank on are not zero, where so many are missing."""
+"""Share of nonzero places from a rank on, in twelfths, by the number of nonzero indices left and the rank."""
 
-# Contexts: where those of each decision begin.
+# First context of each decision.
 LENGTH = 0
 LENGTH_BITS = LENGTH + 800 + 240 + 240
 INNER_FLAGS = LENGTH_BITS + 64
@@ -58,18 +62,18 @@ def class_of(magnitude: Any) -> Any:
 
 @kernel(_nrt=False, forceinline=True)
 def magnitudes_around(indices: Any, left: Any, top: Any, corner: Any, right: Any, place: Any) -> Any:
-    """Magnitudes at a place of the blocks around: those beside twice, those across once."""
+    """Sum the magnitudes at a place of the blocks around: left and top twice, corner and right once."""
     beside = abs(indices[left, place]) + abs(indices[top, place])
     return 2 * beside + abs(indices[corner, place]) + abs(indices[right, place])
 
 
 PRIORS_FILE = Path(__file__).with_name("priors.npz")
-"""For luma and chroma: odds (2, contexts) int8, in 1/16; seen (2, contexts) uint8, how many bits a prior is worth;
+"""For luma and chroma: odds (2, contexts) int8, in 1/16; seen (2, contexts) uint8, the weight of a prior in bits;
 weights (2, sets, 3) int32."""
 
 
 def new_statistics(chroma: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """A model and weights for a coder, as `binary` has them, that have seen nothing of the picture yet."""
+    """Return the initial model and weights of a coder, as in `binary`."""
     model, weights = _priors()
     return model[int(chroma)].copy(), weights[int(chroma)].copy()
 

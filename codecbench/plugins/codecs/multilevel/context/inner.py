@@ -1,4 +1,4 @@
-"""The inner 7x7 indices of a block: how many are not zero, then each in zigzag order."""
+"""The inner 7x7 indices of a block: the number of nonzero ones, then each in zigzag order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from codecbench.plugins.codecs.multilevel.context.contexts import (
 
 
 @kernel(_nrt=False, forceinline=True)
-def _nonzero_inside(indices: Any, block: Any) -> Any:
+def _count_nonzero(indices: Any, block: Any) -> Any:
     count = 0
     for rank in range(49):
         if indices[block, INNER[rank]] != 0:
@@ -38,7 +38,7 @@ def _nonzero_inside(indices: Any, block: Any) -> Any:
 def _code_inner_count(
     coder: Any, data: Any, model: Any, weights: Any, counts: Any, left: Any, top: Any, count: Any
 ) -> Any:
-    """How many of the inner indices are not zero: its length in bits, then its bits below the first."""
+    """Code the number of nonzero inner indices: its length in bits, then its bits below the first."""
     class_left = class_of(counts[left, 0])
     class_top = class_of(counts[top, 0])
     class_mean = class_of((counts[left, 0] + counts[top, 0] + 1) >> 1)
@@ -64,8 +64,8 @@ def _code_inner_count(
 
 
 @kernel(_nrt=False)
-def _before_inside(indices: Any, block: Any, place: Any) -> Any:
-    """Magnitudes of the inner part near a place: lower frequencies, which are coded before."""
+def _magnitudes_before(indices: Any, block: Any, place: Any) -> Any:
+    """Sum the inner magnitudes near a place at lower frequencies, which are coded before it."""
     row = place >> 3
     column = place & 7
     total = 0
@@ -96,8 +96,8 @@ def code_inner(
     corner: Any,
     right: Any,
 ) -> Any:
-    """The inner part of a block, in zigzag order; returns whether an index is too large."""
-    count = _code_inner_count(coder, data, model, weights, counts, left, top, _nonzero_inside(indices, block))
+    """Code the inner part of a block in zigzag order; returns whether an index is too large."""
+    count = _code_inner_count(coder, data, model, weights, counts, left, top, _count_nonzero(indices, block))
     counts[block, 0] = count
     if count > 49:
         return True
@@ -109,7 +109,7 @@ def code_inner(
             break
         place = np.int64(INNER[rank])
         around = magnitudes_around(indices, left, top, corner, right, place)
-        before = _before_inside(indices, block, place) if mixing else 0
+        before = _magnitudes_before(indices, block, place) if mixing else 0
         class_around = class_of(around)
         class_before = class_of(before)
         class_missing = class_of(missing)
@@ -127,7 +127,7 @@ def code_inner(
                 continue
         missing -= 1
         if not mixing:
-            before = _before_inside(indices, block, place)
+            before = _magnitudes_before(indices, block, place)
             class_before = class_of(before)
         negative = code_bit(coder, data, 32768, 1 if index < 0 else 0)
         zone = np.int64(ZONES[rank])

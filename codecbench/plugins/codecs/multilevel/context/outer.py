@@ -1,4 +1,8 @@
-"""The first row and the first column of a block, predicted from the blocks around."""
+"""The first row, the first column and DC of a block, predicted linearly from the blocks around and the coded part.
+
+The weights are in 1/2^12. Those in `predictors.npz` are for equal steps; for other tables they are scaled by the ratio
+of the steps. `docs/context_training.py` fits them by least squares over other images.
+"""
 
 from __future__ import annotations
 
@@ -35,39 +39,39 @@ PREDICTION_BITS = 12
 _MAX_WEIGHT = 1 << 24
 
 PREDICTORS_FILE = Path(__file__).with_name("predictors.npz")
-"""For blocks whose borders are not filtered and those whose are: edges (2, 14, 32) and dc (2, 31) int16."""
+"""For unfiltered and filtered block borders: edges (2, 14, 32) and dc (2, 31) int16."""
 
 DC_PLACES = np.concatenate([[0, 0, 0], *2 * [np.arange(1, 8), 8 * np.arange(1, 8)]]).astype(np.int64)
 
 _LAST_PREDICTION = 319
 _PREDICTIONS = classes((3, 6, 10, 16, 24, 40, 70, 140, 280), 1 + _LAST_PREDICTION)
-"""Of a twentieth of an index."""
+"""Class of an expected index in twentieths."""
 
 
 def predictors(table: Table, lapped: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The weights of the first row and column (14, 32) and of DC (31,) for a quantisation table."""
-    edges, dc = (weights[int(lapped)] for weights in _weights())
+    """Return the weights of the first row and column (14, 32) and of DC (31,) for a quantization table."""
+    edges, dc = (weights[int(lapped)] for weights in _load_weights())
     steps = table.reshape(64).astype(np.int64)
-    scaled = np.stack([_scaled(edges[row], steps, *edge_places(row)) for row in range(14)])
-    return scaled, _scaled(dc, steps, DC_PLACES, 0)
+    scaled = np.stack([_scale_weights(edges[row], steps, *edge_places(row)) for row in range(14)])
+    return scaled, _scale_weights(dc, steps, DC_PLACES, 0)
 
 
 @functools.cache
-def _weights() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _load_weights() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     with np.load(PREDICTORS_FILE) as file:
         return file["edges"].astype(np.int64), file["dc"].astype(np.int64)
 
 
-def _scaled(
+def _scale_weights(
     weights: NDArray[np.int64], steps: NDArray[np.int64], places: NDArray[np.int64], place: int
 ) -> NDArray[np.int64]:
-    """Weights of indices at `places` for the index at `place`, halves up."""
+    """Scale weights of indices at `places` for the index at `place`, halves up."""
     ratios = 2 * weights * steps[places] + steps[place]
     return np.asarray(np.clip(ratios // (2 * steps[place]), -_MAX_WEIGHT, _MAX_WEIGHT), np.int64)
 
 
 def edge_places(row: int) -> tuple[NDArray[np.int64], int]:
-    """The places in a block of what predicts the index of a row of weights, and its own place."""
+    """Return the places of the predicting indices of a row of weights, and the place of the predicted one."""
     part, rank = divmod(row, 7)
     along, across = (8, 1) if part else (1, 8)
     place = (rank + 1) * along
@@ -78,7 +82,7 @@ def edge_places(row: int) -> tuple[NDArray[np.int64], int]:
 
 @kernel(_nrt=False, forceinline=True)
 def hint_of(expected: Any) -> Any:
-    """The class of an index that is expected, in 1/2^12."""
+    """Return the class of an expected index in 1/2^12."""
     return np.int64(_PREDICTIONS[min((abs(expected) * 20) >> PREDICTION_BITS, _LAST_PREDICTION)])
 
 
@@ -86,10 +90,10 @@ def hint_of(expected: Any) -> Any:
 def edge_prediction(
     indices: Any, block: Any, left: Any, top: Any, corner: Any, right: Any, part: Any, rank: Any, weights: Any
 ) -> Any:
-    """An index of the first row (part 0) or column (part 1) as the blocks around let expect it, in 1/2^12.
+    """Predict an index of the first row (part 0) or column (part 1), in 1/2^12.
 
-    weights: (14, 32) int64, of: the line across in this block (7), the line across of the block beside
-    the part (8), the block alongside (7), what is coded of the part (up to 7), three differences of DC.
+    weights: (14, 32) int64, of: the line across in this block (7), the line across of the block beside the part (8),
+    the block alongside (7), the coded indices of the part (up to 7), three differences of DC.
     """
     along = 1 + 7 * part
     across = 8 - 7 * part
@@ -112,8 +116,8 @@ def edge_prediction(
 
 
 @kernel(_nrt=False)
-def _before_on_edge(indices: Any, block: Any, place: Any, rank: Any, along: Any, across: Any) -> Any:
-    """Magnitudes near a place of the first row or column that are coded before."""
+def _magnitudes_before(indices: Any, block: Any, place: Any, rank: Any, along: Any, across: Any) -> Any:
+    """Sum the magnitudes near a place of the first row or column that are coded before it."""
     total = abs(indices[block, place + across])
     if rank > 1:
         total += 2 * abs(indices[block, place - along]) + abs(indices[block, place + across - along])
@@ -138,7 +142,7 @@ def code_edge(
     part: Any,
     edge_weights: Any,
 ) -> Any:
-    """The first row (part 0) or column (part 1) of a block without DC; returns whether an index is too large."""
+    """Code the first row (part 0) or column (part 1) of a block without DC; returns whether an index is too large."""
     along = 1 + 7 * part
     across = 8 - 7 * part
     count = 0
@@ -175,7 +179,7 @@ def code_edge(
         around = class_of(magnitudes_around(indices, left, top, corner, right, place))
         class_before = 0
         if mixing:
-            class_before = class_of(_before_on_edge(indices, block, place, rank, along, across))
+            class_before = class_of(_magnitudes_before(indices, block, place, rank, along, across))
         index = np.int64(indices[block, place])
         which = part * 8 + rank
         if missing < 8 - rank:
@@ -210,7 +214,7 @@ def code_edge(
 
 @kernel(_nrt=False, forceinline=True)
 def dc_prediction(indices: Any, block: Any, left: Any, top: Any, corner: Any, right: Any, weights: Any) -> Any:
-    """DC as the blocks around and the rest of the block let expect it, in 1/2^12. weights: (31,) int64."""
+    """Predict DC from the blocks around and the rest of the block, in 1/2^12. weights: (31,) int64."""
     base = np.int64(indices[left, 0])
     total = base << PREDICTION_BITS
     total += weights[0] * (indices[top, 0] - base) + weights[1] * (indices[corner, 0] - base)
@@ -236,7 +240,7 @@ def code_dc(
     right: Any,
     dc_weights: Any,
 ) -> Any:
-    """DC of a block, as what differs from its prediction; returns whether it is too large."""
+    """Code DC of a block as the difference from its prediction; returns whether it is too large."""
     expected = dc_prediction(indices, block, left, top, corner, right, dc_weights)
     nearest = (expected + (1 << (PREDICTION_BITS - 1))) >> PREDICTION_BITS
     nearest = min(max(nearest, -MAX_INDEX), MAX_INDEX)

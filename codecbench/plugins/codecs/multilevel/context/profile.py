@@ -17,7 +17,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.dct.planes import crop_plane, image_from_planes, pad_plane, planes_from_image
 from codecbench.plugins.codecs.dct.tables import Table
 from codecbench.plugins.codecs.multilevel.arithmetic import LOOK_AHEAD
-from codecbench.plugins.codecs.multilevel.bitstream import check_end, filled_up
+from codecbench.plugins.codecs.multilevel.bitstream import check_end, pad_section
 from codecbench.plugins.codecs.multilevel.context.binary import POSITION, finish, new_coder, start_decoding
 from codecbench.plugins.codecs.multilevel.context.bitstream import (
     CHROMA_UNITS,
@@ -51,44 +51,44 @@ Indices = NDArray[np.int32]
 T = TypeVar("T")
 
 REACH_ROWS = 10
-"""So far at most what is lost of a slice reaches beyond it: where blocks overlap, in chroma of half the height."""
-_OPTIMISATIONS = 2
+"""Most rows that a lost slice affects beyond itself, by overlapping blocks in chroma of half the height."""
+_OPTIMIZATIONS = 2
 _REASONS = {TRUNCATED: "truncated", BAD_INDEX: "an index is out of range"}
 
 
-def encoded(
+def encode(
     image: Image, header: ContextHeader, effort: Effort, trace: Trace = NULL_TRACE, *, threads: int = 1
 ) -> bytes:
-    """The bitstream of an image whose settings are in `header`; its biases are chosen here.
+    """Encode an image with the parameters in `header`, whose biases are set here.
 
-    threads: so many slices are coded at once; the bytes are the same.
+    threads: number of slices coded at once, to the same bytes.
     """
     indices = []
     for number, plane in enumerate(planes_from_image(image, header.color, trace)):
         plane = pad_plane(plane, trace=trace)
-        chosen, header.biases[number] = _quantised(plane, _steps(header, number), header.lapped, effort, trace)
+        chosen, header.biases[number] = _quantize_plane(plane, _steps(header, number), header.lapped, effort, trace)
         indices.append(chosen)
     return pack(
         header,
-        _of_each(range(header.slices), lambda number: _coded_slice(header, number, indices, trace), threads, trace),
+        _map_slices(range(header.slices), lambda number: _encode_slice(header, number, indices, trace), threads, trace),
     )
 
 
-def decoded(bitstream: bytes, trace: Trace = NULL_TRACE, *, threads: int = 1) -> Image:
-    """The image of a bitstream, so many slices decoded at once. Raises BitstreamError for damaged or foreign bytes."""
+def decode(bitstream: bytes, trace: Trace = NULL_TRACE, *, threads: int = 1) -> Image:
+    """Decode a bitstream, `threads` slices at once. Raises BitstreamError for damaged or foreign bytes."""
     header, payloads = unpack(bitstream)
-    indices = _no_indices(header)
-    _of_each(
+    indices = _zero_indices(header)
+    _map_slices(
         range(header.slices),
         lambda number: _decode_slice(header, number, payloads[number], indices, trace),
         threads,
         trace,
     )
-    return _image(header, indices, trace)
+    return _reconstruct(header, indices, trace)
 
 
-def _of_each(numbers: range, work: Callable[[int], T], threads: int, trace: Trace) -> list[T]:
-    """What `work` returns of each slice; one after another where operations are counted, for all count in one place."""
+def _map_slices(numbers: range, work: Callable[[int], T], threads: int, trace: Trace) -> list[T]:
+    """Apply `work` to each slice; one after another if operations are counted, because the counters are shared."""
     threads = min(threads, len(numbers)) if trace is NULL_TRACE else 1
     if threads == 1:
         return [work(number) for number in numbers]
@@ -97,21 +97,22 @@ def _of_each(numbers: range, work: Callable[[int], T], threads: int, trace: Trac
 
 
 @dataclass(frozen=True)
-class Salvaged:
-    """What is left of a damaged bitstream. lost: rows of pixels of the image that were not decoded."""
+class SalvagedImage:
+    """The decodable part of a damaged bitstream."""
 
     image: Image
     lost: list[range]
+    """Rows of pixels that were not decode."""
 
 
-def salvaged(bitstream: bytes) -> Salvaged:
-    """The image of a damaged bitstream: slices that are not intact are gray.
+def salvage(bitstream: bytes) -> SalvagedImage:
+    """Decode a damaged bitstream; damaged slices are gray.
 
-    Damage in a slice reaches up to REACH_ROWS rows beyond it, where blocks overlap. Raises BitstreamError where the
+    Damage in a slice affects up to REACH_ROWS rows beyond it, by overlapping blocks. Raises BitstreamError if the
     header is damaged, or there are no restart points.
     """
     header, payloads = unpack_intact(bitstream)
-    indices = _no_indices(header)
+    indices = _zero_indices(header)
     lost = []
     for number, payload in enumerate(payloads):
         if payload is None:
@@ -119,7 +120,7 @@ def salvaged(bitstream: bytes) -> Salvaged:
             lost.append(range(8 * rows.start, min(8 * rows.stop, header.height)))
         else:
             _decode_slice(header, number, payload, indices, NULL_TRACE)
-    return Salvaged(_image(header, indices, NULL_TRACE), lost)
+    return SalvagedImage(_reconstruct(header, indices, NULL_TRACE), lost)
 
 
 def _steps(header: ContextHeader, plane: int) -> NDArray[np.int64]:
@@ -127,10 +128,10 @@ def _steps(header: ContextHeader, plane: int) -> NDArray[np.int64]:
     return steps_from_table(header.table, factor, header.lapped)
 
 
-def _quantised(
+def _quantize_plane(
     plane: NDArray[np.uint8], steps: NDArray[np.int64], lapped: bool, effort: Effort, trace: Trace
 ) -> tuple[Indices, NDArray[np.int32]]:
-    """The indices of a pad_plane plane (n + 1, 64), in natural order, and the biases to reconstruct them with."""
+    """Quantize a padded plane to indices (n + 1, 64) in natural order; returns them and the reconstruction biases."""
     coefficients = np.empty((plane.size // 64, 64), np.int32)
     indices = np.empty((len(coefficients) + 1, 64), np.int32)
     indices[-1] = 0
@@ -142,7 +143,7 @@ def _quantised(
     if effort == "best":
         with trace.stage("optimization") as run:
             costs = np.empty((66, 8, 2), np.int64)
-            for _ in range(_OPTIMISATIONS):
+            for _ in range(_OPTIMIZATIONS):
                 run(estimate_costs, indices, columns, costs)
                 run(optimise, coefficients, steps, columns, costs, indices)
     if effort == "fast":
@@ -153,8 +154,8 @@ def _quantised(
     return indices, biases_from_sums(sums)
 
 
-def _coded_slice(header: ContextHeader, number: int, indices: list[Indices], trace: Trace) -> bytes:
-    """The payload of a slice."""
+def _encode_slice(header: ContextHeader, number: int, indices: list[Indices], trace: Trace) -> bytes:
+    """Encode the payload of a slice."""
     room = header.slice_samples(number) + 2 * MAX_BLOCK_BYTES
     while True:
         data = np.empty(room, np.uint8)
@@ -162,30 +163,31 @@ def _coded_slice(header: ContextHeader, number: int, indices: list[Indices], tra
         with trace.stage("context_coding") as run:
             result = 0
             statistics = [new_statistics(chroma) for chroma in (False, True)]
-            for plane, own in enumerate(indices):
+            for plane, plane_indices in enumerate(indices):
                 part = _part(header, plane, number)
-                result = result or run(code_blocks, coder, data, *statistics[plane > 0], own, *part)
+                result = result or run(code_blocks, coder, data, *statistics[plane > 0], plane_indices, *part)
             if not result:
-                return filled_up(data[: run(finish, coder, data)].tobytes(), header.slice_samples(number))
+                return pad_section(data[: run(finish, coder, data)].tobytes(), header.slice_samples(number))
         room *= 4
 
 
 def _decode_slice(header: ContextHeader, number: int, payload: bytes, indices: list[Indices], trace: Trace) -> None:
-    """Decode a payload into its part of `indices`. Raises BitstreamError for what no encoder writes."""
-    data = np.frombuffer(bytearray(payload), np.uint8)  # writable, so that coding and decoding are one signature
+    """Decode a payload into its part of `indices`. Raises BitstreamError for bits that no encoder writes."""
+    data = np.frombuffer(bytearray(payload), np.uint8)  # writable, so that encoding and decoding share a signature
     coder = new_coder(header.mixing, len(payload) + LOOK_AHEAD)
     with trace.stage("context_decoding") as run:
         run(start_decoding, coder, data)
         statistics = [new_statistics(chroma) for chroma in (False, True)]
-        for plane, own in enumerate(indices):
-            result = run(code_blocks, coder, data, *statistics[plane > 0], own, *_part(header, plane, number))
+        for plane, plane_indices in enumerate(indices):
+            part = _part(header, plane, number)
+            result = run(code_blocks, coder, data, *statistics[plane > 0], plane_indices, *part)
             if result:
                 raise BitstreamError(f"slice {number}, plane {plane}: {_REASONS[result]}")
     check_end(payload, int(coder[POSITION]), header.slice_samples(number), f"slice {number}")
 
 
 def _part(header: ContextHeader, plane: int, number: int) -> tuple[int, int, int, NDArray[np.int64], NDArray[np.int64]]:
-    """A plane's blocks in a slice, the first and how many, blocks in a row, and the predictors."""
+    """Return a plane's blocks in a slice, first and number, blocks in a row, and the predictors."""
     rows, columns = header.block_rows(plane, number), header.padded_shapes[plane][1] // 8
     return rows.start * columns, len(rows) * columns, columns, *_predictors(header.table.tobytes(), header.lapped)
 
@@ -196,12 +198,12 @@ def _predictors(table: bytes, lapped: bool) -> tuple[NDArray[np.int64], NDArray[
     return predictors(steps, lapped)
 
 
-def _no_indices(header: ContextHeader) -> list[Indices]:
-    """Zeros for the indices of every plane, with the row that stands for blocks outside."""
+def _zero_indices(header: ContextHeader) -> list[Indices]:
+    """Allocate zero indices for every plane, with a last row for blocks outside."""
     return [np.zeros((height * width // 64 + 1, 64), np.int32) for height, width in header.padded_shapes]
 
 
-def _image(header: ContextHeader, indices: list[Indices], trace: Trace) -> Image:
+def _reconstruct(header: ContextHeader, indices: list[Indices], trace: Trace) -> Image:
     planes = []
     for number, (shape, padded_shape) in enumerate(zip(header.plane_shapes, header.padded_shapes, strict=True)):
         coefficients = np.empty((len(indices[number]) - 1, 64), np.int32)

@@ -1,4 +1,9 @@
-"""Quantisation with a dead zone, and reconstruction at the centroids of what was quantised; all of it on integers."""
+"""Quantization on integers: a dead zone, reconstruction at centroids, and rate-distortion optimization.
+
+The optimization's costs come from a simpler model than the coder's: each index in one of eight contexts of the
+magnitudes around, with the frequencies of a first quantization. Bits are in 1/256, squared errors in
+1/2^16 of a squared step.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +17,18 @@ from codecbench.plugins.codecs.dct.tables import ZIGZAG, Table
 from codecbench.plugins.codecs.multilevel.context.transform import FRACTION_BITS, MAX_COEFFICIENT
 
 STEP_BITS = 12
-"""Fractional bits of a step."""
+"""Number of fractional bits of a step."""
 _MIN_STEP, _MAX_STEP = 1 << 8, 1 << 32
 
 _NORMS = (3415, 3547, 4096, 4033, 4096, 4067, 4096, 4076)
-"""How much a lapped basis function adds to the error of samples, by frequency down and across, in 1/4096."""
+"""Norm of a lapped basis function in sample errors, by frequency down and across, in 1/4096."""
 
 BIAS_ZONES, BIAS_SIZES = 3, 3
 ZONES = np.array([0 if v + u < 2 else (1 if v + u < 5 else 2) for v in range(8) for u in range(8)], np.int32)
 """Three zones of frequency, in natural order."""
 BIAS_BITS = 7
 MIN_BIAS, MAX_BIAS = -38, 62
-"""How much nearer to zero than its index a coefficient is reconstructed, in 1/128."""
+"""Limits of the bias toward zero of reconstructed coefficients, in 1/128."""
 
 USUAL_BIAS = 8
 
@@ -31,12 +36,12 @@ _RATIO_BITS = 8
 RATIO_SHIFT = STEP_BITS - FRACTION_BITS + _RATIO_BITS
 _NO_COEFFICIENT = (1 << 31) - 1
 _ROUNDING = 92
-"""0.36, so that what is below 0.64 of a step becomes zero, in 1/256."""
+"""0.36 in 1/256, so that coefficients below 0.64 of a step become zero."""
 _DC_ROUNDING = 128
 
 
 def steps_from_table(table: Table, factor: float, lapped: bool) -> NDArray[np.int64]:
-    """Quantisation steps (64,), natural order, in 1/2^12: table * factor, over the norms of a lapped transform."""
+    """Return the steps (64,), natural order, in 1/2^12: table * factor, over the norms of a lapped transform."""
     product = np.floor(table.reshape(64).astype(np.float64) * float(factor) * (1 << STEP_BITS) + 0.5)
     steps = np.clip(product, 1, _MAX_STEP).astype(np.int64)
     if lapped:
@@ -47,17 +52,17 @@ def steps_from_table(table: Table, factor: float, lapped: bool) -> NDArray[np.in
 
 @kernel(_nrt=False)
 def ratio(magnitude: Any, step: Any) -> Any:
-    """A coefficient's magnitude, 4 fractional bits, in steps, 12 fractional bits; in 1/256, rounded down."""
+    """Divide a magnitude, 4 fractional bits, by a step, 12 fractional bits; in 1/256, rounded down."""
     return (np.int64(magnitude) << RATIO_SHIFT) // step
 
 
 @kernel
 def quantise(coefficients: Any, steps: Any, indices: Any) -> None:
-    """Index of every coefficient, with a dead zone but for DC.
+    """Quantize every coefficient, with a dead zone except for DC.
 
     coefficients, indices: (blocks, 64) int32. steps: (64,) int64.
     """
-    # Below its bound an index is zero, which is far the most frequent: a division takes much longer.
+    # Most coefficients are below their bound, so most divisions are saved.
     bounds = np.empty(64, np.int32)
     for place in range(64):
         rounding = _ROUNDING if place else _DC_ROUNDING
@@ -75,7 +80,7 @@ def quantise(coefficients: Any, steps: Any, indices: Any) -> None:
 
 @kernel(_nrt=False)
 def sum_excesses(coefficients: Any, steps: Any, indices: Any, sums: Any) -> None:
-    """By zone and size of index, add up by how much indices exceed coefficients.
+    """Sum the excess of indices over coefficients by zone and size of index.
 
     sums: (3, 3, 2) int64, the sum in 1/256 and the count of each.
     """
@@ -90,14 +95,14 @@ def sum_excesses(coefficients: Any, steps: Any, indices: Any, sums: Any) -> None
 
 
 def biases_from_sums(sums: NDArray[np.int64]) -> NDArray[np.int32]:
-    """The biases (3, 3), in 1/128, of what `sum_excesses` added up."""
+    """Return the biases (3, 3), in 1/128, of the sums of `sum_excesses`."""
     total, count = sums[:, :, 0], np.maximum(sums[:, :, 1], 1)
     return np.asarray(np.clip((total + count) // (2 * count), MIN_BIAS, MAX_BIAS), np.int32)
 
 
 @kernel(_nrt=False)
 def dequantise(indices: Any, steps: Any, biases: Any, coefficients: Any) -> None:
-    """Coefficients, 4 fractional bits, of indices: the index less its bias, toward zero, times the step."""
+    """Reconstruct coefficients, 4 fractional bits: the index minus its bias, toward zero, times the step."""
     shift = STEP_BITS - FRACTION_BITS + BIAS_BITS
     for block in range(coefficients.shape[0]):
         for place in range(64):
@@ -114,17 +119,17 @@ def dequantise(indices: Any, steps: Any, biases: Any, coefficients: Any) -> None
 
 
 PRICE = 38
-"""Of a bit in squared steps, in 1/256."""
+"""Price of a bit in squared steps, in 1/256."""
 _BIAS = 8
 _CONTEXTS = 8
 _SIGN_COST = 256
 _LARGEST_COUNTED = 6
 _DISTRIBUTIONS = 64 + 2
-"""Zero or not at each place; one or more; from two on, whether there is more."""
+"""Binary decisions: zero or not at each place; one or more; from two on, more or not."""
 
 
 def _logarithms() -> NDArray[np.int64]:
-    """log2(1 + i / 256) in 1/256, by squaring whole numbers."""
+    """Return log2(1 + i / 256) in 1/256, by squaring integers."""
     values = []
     for mantissa in range(256, 512):
         number, bits = mantissa << 24, 0
@@ -143,7 +148,7 @@ _LOGARITHMS = _logarithms()
 
 @kernel(_nrt=False)
 def _logarithm(number: Any) -> Any:
-    """log2 of a number above 0, in 1/256, rounded down to 8 bits of the number."""
+    """Return log2 of a number above 0, in 1/256, of the number rounded down to 8 bits."""
     exponent = 0
     while number >> exponent > 1:
         exponent += 1
@@ -153,7 +158,7 @@ def _logarithm(number: Any) -> Any:
 
 @kernel(_nrt=False)
 def _context(indices: Any, block: Any, columns: Any, place: Any) -> Any:
-    """One of eight, by the magnitudes at this place around and before it in the block."""
+    """Return one of eight contexts, by the magnitudes at this place in blocks around and before it in the block."""
     total = 0
     if block % columns > 0:
         total += 2 * abs(indices[block - 1, place])
@@ -178,7 +183,7 @@ def _context(indices: Any, block: Any, columns: Any, place: Any) -> Any:
 
 @kernel
 def estimate_costs(indices: Any, columns: Any, costs: Any) -> None:
-    """What it costs to say that an index is zero or not, is one or more, is that or more: (66, 8, 2) int64, filled.
+    """Estimate the costs of both outcomes of each decision and context: costs (66, 8, 2) int64, filled.
 
     indices: (n + 1, 64) int32, natural order, the last of no block. columns: blocks in a row.
     """
@@ -196,7 +201,7 @@ def estimate_costs(indices: Any, columns: Any, costs: Any) -> None:
                     counts[65, context, 1 if magnitude > size else 0] += 1
     for context in range(_CONTEXTS):
         for place in range(64):
-            # Together with eight indices of the mean of all places: some places see very few.
+            # Regularized with eight indices of the mean of all places, because some places see very few.
             for bit in range(2):
                 seen = counts[_DISTRIBUTIONS, context, bit]
                 everything = counts[_DISTRIBUTIONS, context, 0] + counts[_DISTRIBUTIONS, context, 1]
@@ -214,7 +219,7 @@ def estimate_costs(indices: Any, columns: Any, costs: Any) -> None:
 
 @kernel(_nrt=False)
 def _cost_of(costs: Any, context: Any, place: Any, magnitude: Any) -> Any:
-    """Bits of an index above zero."""
+    """Return the bits of a nonzero index."""
     bits = costs[place, context, 1] + _SIGN_COST
     if magnitude == 1:
         return bits + costs[64, context, 0]
@@ -223,14 +228,14 @@ def _cost_of(costs: Any, context: Any, place: Any, magnitude: Any) -> Any:
 
 @kernel(_nrt=False)
 def _error_of(size: Any, magnitude: Any) -> Any:
-    """The squared error of a coefficient of `size` / 256 steps whose index is `magnitude`."""
+    """Return the squared error of a coefficient of `size` / 256 steps with the index `magnitude`."""
     error = size - (magnitude << 8) + (_BIAS if magnitude else 0)
     return error * error
 
 
 @kernel(_nrt=False)
 def optimise(coefficients: Any, steps: Any, columns: Any, costs: Any, indices: Any) -> None:
-    """Choose the index of every coefficient but DC: the nearest, the one below, or none; and where a block ends.
+    """Choose the index of every coefficient except DC: the nearest, the one below, or zero; and the end of each block.
 
     coefficients: (n, 64) int32. steps: (64,) int64. costs: as `estimate_costs` gives them. indices:
     (n + 1, 64) int32, changed.
@@ -253,12 +258,12 @@ def optimise(coefficients: Any, steps: Any, columns: Any, costs: Any, indices: A
                     best = total
                     chosen = magnitude
             indices[block, place] = -chosen if coefficient < 0 else chosen
-        _cut(coefficients, steps, columns, costs, indices, block)
+        _truncate_block(coefficients, steps, columns, costs, indices, block)
 
 
 @kernel(_nrt=False)
-def _cut(coefficients: Any, steps: Any, columns: Any, costs: Any, indices: Any, block: Any) -> None:
-    """Set what follows the best end of a block to zero: all of it together may cost more than it is worth."""
+def _truncate_block(coefficients: Any, steps: Any, columns: Any, costs: Any, indices: Any, block: Any) -> None:
+    """Set the indices after the best end of a block to zero, which together may cost more than they gain."""
     gained = np.int64(0)
     lowest = np.int64(0)
     end = 64

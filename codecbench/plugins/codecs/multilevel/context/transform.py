@@ -1,7 +1,8 @@
 """The 8x8 discrete cosine transform on integers, and the lapped transform around it.
 
-The lapped transform filters the 8 samples around each border between blocks before the DCT, and back after it. Products
-have 12 fractional bits, samples and coefficients 4; every sum stays within 32 bits, so there is only one result.
+The lapped transform filters the 8 samples around each border between blocks before the DCT; the decoder inverts the
+filter after it. Products have 12 fractional bits, samples and coefficients 4. All sums fit 32 bits, so the result is
+the same everywhere.
 
 Source: Tran, Liang & Tu, "Lapped transform via time-domain pre- and post-filtering" (2003): the filter of 8 points
 whose scaling factor is 1.6.
@@ -17,9 +18,9 @@ from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.dct.transform import transpose_blocks
 
 FRACTION_BITS = 4
-"""Of coefficients."""
+"""Number of fractional bits of coefficients."""
 MAX_COEFFICIENT = 49151
-"""Of what is transformed back, in 1/16: three times what 8-bit samples come to."""
+"""Limit of the inverse transform's input, in 1/16: three times the largest coefficient of 8-bit samples."""
 
 _BITS = 12
 _HALF = 1 << (_BITS - 1)
@@ -34,7 +35,7 @@ POST = np.array(
     [[3201, -2448, 393, -439], [1989, 2562, -2122, -419], [137, 1275, 3071, -1472], [-34, -199, 366, 3418]],
     dtype=np.int32,
 )
-"""Of the differences across a border, in 1/4096: the filter and its inverse."""
+"""Filter of the differences across a border and its inverse (PRE and POST), in 1/4096."""
 
 
 @kernel
@@ -104,13 +105,13 @@ def inverse_transform(coefficients: Any, lapped: Any, plane: Any) -> None:
 
 @kernel
 def _times(factor: Any, value: Any) -> Any:
-    """A product in 32 bits: compilers would take 64 for it, which vectors of today's processors multiply slowly."""
+    """Multiply in 32 bits; compilers would use 64, which vector units multiply slowly."""
     return np.int32(factor * np.int32(value))
 
 
 @kernel
-def _scaled(total: Any) -> Any:
-    """A sum of products without its 12 fractional bits, halves up."""
+def _round_product(total: Any) -> Any:
+    """Round a sum of products to no fractional bits of its 12, halves up."""
     return np.int32(np.int32(total + _HALF) >> _BITS)
 
 
@@ -137,10 +138,10 @@ def _filter_down(samples: Any, top: Any, matrix: Any, strip: Any) -> None:
         d1 = np.int32(a1 - b1)
         d2 = np.int32(a2 - b2)
         d3 = np.int32(a3 - b3)
-        e0 = _scaled(_times(m00, d0) + _times(m01, d1) + _times(m02, d2) + _times(m03, d3))
-        e1 = _scaled(_times(m10, d0) + _times(m11, d1) + _times(m12, d2) + _times(m13, d3))
-        e2 = _scaled(_times(m20, d0) + _times(m21, d1) + _times(m22, d2) + _times(m23, d3))
-        e3 = _scaled(_times(m30, d0) + _times(m31, d1) + _times(m32, d2) + _times(m33, d3))
+        e0 = _round_product(_times(m00, d0) + _times(m01, d1) + _times(m02, d2) + _times(m03, d3))
+        e1 = _round_product(_times(m10, d0) + _times(m11, d1) + _times(m12, d2) + _times(m13, d3))
+        e2 = _round_product(_times(m20, d0) + _times(m21, d1) + _times(m22, d2) + _times(m23, d3))
+        e3 = _round_product(_times(m30, d0) + _times(m31, d1) + _times(m32, d2) + _times(m33, d3))
         strip[3, x] = np.int32(a0 + b0 + e0) >> 1
         strip[2, x] = np.int32(a1 + b1 + e1) >> 1
         strip[1, x] = np.int32(a2 + b2 + e2) >> 1
@@ -149,7 +150,7 @@ def _filter_down(samples: Any, top: Any, matrix: Any, strip: Any) -> None:
         strip[5, x] = np.int32(a1 + b1 - e1) >> 1
         strip[6, x] = np.int32(a2 + b2 - e2) >> 1
         strip[7, x] = np.int32(a3 + b3 - e3) >> 1
-    # Not written to `samples` at once: compilers compute columns side by side where what is read is not written.
+    # Written to `samples` afterwards: compilers vectorize columns only if the input is not written.
     for y in range(8):
         for x in range(strip.shape[1]):
             samples[top + y, x] = strip[y, x]
@@ -157,7 +158,7 @@ def _filter_down(samples: Any, top: Any, matrix: Any, strip: Any) -> None:
 
 @kernel
 def _filter_across(turned: Any, matrix: Any, samples: Any, strip: Any) -> None:
-    """The same across the borders between the transposed blocks of an (8, W) strip; `samples`, `strip` overwritten."""
+    """Filter across the borders of the transposed blocks of an (8, W) strip; `samples`, `strip` overwritten."""
     count = turned.shape[1] - 8
     for y in range(4):
         for x in range(count):
@@ -184,14 +185,14 @@ def _forward_down(samples: Any, top: Any, strip: Any) -> None:
         d1 = np.int32(samples[top + 1, x] - samples[top + 6, x])
         d2 = np.int32(samples[top + 2, x] - samples[top + 5, x])
         d3 = np.int32(samples[top + 3, x] - samples[top + 4, x])
-        strip[0, x] = _scaled(_times(_C4, s0 + s1 + s2 + s3))
-        strip[4, x] = _scaled(_times(_C4, s0 - s1 - s2 + s3))
-        strip[2, x] = _scaled(_times(_C2, s0 - s3) + _times(_C6, s1 - s2))
-        strip[6, x] = _scaled(_times(_C6, s0 - s3) - _times(_C2, s1 - s2))
-        strip[1, x] = _scaled(_times(_C1, d0) + _times(_C3, d1) + _times(_C5, d2) + _times(_C7, d3))
-        strip[3, x] = _scaled(_times(_C3, d0) - _times(_C7, d1) - _times(_C1, d2) - _times(_C5, d3))
-        strip[5, x] = _scaled(_times(_C5, d0) - _times(_C1, d1) + _times(_C7, d2) + _times(_C3, d3))
-        strip[7, x] = _scaled(_times(_C7, d0) - _times(_C5, d1) + _times(_C3, d2) - _times(_C1, d3))
+        strip[0, x] = _round_product(_times(_C4, s0 + s1 + s2 + s3))
+        strip[4, x] = _round_product(_times(_C4, s0 - s1 - s2 + s3))
+        strip[2, x] = _round_product(_times(_C2, s0 - s3) + _times(_C6, s1 - s2))
+        strip[6, x] = _round_product(_times(_C6, s0 - s3) - _times(_C2, s1 - s2))
+        strip[1, x] = _round_product(_times(_C1, d0) + _times(_C3, d1) + _times(_C5, d2) + _times(_C7, d3))
+        strip[3, x] = _round_product(_times(_C3, d0) - _times(_C7, d1) - _times(_C1, d2) - _times(_C5, d3))
+        strip[5, x] = _round_product(_times(_C5, d0) - _times(_C1, d1) + _times(_C7, d2) + _times(_C3, d3))
+        strip[7, x] = _round_product(_times(_C7, d0) - _times(_C5, d1) + _times(_C3, d2) - _times(_C1, d3))
 
 
 @kernel
@@ -214,11 +215,11 @@ def _inverse_down(strip: Any, samples: Any, top: Any) -> None:
         o1 = np.int32(_times(_C3, c1) - _times(_C7, c3) - _times(_C1, c5) - _times(_C5, c7))
         o2 = np.int32(_times(_C5, c1) - _times(_C1, c3) + _times(_C7, c5) + _times(_C3, c7))
         o3 = np.int32(_times(_C7, c1) - _times(_C5, c3) + _times(_C3, c5) - _times(_C1, c7))
-        samples[top, x] = _scaled(outer + steep + o0)
-        samples[top + 7, x] = _scaled(outer + steep - o0)
-        samples[top + 1, x] = _scaled(inner + flat + o1)
-        samples[top + 6, x] = _scaled(inner + flat - o1)
-        samples[top + 2, x] = _scaled(inner - flat + o2)
-        samples[top + 5, x] = _scaled(inner - flat - o2)
-        samples[top + 3, x] = _scaled(outer - steep + o3)
-        samples[top + 4, x] = _scaled(outer - steep - o3)
+        samples[top, x] = _round_product(outer + steep + o0)
+        samples[top + 7, x] = _round_product(outer + steep - o0)
+        samples[top + 1, x] = _round_product(inner + flat + o1)
+        samples[top + 6, x] = _round_product(inner + flat - o1)
+        samples[top + 2, x] = _round_product(inner - flat + o2)
+        samples[top + 5, x] = _round_product(inner - flat - o2)
+        samples[top + 3, x] = _round_product(outer - steep + o3)
+        samples[top + 4, x] = _round_product(outer - steep - o3)
