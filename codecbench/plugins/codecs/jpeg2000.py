@@ -40,7 +40,7 @@ from codecbench.plugins.codecs.jp2_syntax import (
 from codecbench.plugins.codecs.openjpeg import lenient_decoding, load_glymur
 from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv
 
-_RESOLUTIONS = 6  # OpenJPEG's default: five decompositions, where the image is large enough
+_RESOLUTIONS = 6  # OpenJPEG's default: five decompositions if the image is large enough
 _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
 _LAYER_RATIO, _LAYER_DB = 2.0, 3.0  # from layer to layer
 _TOLERANCE = 0.02

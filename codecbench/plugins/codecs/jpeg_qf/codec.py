@@ -35,6 +35,9 @@ _TABLES = {
     "standard": (tables.LUMINANCE, tables.CHROMINANCE),
 }
 
+_NARROWEST_SMOOTHED = 3
+"""Narrower planes, of one or two columns, are repeated, not interpolated."""
+
 
 class JpegQfParams(Params):
     """The paper's factor, and what a JFIF file leaves open."""
@@ -137,10 +140,6 @@ def _part_shapes(header: FrameHeader) -> list[tuple[int, int]]:
         (-(-header.height * component.v // luma.v), -(-header.width * component.h // luma.h))
         for component in header.components
     ]
-
-
-_NARROWEST_SMOOTHED = 3
-"""Narrower planes, of one or two columns, are repeated, not interpolated."""
 
 
 def upsample(plane: NDArray[np.uint8], h: int, v: int, shape: tuple[int, int], run: Run) -> NDArray[np.uint8]:

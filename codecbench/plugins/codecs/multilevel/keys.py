@@ -25,6 +25,15 @@ MANUAL_BITS = 30
 MAX_CHECKS = 1 << 22
 """Most combinations of digit differences that `colliding_digits` tries."""
 
+Search = Literal["sequential", "pruned", "greedy"]
+
+MAX_SEQUENTIAL_TESTS = 1 << 36
+"""Limit of the exhaustive search, a minute or two."""
+
+FREE_PRUNED_TESTS = 1 << 24
+PRUNED_TESTS_PER_BYTE = 1 << 17
+"""Limit of the pruned search per byte of the table, beyond the free tests."""
+
 
 def canonical_keys(radix: int, group: int) -> list[int]:
     """Return 1, R, R^2, ...: the smallest super-increasing keys for digits 0..R-1."""
@@ -139,16 +148,6 @@ def find_difference(keys: Any, radix: Any, divisor: Any, inverse: Any, differenc
         if j >= group:
             return False
         differences[j] += 1
-
-
-Search = Literal["sequential", "pruned", "greedy"]
-
-MAX_SEQUENTIAL_TESTS = 1 << 36
-"""Limit of the exhaustive search, a minute or two."""
-
-FREE_PRUNED_TESTS = 1 << 24
-PRUNED_TESTS_PER_BYTE = 1 << 17
-"""Limit of the pruned search per byte of the table, beyond the free tests."""
 
 
 @kernel

@@ -35,6 +35,8 @@ _FIRST_SLOTS = 1 << 16
 KeyMaker = Callable[[int, int], Keys]
 """Returns the keys of a level, counted from 1, by its number of digits."""
 
+Scan = Literal["block", "coefficient"]
+
 
 @dataclass(frozen=True)
 class LevelTable:
@@ -152,9 +154,6 @@ def expand_levels(
             run(expand, ranks, tuples[level], offset if level == 0 else 0, values)
         ranks = values
     return ranks
-
-
-Scan = Literal["block", "coefficient"]
 
 
 def scan_blocks(blocks: NDArray[np.int32], scan: Scan, trace: Trace) -> NDArray[np.int32]:

@@ -113,15 +113,15 @@ class Memory:
         checksum = zlib.crc32(content, self.checksum)
         if packet[-_CRC.size :] != _CRC.pack(checksum):
             raise BitstreamError("damaged, or it follows another packet than the one before it")
-        _, offset, radix, kept, changed, kept_size, new, new_size = _HEADER.unpack_from(content)
+        _, offset, radix, kept_count, changed, kept_size, new_count, new_size = _HEADER.unpack_from(content)
         groups = -(-self.header.samples // self.header.group)
-        if kept > len(self.counts) or not 1 <= kept + new <= groups or not 1 <= radix <= MAX_SYMBOLS:
-            raise BitstreamError(f"{kept} kept and {new} new entries of {radix} digits are not allowed")
+        if kept_count > len(self.counts) or not 1 <= kept_count + new_count <= groups or not 1 <= radix <= MAX_SYMBOLS:
+            raise BitstreamError(f"{kept_count} kept and {new_count} new entries of {radix} digits are not allowed")
         middle = _HEADER.size + kept_size
-        tuples, counts = self._read_kept(content[_HEADER.size : middle], kept, changed)
+        kept, kept_counts = self._read_kept(content[_HEADER.size : middle], kept_count, changed)
         new_data = content[middle : middle + new_size]
-        fresh, fresh_counts = _read_new(new_data, new, radix, groups - int(counts.sum()), self.header.group)
-        tuples, counts = np.vstack([tuples, fresh + np.int32(offset)]), np.concatenate([counts, fresh_counts])
+        new, new_counts = _read_new(new_data, new_count, radix, groups - int(kept_counts.sum()), self.header.group)
+        tuples, counts = np.vstack([kept, new + np.int32(offset)]), np.concatenate([kept_counts, new_counts])
         order = np.lexsort(tuples.T)  # by the last digit, then the one before it: the order of canonical codes
         memory = replace(self, tuples=np.ascontiguousarray(tuples[order]), counts=counts[order], checksum=checksum)
         return memory, memory._read_ranks(content[middle + new_size :], groups)

@@ -141,12 +141,12 @@ def code_set(
 ) -> int:  # fmt: skip
     """Code a set without its descriptors, or decode it into the given arrays; returns 0 or the kind of damage.
 
-    level_units: (levels, 4) int64: columns and rows of a level's cells, and a cell's size in the image in 1/16 of the
-    unit of places. octave_starts: (levels + 1,) first index of each. cells: (N,) int64 row * columns + column,
-    ascending within a level. places: (N, 2) int64, filled. angles: (N,) int64 of `angle_bits`. descriptors: (M + N + 1, 4) uint64
-    as in `descriptors.code_descriptors`, M of the last set; an encoder reads them and overwrites the copied ones.
-    sources, copied: (N,) filled, as there; copied are those that differ from their reference in at most `like` bits.
-    last_*: of the last set.
+    level_units: (levels, 4) int64: columns and rows of a level's cells, and a cell's size in the image in 1/16 of
+    the unit of places. octave_starts: (levels + 1,) first index of each. cells: (N,) int64 row * columns + column,
+    ascending within a level. places: (N, 2) int64, filled. angles: (N,) int64 of `angle_bits`. descriptors: (M + N
+    + 1, 4) uint64 as in `descriptors.code_descriptors`, M of the last set; an encoder reads them and overwrites the
+    copied ones. sources, copied: (N,) filled, as there; copied are those that differ from their reference in at
+    most `like` bits. last_*: of the last set.
     """
     candidates_last, keys_last = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)
     candidates_here, keys_here = np.empty(MAX_CANDIDATES + 1, np.int64), np.empty(MAX_CANDIDATES + 1, np.int64)

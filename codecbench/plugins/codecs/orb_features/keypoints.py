@@ -23,6 +23,11 @@ SCALE_FACTOR: Final = 1.2
 PARTS: Final = SUBPIXELS
 """Number of subpixel positions of the SLAM, in x and in y."""
 
+PLACE_UNIT: Final = 16
+"""Units of a place per pixel of the image."""
+MAX_CANDIDATES: Final = 64
+"""Most candidates of one kind; later ones in the order of the arrays are ignored."""
+
 _TURN: Final = 2.0 * math.pi
 _PLACE_BITS: Final = 32  # enough for the cells of the largest image
 
@@ -126,11 +131,6 @@ class CodedKeypoints:
         signed = self.angles - ((self.angles >> (self.angle_bits - 1)) << self.angle_bits)  # -pi up to pi
         angles = signed * (_TURN / 2**self.angle_bits)
         return Keypoints((grid.width, grid.height), pixels, octaves, angles, self.descriptors)
-
-
-PLACE_UNIT: Final = 16
-MAX_CANDIDATES: Final = 64
-"""Most candidates of one kind; later ones in the order of the arrays are ignored."""
 
 
 @compiled

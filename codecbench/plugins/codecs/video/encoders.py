@@ -128,12 +128,13 @@ Gop = Annotated[int, BeforeValidator(_frames_from_gop, json_schema_input_type=in
 
 
 class VideoParams(Params):
-    """What an encoder is asked for: a rate by one of `crf`, `qp` and `bitrate_kbps`, and how it codes.
+    """Parameters of a video encoder: a rate by one of `crf`, `qp` and `bitrate_kbps`, and how it codes.
 
-    Where no rate, preset or pixel format is given, it is the encoder's usual one. encoder_name: FFmpeg's name.
+    A missing rate, preset or pixel format is the encoder's usual one.
     """
 
     encoder_name: ClassVar[str]
+    """FFmpeg's name of the encoder."""
 
     crf: float | None = Field(None, description="constant quality, on the encoder's scale: the higher, the smaller")
     qp: int | None = Field(None, description="constant quantiser, on the encoder's scale: the higher, the smaller")

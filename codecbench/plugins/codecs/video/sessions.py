@@ -77,7 +77,7 @@ class VideoEncoder(StreamEncoder):
         packets: list[Packet] = []
         for packet in self._context.encode(frame):
             data, number = bytes(packet), int(packet.pts)
-            if packet.is_keyframe:  # with intra refresh also at the begin of a refresh, when no frame is whole yet
+            if packet.is_keyframe:  # with intra refresh also at the start of a refresh, when no frame is whole yet
                 data = self._header + data
             refreshes = bool(packet.is_keyframe and self._params.intra_refresh and number)
             recovery = frames_to_recovery(data) if refreshes else None

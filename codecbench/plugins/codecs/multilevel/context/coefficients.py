@@ -38,7 +38,7 @@ def code_blocks(
 ) -> Any:
     """Code blocks in raster order, or decode them; returns 0, TRUNCATED beyond the coder's limit or BAD_INDEX.
 
-    indices: (n + 1, 64) int32 in natural order, the last row zeros; coded, or filled where the coder decodes.
+    indices: (n + 1, 64) int32 in natural order, the last row zeros; coded, or filled if the coder decodes.
     first, count: the blocks; those before `first` are not used. columns: blocks in a row. edge_weights, dc_weights: of
     `outer.predictors`.
     """

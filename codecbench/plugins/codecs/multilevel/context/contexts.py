@@ -17,6 +17,10 @@ from codecbench.core.counting.kernel import kernel
 from codecbench.plugins.codecs.dct.tables import ZIGZAG
 from codecbench.plugins.codecs.multilevel.context.binary import SEEN_BITS, probabilities_from_odds
 
+PRIORS_FILE = Path(__file__).with_name("priors.npz")
+"""For luma and chroma: odds (2, contexts) int8, in 1/16; seen (2, contexts) uint8, the weight of a prior in bits;
+weights (2, sets, 3) int32."""
+
 INNER = np.array([place for place in ZIGZAG.tolist() if place % 8 and place // 8], np.int32)
 """The 49 places of the inner part, in zigzag order."""
 ZONES = np.array([0] * 3 + [1] * 7 + [2] * 15 + [3] * 24, np.int32)
@@ -27,11 +31,13 @@ DC_RESIDUAL = 3
 
 
 def classes(limits: tuple[int, ...], size: int) -> NDArray[np.int32]:
+    """Return the class of each number below `size`: how many limits it reaches."""
     return np.searchsorted(np.array(limits), np.arange(size), side="right").astype(np.int32)
 
 
 _LAST_MAGNITUDE = 63
 _MAGNITUDES = classes((1, 2, 3, 5, 7, 10, 15, 23, 41), 1 + _LAST_MAGNITUDE)
+
 SHARES = np.array([[min(12 * missing // (49 - rank), 11) for rank in range(49)] for missing in range(50)], np.int32)
 """Share of nonzero places from a rank on, in twelfths, by the number of nonzero indices left and the rank."""
 
@@ -65,11 +71,6 @@ def magnitudes_around(indices: Any, left: Any, top: Any, corner: Any, right: Any
     """Sum the magnitudes at a place of the blocks around: left and top twice, corner and right once."""
     beside = abs(indices[left, place]) + abs(indices[top, place])
     return 2 * beside + abs(indices[corner, place]) + abs(indices[right, place])
-
-
-PRIORS_FILE = Path(__file__).with_name("priors.npz")
-"""For luma and chroma: odds (2, contexts) int8, in 1/16; seen (2, contexts) uint8, the weight of a prior in bits;
-weights (2, sets, 3) int32."""
 
 
 def new_statistics(chroma: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -39,6 +39,15 @@ _ROUNDING = 92
 """0.36 in 1/256, so that coefficients below 0.64 of a step become zero."""
 _DC_ROUNDING = 128
 
+PRICE = 38
+"""Price of a bit in squared steps, in 1/256."""
+_BIAS = 8
+_CONTEXTS = 8
+_SIGN_COST = 256
+_LARGEST_COUNTED = 6
+_DISTRIBUTIONS = 64 + 2
+"""Binary decisions: zero or not at each place; one or more; from two on, more or not."""
+
 
 def steps_from_table(table: Table, factor: float, lapped: bool) -> NDArray[np.int64]:
     """Return the steps (64,), natural order, in 1/2^12: table * factor, over the norms of a lapped transform."""
@@ -116,16 +125,6 @@ def dequantise(indices: Any, steps: Any, biases: Any, coefficients: Any) -> None
             value = (((magnitude << BIAS_BITS) - bias) * steps[place] + (1 << (shift - 1))) >> shift
             value = min(value, MAX_COEFFICIENT)
             coefficients[block, place] = -value if index < 0 else value
-
-
-PRICE = 38
-"""Price of a bit in squared steps, in 1/256."""
-_BIAS = 8
-_CONTEXTS = 8
-_SIGN_COST = 256
-_LARGEST_COUNTED = 6
-_DISTRIBUTIONS = 64 + 2
-"""Binary decisions: zero or not at each place; one or more; from two on, more or not."""
 
 
 def _logarithms() -> NDArray[np.int64]:
