@@ -47,7 +47,7 @@ def _qualified_version(version: str, function: str, library: str) -> str:
 
 def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
     try:
-        import imagecodecs
+        import imagecodecs  # an optional extra
     except ImportError as error:
         raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
     for function in functions:

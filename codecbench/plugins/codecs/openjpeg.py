@@ -40,7 +40,7 @@ def load_glymur() -> ModuleType:
 
 @cache
 def _load_glymur() -> ModuleType:
-    import glymur
+    import glymur  # its import searches for OpenJPEG
 
     if not _is_usable(glymur):
         for path in _bundled_libraries():

@@ -63,9 +63,9 @@ def with_unit_head(table: Table) -> Table:
 
     Source: Salih & Vasarhelyi, section 3, for the luminance table.
     """
-    copy = table.copy()
-    copy.reshape(64)[ZIGZAG[:6]] = 1
-    return copy
+    result = table.copy()
+    result.reshape(64)[ZIGZAG[:6]] = 1
+    return result
 
 
 PAPER: Table = with_unit_head(LUMINANCE)

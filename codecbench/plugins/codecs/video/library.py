@@ -34,7 +34,7 @@ def load_av() -> ModuleType:
     """Import PyAV. Raises Unsupported, with the command that installs it, if it is missing."""
     os.environ.setdefault("SVT_LOG", "-1")  # SVT-AV1 bypasses FFmpeg's log; only this silences it
     try:
-        import av
+        import av  # an optional extra
     except ImportError as error:
         raise Unsupported("PyAV is not installed; run: pip install 'codecbench[video]'") from error
     return av
