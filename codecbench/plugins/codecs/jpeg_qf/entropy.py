@@ -92,7 +92,7 @@ def put_symbol(output, pending, bits, written, code, length, value, size):  # ty
 
 @kernel
 def encode_scan(blocks, order, pattern, selectors, codes, lengths, output):  # type: ignore[no-untyped-def]
-    """Write the entropy-coded segment into `output`, large enough for the worst case; returns its bytes."""
+    """Write the entropy-coded segment into `output`, large enough for the worst case; returns its size in bytes."""
     predictions = np.zeros(selectors.shape[0], np.int64)
     pending, bits, written = np.int64(0), np.int64(0), np.int64(0)
     for i in range(order.shape[0]):
